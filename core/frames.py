@@ -1,0 +1,114 @@
+"""Vectors on the sphere: the triad, the exact rotation and spin of step B, and differences of two catalogues."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Triad(NamedTuple):
+    """The unit vectors p (east), q (north) and r (to the object), each of shape (3, ...)."""
+
+    p: Array
+    q: Array
+    r: Array
+
+
+def triad(ra: Array, dec: Array) -> Triad:
+    """Return p = <z x r>, q = r x p and r at the given positions.
+
+    ``ra`` and ``dec`` are in radians, of any one shape ``(...)``.  At a pole p is the limit along the given ``ra``.
+    Source: Metz & Geffert 2004, Eqs. 1-3 (after Murray 1983).
+    """
+    sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
+    return Triad(
+        p=np.stack([-sin_ra, cos_ra, np.zeros_like(sin_ra)]),
+        q=np.stack([-sin_dec * cos_ra, -sin_dec * sin_ra, cos_dec]),
+        r=np.stack([cos_dec * cos_ra, cos_dec * sin_ra, sin_dec]),
+    )
+
+
+def position(r: Array) -> tuple[Array, Array]:
+    """Return (ra, dec) in radians, ra in [0, 2 pi), of vectors of shape (3, ...) and any length."""
+    return np.arctan2(r[1], r[0]) % (2.0 * np.pi), np.arctan2(r[2], np.hypot(r[0], r[1]))
+
+
+def rotation_minus_identity(epsilon: Array) -> Array:
+    """Return R - I for R = exp([epsilon x]), without cancellation for small angles; shape (3, 3).
+
+    ``epsilon`` is the rotation vector in radians, shape (3,).  Source: Rodrigues' formula with
+    1 - cos t = 2 sin^2(t/2).
+    """
+    x, y, z = epsilon
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.sqrt(epsilon @ epsilon))
+    half = np.sinc(0.5 * angle / np.pi)  # sin(t/2)/(t/2), 1 at t = 0
+    return np.asarray(np.sinc(angle / np.pi) * cross + 0.5 * half**2 * (cross @ cross))
+
+
+def rotation_matrix(epsilon: Array) -> Array:
+    """Return R = exp([epsilon x]), which turns a vector by |epsilon| radians about epsilon; shape (3, 3)."""
+    return np.eye(3) + rotation_minus_identity(epsilon)
+
+
+def satellite_catalogue(
+    ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon: Array, omega: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return (ra, dec, pmra, pmdec) of reference objects as measured in the satellite's frame (step B).
+
+    Exact for finite angles: ``r_sat = R^T r_ref``, ``v_sat = R^T (v_ref - omega x r_ref)``, read off on the triad at
+    the new position.  Arrays have shape (N,), radians and rad/yr; ``epsilon`` (rad) and ``omega`` (rad/yr) shape (3,).
+    """
+    reference = triad(ra, dec)
+    back = rotation_matrix(epsilon).T
+    velocity = reference.p * pmra + reference.q * pmdec - np.cross(omega, reference.r, axisb=0, axisc=0)
+    ra_sat, dec_sat = position(back @ reference.r)
+    satellite = triad(ra_sat, dec_sat)
+    v_sat = back @ velocity
+    return ra_sat, dec_sat, np.sum(satellite.p * v_sat, axis=0), np.sum(satellite.q * v_sat, axis=0)
+
+
+def stored_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon: Array, omega: Array) -> Array:
+    """Return the observables reference - satellite by subtracting two stored catalogues; shape (4, N).
+
+    This is what the paper's program did: the difference of two large angles keeps at best the last bit of the angle,
+    about 4e-7 mas in ra (paper, Sect. 5.2).  The difference in ra is wrapped to [-pi, pi).
+    """
+    ra_sat, dec_sat, pmra_sat, pmdec_sat = satellite_catalogue(ra, dec, pmra, pmdec, epsilon, omega)
+    d_ra = (ra - ra_sat + np.pi) % (2.0 * np.pi) - np.pi
+    return np.stack([d_ra * np.cos(dec), dec - dec_sat, pmra - pmra_sat, pmdec - pmdec_sat])
+
+
+def exact_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon: Array, omega: Array) -> Array:
+    """Return the same observables as `stored_differences`, exact to a relative rounding error; shape (4, N).
+
+    No two large angles are subtracted: the displacement is (R^T - I) r, and every difference of angles, lengths and
+    triads is written in terms of it.
+    """
+    p, q, r = triad(ra, dec)
+    back_minus_identity = rotation_minus_identity(-epsilon)
+    step = back_minus_identity @ r  # r_sat - r_ref
+    rho = np.cos(dec)
+    rho_sat = np.hypot(r[0] + step[0], r[1] + step[1])
+    rho_step = (step[0] * (2.0 * r[0] + step[0]) + step[1] * (2.0 * r[1] + step[1])) / (rho + rho_sat)
+
+    # sine and cosine of (ra_sat - ra) and (dec_sat - dec)
+    sin_ra = (r[0] * step[1] - r[1] * step[0]) / (rho * rho_sat)
+    cos_ra = (r[0] * (r[0] + step[0]) + r[1] * (r[1] + step[1])) / (rho * rho_sat)
+    sin_dec = step[2] * rho - r[2] * rho_step
+    cos_dec = rho * rho_sat + r[2] * (r[2] + step[2])
+    d_ra, d_dec = np.arctan2(sin_ra, cos_ra), np.arctan2(sin_dec, cos_dec)
+
+    # v_ref.p_ref - v_sat.p_sat = -(v_sat - v_ref).p_sat - v_ref.(p_sat - p_ref), and the same for q
+    velocity = p * pmra + q * pmdec
+    spin = np.cross(omega, r, axisb=0, axisc=0)
+    velocity_step = back_minus_identity @ (velocity - spin) - spin
+    satellite = triad(ra + d_ra, dec + d_dec)
+    one_minus_cos = 2.0 * np.sin(0.5 * d_ra) ** 2
+    p_step = np.stack([-p[1] * sin_ra - p[0] * one_minus_cos, p[0] * sin_ra - p[1] * one_minus_cos, 0.0 * sin_ra])
+    q_step = np.cross(step, p, axis=0) + np.cross(r + step, p_step, axis=0)  # of q = r x p
+    d_pmra = -np.sum(velocity_step * satellite.p + velocity * p_step, axis=0)
+    d_pmdec = -np.sum(velocity_step * satellite.q + velocity * q_step, axis=0)
+    return np.stack([-d_ra * rho, -d_dec, d_pmra, d_pmdec])

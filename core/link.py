@@ -1,0 +1,176 @@
+"""The link: design matrix, weights and the weighted least-squares solution for orientation and spin."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.constants import MAS
+from core.frames import triad
+
+Array = NDArray[np.float64]
+Weighting = Literal["inverse-variance", "equal"]
+
+UNKNOWNS = ("epsilon_x", "epsilon_y", "epsilon_z", "omega_x", "omega_y", "omega_z")
+"""Order of the unknowns: orientation (rad), spin (rad/yr)."""
+
+POLE_LIMIT = 1e-8
+"""cos(dec) below which ra is degenerate for a link (2 mas from the pole): differences of ra are no longer small
+there.
+"""
+
+
+class LinkError(ValueError):
+    """The link cannot be solved; the message names the object or the cause."""
+
+
+def design_matrix(ra: Array, dec: Array, pmra: Array, pmdec: Array, corrections: bool = True) -> Array:
+    """Return the derivatives of the observables by the unknowns, shape (4, ..., 6): observable, object, unknown.
+
+    Positions (rad) and proper motions (rad/yr, pmra = mu_alpha*) are those of the reference catalogue, of one shape
+    ``(...)``.  Rows: ``d alpha* = q.eps``, ``d dec = -p.eps``, ``d pmra = -pmdec eta.eps + q.omega`` and
+    ``d pmdec = pmra eta.eps - p.omega`` with ``eta = (cos ra, sin ra, 0)/cos dec``: the triad turns by eta.eps about
+    the line of sight, which is what the paper's A21 says for mu_alpha* (see `paper_design_matrix`).  ``corrections=False``
+    drops these terms.
+    Raises LinkError for a source at a pole, where ra is undefined.
+    """
+    cos_dec = np.cos(dec)
+    if np.any(cos_dec < POLE_LIMIT):
+        at = int(np.argmax(np.ravel(cos_dec) < POLE_LIMIT))
+        raise LinkError(
+            f"object {at} is at a celestial pole (dec = {np.degrees(np.ravel(dec)[at])} deg): ra is undefined there"
+        )
+    p, q, _ = triad(ra, dec)
+    p, q = np.moveaxis(p, 0, -1), np.moveaxis(q, 0, -1)
+    design = np.zeros((4, *np.shape(ra), 6))
+    design[0, ..., :3] = design[2, ..., 3:] = q
+    design[1, ..., :3] = design[3, ..., 3:] = -p
+    if corrections:
+        eta_x, eta_y = np.cos(ra) / cos_dec, np.sin(ra) / cos_dec
+        design[2, ..., 0], design[2, ..., 1] = -pmdec * eta_x, -pmdec * eta_y
+        design[3, ..., 0], design[3, ..., 1] = pmra * eta_x, pmra * eta_y
+    return design
+
+
+def paper_design_matrix(ra: Array, dec: Array, mu_alpha: Array, mu_delta: Array) -> Array:
+    """Return the paper's matrix for mu_alpha = d(alpha)/dt *without* cos dec; shape (4, N, 6).
+
+    Its third observable is ``(mu_alpha,ref - mu_alpha,sat) cos(dec_ref)``, not a difference of mu_alpha*.
+    Source: Metz & Geffert 2004, Eqs. 9-11 (A21 as printed there is right; Eq. 7 has ``cos^2 dec`` for ``1/cos^2 dec``).
+    """
+    design = design_matrix(ra, dec, mu_alpha, mu_delta, corrections=False)
+    sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
+    design[2, :, 0] = -cos_ra / cos_dec * mu_delta + sin_dec * sin_ra * mu_alpha
+    design[2, :, 1] = -sin_ra / cos_dec * mu_delta - sin_dec * cos_ra * mu_alpha
+    design[3, :, 0] = cos_ra * mu_alpha
+    design[3, :, 1] = sin_ra * mu_alpha
+    return design
+
+
+def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
+    """Return the standard error of the differences, sqrt(ref^2 + sat^2), as the link weighs them; shape (4, N).
+
+    Error-free data (all zero) get unit errors of 1 mas and 1 mas/yr, that is equal weights.  Raises LinkError where an
+    error is negative, or zero beside non-zero ones.
+    """
+    _require(np.minimum(sigma_reference, sigma_satellite) >= 0.0, "negative standard error")
+    sigma = np.hypot(sigma_reference, sigma_satellite)
+    if not np.any(sigma):
+        return np.full_like(sigma, MAS)
+    _require(sigma > 0.0, "zero standard error beside non-zero ones, so an infinite weight,")
+    return sigma
+
+
+@dataclass(frozen=True)
+class LinkSolution:
+    """A solved link; K unknowns in rad and rad/yr, in the order of `UNKNOWNS`.
+
+    ``estimate`` and ``formal_error`` (K,), ``covariance`` and ``correlation`` (K, K), ``residuals`` (4, N), and the
+    numbers chi2 (sum of (residual/sigma)^2), dof, rank and condition number of the weighted design matrix.
+    """
+
+    estimate: Array
+    covariance: Array
+    residuals: Array
+    chi2: float
+    dof: int
+    rank: int
+    condition_number: float
+
+    @property
+    def formal_error(self) -> Array:
+        """Square root of the diagonal of the covariance; shape (K,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix of the unknowns; shape (K, K)."""
+        return self.covariance / np.outer(self.formal_error, self.formal_error)
+
+
+def solve(design: Array, differences: Array, sigma: Array, weighting: Weighting = "inverse-variance") -> LinkSolution:
+    """Solve the link by singular value decomposition.
+
+    ``design`` (4, N, K), ``differences`` reference - satellite (4, N), their standard errors ``sigma`` (4, N), all in
+    rad and rad/yr.  Weights are 1/sigma^2, or one for all with ``weighting="equal"``, where the covariance is the
+    sandwich G diag(sigma^2) G^T.  Raises LinkError for non-finite input, non-positive sigma, too few objects or rank
+    deficiency.
+    """
+    n_unknown = design.shape[-1]
+    _require(np.isfinite(differences), "non-finite difference")
+    _require(np.isfinite(design), "non-finite design matrix")
+    _require(np.isfinite(sigma) & (sigma > 0.0), "standard error that is not positive and finite")
+    a, y, s = design.reshape(-1, n_unknown), differences.ravel(), sigma.ravel()
+    _require_unknowns(len(y), n_unknown)
+
+    root_weight = 1.0 / s if weighting == "inverse-variance" else np.ones_like(s)
+    u, singular, vt = np.linalg.svd(root_weight[:, None] * a, full_matrices=False)
+    rank = int(np.sum(singular > singular[0] * max(a.shape) * np.finfo(float).eps))
+    if rank < n_unknown:
+        raise LinkError(
+            f"the link is rank deficient: {rank} of {n_unknown} unknowns are determined by these {len(y) // 4} objects"
+        )
+    gain = (vt.T / singular) @ (u.T * root_weight)
+    estimate = gain @ y
+    residuals = y - a @ estimate
+    scaled_gain = gain * s
+    return LinkSolution(
+        estimate=estimate,
+        covariance=scaled_gain @ scaled_gain.T,
+        residuals=residuals.reshape(differences.shape),
+        chi2=float(np.sum((residuals / s) ** 2)),
+        dof=len(y) - n_unknown,
+        rank=rank,
+        condition_number=float(singular[0] / singular[-1]),
+    )
+
+
+def normal_inverse(normal: Array) -> Array:
+    """Return the inverse of normal matrices A^T W A of shape (..., K, K), scaled first so that units do not matter.
+
+    For a sky that determines the link the condition is of order 1 and this equals the SVD to rounding (a test says how
+    well). Raises LinkError where a scaled matrix is singular to 1e-12.
+    """
+    diagonal = np.einsum("...ii->...i", normal)
+    if not np.all(diagonal > 0.0):
+        raise LinkError("the link is rank deficient: an unknown has no weight at all")
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = normal * scale[..., :, None] * scale[..., None, :]
+    smallest = np.linalg.eigvalsh(scaled)[..., 0]
+    if not np.all(smallest > 1e-12):
+        raise LinkError("the link is rank deficient: the objects do not determine all unknowns")
+    inverse: Array = np.linalg.inv(scaled) * scale[..., :, None] * scale[..., None, :]
+    return inverse
+
+
+def _require(good: NDArray[np.bool_], what: str) -> None:
+    if not np.all(good):
+        observable, item = np.argwhere(~good)[0][:2]
+        name = ("ra", "dec", "pmra", "pmdec")[observable]
+        raise LinkError(f"{what} in {name} of object {item}")
+
+
+def _require_unknowns(n_observed: int, n_unknown: int) -> None:
+    if n_observed < n_unknown:
+        raise LinkError(f"too few objects: {n_observed // 4} give {n_observed} observables for {n_unknown} unknowns")

@@ -1,0 +1,1 @@
+"""Parameter sweeps on Dask with labelled results in Zarr; `linksweep` for users, ``sweep`` on the command line."""

@@ -1,0 +1,118 @@
+"""Values of an axis, and overrides from the command line laid over a study's document."""
+
+import math
+import tomllib
+from typing import Any
+
+from sweep.study import Sampling
+
+MAX_AXIS_VALUES = 1_000_000
+
+
+def axis_values(spec: object, whole: bool = False) -> list[Any]:
+    """Return the values of an axis written as a list, {values}, {start, stop, step} or {start, stop, num, spacing}.
+
+    A range includes its stop; values are rounded to 12 digits, so that 14.1 from a range is the 14.1 of a list, and to
+    integers if ``whole`` and log-spaced.  Raises ValueError that says what is allowed.
+    """
+    if isinstance(spec, list):
+        return spec
+    if not isinstance(spec, dict):
+        raise ValueError(f"{spec!r}: write a list, {{ start, stop, step }} or {{ start, stop, num, spacing }}")
+    keys = set(spec)
+    if keys == {"values"} and isinstance(spec["values"], list):
+        return list(spec["values"])
+    spacing = spec.get("spacing", "linear")
+    if keys - {"spacing"} not in ({"start", "stop", "step"}, {"start", "stop", "num"}) or (
+        "step" in keys and "spacing" in keys
+    ):
+        raise ValueError(
+            f"keys {sorted(map(str, keys))}: allowed are values; start, stop, step; start, stop, num and spacing"
+        )
+    for key in ("start", "stop", "step", "num"):
+        if key in spec and not is_number(spec[key]):
+            raise ValueError(f"{key} = {spec[key]!r}: must be a finite number")
+    start, stop = spec["start"], spec["stop"]
+    if "step" in spec:
+        return _stepped(start, stop, spec["step"])
+    num = spec["num"]
+    if not isinstance(num, int) or not 1 <= num <= MAX_AXIS_VALUES:
+        raise ValueError(f"num = {num!r}: must be an integer from 1 to {MAX_AXIS_VALUES}")
+    if spacing == "linear":
+        values = [_rounded(start + (stop - start) * i / max(num - 1, 1)) for i in range(num)]
+    elif spacing == "log":
+        if start <= 0 or stop <= 0:
+            raise ValueError(f"log spacing needs start and stop > 0, not {start} and {stop}")
+        values = [_rounded(start * (stop / start) ** (i / max(num - 1, 1))) for i in range(num)]
+        values = [float(round(v)) for v in values] if whole else values
+    else:
+        raise ValueError(f"spacing = {spacing!r}: must be 'linear' or 'log'")
+    return values
+
+
+def _stepped(start: float, stop: float, step: float) -> list[float]:
+    if step == 0 or (stop - start) / step < 0:
+        raise ValueError(f"step = {step}: does not lead from start = {start} to stop = {stop}")
+    count = (stop - start) / step
+    if count > MAX_AXIS_VALUES:
+        raise ValueError(f"start, stop, step make about {count:.3g} values; at most {MAX_AXIS_VALUES} are allowed")
+    return [_rounded(start + step * i) for i in range(math.floor(count + 1e-9) + 1)]
+
+
+def _rounded(x: float) -> float:
+    return float(f"{x:.12g}")
+
+
+def is_number(x: object) -> bool:
+    """Return whether x is a finite number."""
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < 1e300
+
+
+def override(document: dict[str, Any], option: str, problems: list[str], as_axis: bool) -> None:
+    """Lay KEY=VALUE over the document: a sampling key or the title goes there, a parameter to [fixed] or, as an axis,
+    to [axes].
+    """
+    flag = "--axis" if as_axis else "--set"
+    key, equals, value = (part.strip() for part in option.partition("="))
+    if not equals or not key or not value:
+        problems.append(f"{flag} {option}: must be written {'NAME=SPEC' if as_axis else 'KEY=VALUE'}")
+        return
+    sampling_key = key.removeprefix("sampling.")
+    if as_axis:
+        section, other, parsed = "axes", "fixed", _parse_axis_option(value)
+    elif sampling_key in Sampling.model_fields:
+        section, other, key, parsed = "sampling", "", sampling_key, _parse_value(value)
+    elif key == "title":
+        document[key] = value
+        return
+    else:
+        section, other, key, parsed = "fixed", "axes", key.removeprefix("fixed."), _parse_value(value)
+    for table in (section, other):
+        if table and not isinstance(document.get(table, {}), dict):
+            return  # the form's own check will say what is wrong with this section
+    document.setdefault(section, {})[key] = parsed
+    document.get(other, {}).pop(key, None)
+
+
+def _parse_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text  # a bare word is a string
+
+
+def _parse_axis_option(text: str) -> Any:
+    """``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, anything else a list."""
+    parts = text.split(":")
+    if len(parts) == 3:
+        start, stop, last = parts
+        if last.startswith("log"):
+            return {
+                "start": _parse_value(start),
+                "stop": _parse_value(stop),
+                "num": _parse_value(last[3:]),
+                "spacing": "log",
+            }
+        return {"start": _parse_value(start), "stop": _parse_value(stop), "step": _parse_value(last)}
+    listed = _parse_value(text)
+    return listed if isinstance(listed, list) else [_parse_value(part.strip()) for part in text.split(",")]

@@ -1,0 +1,279 @@
+"""The command line; each command calls one function of the library, imported when it is needed."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from sweep.study import Study
+
+EXIT_FAILED_POINTS = 1
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+Command = Callable[..., Any]
+
+
+class _Group(click.Group):
+    """Turns a SweepError of any command into one message and exit code 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        from sweep.contract import SweepError
+
+        try:
+            return super().invoke(ctx)
+        except SweepError as error:
+            where = f"{error.where}: " if error.where else ""
+            if len(error.problems) == 1:
+                click.echo(f"error: {where}{error.problems[0]}", err=True)
+            else:
+                click.echo(f"error: {where}{len(error.problems)} problems", err=True)
+                for problem in error.problems:
+                    click.echo(f"  - {problem}", err=True)
+            sys.exit(EXIT_BAD_INPUT)
+
+
+study_argument = click.argument("study")
+store_argument = click.argument("store", type=click.Path(path_type=Path))
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a script.")
+
+
+def study_options(command: Command) -> Command:
+    """Add the options that name a study's overrides and its store."""
+    options = (
+        click.option(
+            "--set",
+            "settings",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Override a value of the study, e.g. n_sim=500 or weighting=equal.",
+        ),
+        click.option(
+            "--axis",
+            "axes",
+            multiple=True,
+            metavar="NAME=SPEC",
+            help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
+        ),
+        click.option(
+            "-o", "--output", "store", type=click.Path(path_type=Path), help="The store.  [default: results/NAME.zarr]"
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="linksweep", prog_name="linksweep")
+def main() -> None:
+    """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
+
+    \b
+    sweep run quasars        the paper's Table 1, computed beside the published one
+    sweep list               the other built-in studies
+    """
+
+
+@main.command()
+@study_argument
+@study_options
+@click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one a core]")
+@click.option(
+    "--pool",
+    type=click.Choice(["processes", "threads", "serial"]),
+    help="Local workers are processes, threads of this process, or none.  [default: processes; serial if small]",
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Use the Dask scheduler at this address, e.g. tcp://host:8786.")
+@click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
+@json_option
+def run(
+    study: str,
+    settings: tuple[str, ...],
+    axes: tuple[str, ...],
+    store: Path | None,
+    workers: int | None,
+    pool: Any,
+    scheduler: str | None,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
+
+    After an interruption the same command goes on where it stopped.
+
+    \b
+    sweep run quasars
+    sweep run quasars --set n_cat=20 -o results/quick.zarr
+    sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4
+    """
+    if scheduler is not None and (workers is not None or pool is not None):
+        raise click.UsageError("--workers and --pool are for local workers; they do not go with --scheduler")
+    if pool == "serial" and workers is not None:
+        raise click.UsageError("--pool serial has no workers")
+    loaded, path = _load(study, settings, axes, store)
+    if dry_run:
+        _print_plan(loaded, path, as_json)
+        return
+    from sweep.progress import TerminalProgress
+    from sweep.run import Resources, RunInterruptedError, run_study
+
+    with TerminalProgress() as progress:
+        try:
+            dataset, failures = run_study(loaded, path, Resources(workers, pool, scheduler), progress)
+        except RunInterruptedError:
+            progress.say(f"interrupted; what was finished is kept in {path}, the same command goes on from there")
+            sys.exit(EXIT_INTERRUPTED)
+    _print_table(dataset, "json" if as_json else "text")
+    progress.say(f"wrote {path}")
+    if failures:
+        progress.say(
+            f"{len(failures)} point{'s' if len(failures) > 1 else ''} failed; `sweep status {path}` names them"
+        )
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+@main.command()
+@study_argument
+@study_options
+@json_option
+def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Path | None, as_json: bool) -> None:
+    """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
+
+    \b
+    sweep plan grid --set n_cat=100
+    """
+    loaded, path = _load(study, settings, axes, store)
+    _print_plan(loaded, path, as_json)
+
+
+@main.command()
+@store_argument
+@click.option(
+    "--format", "table_format", type=click.Choice(["text", "csv", "ecsv", "json"]), default="text", show_default=True
+)
+@json_option
+def show(store: Path, table_format: str, as_json: bool) -> None:
+    """Print the results in STORE as a table.
+
+    \b
+    sweep show results/quasars.zarr
+    sweep show results/quasars.zarr --format ecsv > quasars.ecsv
+    """
+    from sweep.store import open_dataset
+
+    _print_table(open_dataset(store), "json" if as_json else table_format)
+
+
+@main.command()
+@store_argument
+@json_option
+def status(store: Path, as_json: bool) -> None:
+    """Say how far the run in STORE is, what failed, and where the results come from.
+
+    \b
+    sweep status results/quasars.zarr
+    """
+    from sweep.status import status_report
+
+    report = status_report(store)
+    if as_json:
+        click.echo(json.dumps(report, indent=1))
+        return
+    for key, value in report.items():
+        if isinstance(value, dict):
+            click.echo(f"{key}:")
+            for name, text in value.items():
+                click.echo(f"  {name}: {text}")
+        else:
+            click.echo(f"{key}: {value}")
+
+
+@main.command("list")
+@json_option
+def list_studies(as_json: bool) -> None:
+    """List the built-in studies.
+
+    \b
+    sweep list
+    """
+    import tomllib
+
+    from sweep.reader import built_in_studies
+
+    titles = {
+        name: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for name, path in built_in_studies().items()
+    }
+    if as_json:
+        click.echo(json.dumps(titles, indent=1))
+        return
+    width = max(map(len, titles))
+    for name, title in titles.items():
+        click.echo(f"{name:{width}}  {title}")
+
+
+@main.command()
+@click.argument("experiment", default="core.experiment:link")
+@json_option
+def params(experiment: str, as_json: bool) -> None:
+    """List the parameters of EXPERIMENT (module:attribute or file.py:attribute) with unit, default, allowed values and
+    meaning.
+
+    \b
+    sweep params
+    sweep params my_experiment.py:experiment
+    """
+    from sweep.load import load_experiment
+
+    parameters = load_experiment(experiment).parameters
+    rows = [
+        {"name": p.name, "unit": p.unit, "default": p.default, "allowed": p.allowed(), "meaning": p.meaning}
+        for p in parameters
+    ]
+    if as_json:
+        click.echo(json.dumps(rows, indent=1))
+        return
+    for row in rows:
+        default = "decided by the experiment" if row["default"] is None else row["default"]
+        unit = f" [{row['unit']}]" if row["unit"] else ""
+        click.echo(f"{row['name']}{unit}  default: {default}\n    {row['meaning']}; {row['allowed']}")
+
+
+def _load(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Path | None) -> "tuple[Study, Path]":
+    from sweep.reader import load_study
+
+    loaded = load_study(study, settings, axes)
+    return loaded, store or Path("results") / f"{loaded.name}.zarr"
+
+
+def _print_plan(study: "Study", store: Path, as_json: bool) -> None:
+    from sweep.status import plan_report
+
+    report = plan_report(study, store)
+    if as_json:
+        click.echo(json.dumps(report, indent=1))
+    else:
+        for key, value in report.items():
+            click.echo(f"{key:14} {value:,}" if isinstance(value, (int, float)) else f"{key:14} {value}")
+
+
+def _print_table(dataset: Any, table_format: str) -> None:
+    from sweep import tables
+
+    if table_format == "text":
+        from rich.console import Console
+
+        console = Console(width=None if sys.stdout.isatty() else 200)
+        console.print(tables.as_text(dataset))
+        if not dataset.attrs.get("complete"):
+            console.print(
+                f"INCOMPLETE: {dataset.attrs.get('points_done')} of {dataset.attrs.get('points')} points are done",
+                highlight=False,
+            )
+    else:
+        write = {"csv": tables.as_csv, "ecsv": tables.as_ecsv, "json": tables.as_json}[table_format]
+        click.echo(write(dataset).rstrip("\n"))

@@ -1,0 +1,198 @@
+"""The contract between the platform and an experiment: declared parameters, declared outputs, one function for a block.
+
+This module and NumPy are all that an experiment needs; the platform knows nothing of what is inside one.
+"""
+
+import difflib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Value = bool | int | float | str | tuple[float, ...] | None
+Point = Mapping[str, Any]
+"""A point's parameters by name, every declared one with a value."""
+HUGE = 1e300
+"""No parameter is as large: beyond it arithmetic overflows."""
+
+Kind = Literal["float", "int", "str", "bool", "vector"]
+
+
+class SweepError(Exception):
+    """Bad input or a state that the user must know of; ``problems`` holds one sentence each, ``where`` a file or
+    command.
+    """
+
+    def __init__(self, problems: str | Sequence[str], where: str = "") -> None:
+        self.problems = [problems] if isinstance(problems, str) else list(problems)
+        self.where = where
+        super().__init__("\n".join(self.problems))
+
+
+def suggest(word: str, known: Sequence[str]) -> str:
+    """Return '; did you mean ...?' for a misspelt word, or the list of what is known."""
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(sorted(known))}"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: its kind, unit (as astropy writes it), default, allowed values and a one-line meaning.
+
+    A default of None means that the experiment decides (the meaning says how).  ``minimum`` and ``maximum`` are
+    inclusive, ``above`` is not; a "vector" has three components.
+    """
+
+    name: str
+    kind: Kind
+    default: Value
+    meaning: str
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+
+    def parse(self, raw: object) -> Value:
+        """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
+        if self.kind == "str":
+            if not isinstance(raw, str) or (self.choices and raw not in self.choices):
+                hint = suggest(raw, self.choices) if isinstance(raw, str) and self.choices else ""
+                raise ValueError(
+                    f"{self.name} = {raw!r}: must be {self.allowed()}{hint if 'did you mean' in hint else ''}"
+                )
+            return raw
+        if self.kind == "bool":
+            if not isinstance(raw, bool):
+                raise ValueError(f"{self.name} = {raw!r}: must be true or false")
+            return raw
+        if self.kind == "vector":
+            if not isinstance(raw, (list, tuple)) or len(raw) != 3:
+                raise ValueError(f"{self.name} = {raw!r}: must be {self.allowed()}")
+            return tuple(self._number(x) for x in raw)
+        number = self._number(raw)
+        return int(number) if self.kind == "int" else number
+
+    def _number(self, raw: object) -> float:
+        if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # NaN is not < either
+            number = float(raw) + 0.0  # no negative zero: it would be another point
+            whole = self.kind != "int" or (number == raw and number.is_integer())
+            above_floor = self.minimum is None or number >= self.minimum
+            above_open = self.above is None or number > self.above
+            if whole and above_floor and above_open and (self.maximum is None or number <= self.maximum):
+                return number
+        raise ValueError(f"{self.name} = {raw!r}: must be {self.allowed()}")
+
+    def allowed(self) -> str:
+        """Return in words what values are allowed."""
+        if self.choices:
+            return "one of " + ", ".join(repr(c) for c in self.choices)
+        words = {
+            "float": "a finite number",
+            "int": "an integer",
+            "str": "a string",
+            "bool": "true or false",
+            "vector": "a list of three finite numbers",
+        }[self.kind]
+        bounds = [
+            f"{symbol} {bound:g}"
+            for symbol, bound in ((">=", self.minimum), (">", self.above), ("<=", self.maximum))
+            if bound is not None
+        ]
+        return words + (" " + " and ".join(bounds) if bounds else "") + (f" [{self.unit}]" if self.unit else "")
+
+
+@dataclass(frozen=True)
+class Output:
+    """One result of a point: its unit (as astropy writes it), meaning and dimensions beside the axes of the grid.
+
+    ``headline`` outputs are the columns of the printed table.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    dims: tuple[str, ...] = ()
+    headline: bool = False
+
+
+class Evaluate(Protocol):
+    """The function that does the work of one block for one catalogue."""
+
+    def __call__(
+        self,
+        points: Sequence[Point],
+        n_sim: int,
+        rng: np.random.Generator,
+        catalogue_rng: np.random.Generator,
+    ) -> Mapping[str, Any]:
+        """Return sums over ``n_sim`` realisations, each of shape (len(points), *shape declared in `Experiment.sums`).
+
+        ``rng`` belongs to this block; ``catalogue_rng`` is the same for all blocks of one catalogue (an outer draw
+        that several blocks share).  All randomness must come from these two.  ``points`` share the draws; today there
+        is one at a time.
+        """
+        ...
+
+
+class Summarise(Protocol):
+    """The function that turns merged sums into results."""
+
+    def __call__(self, sums: Mapping[str, Array], n: Array, n_cat: Array) -> Mapping[str, Array]:
+        """Return every declared output, shape (points, *dims), from sums of shape (points, ...) over n realisations
+        each.
+
+        ``n`` and ``n_cat`` (points,) count realisations and catalogues; all are at least 1.
+        """
+        ...
+
+
+def _no_problem(point: Point) -> str | None:
+    return None
+
+
+def _one(point: Point) -> float:
+    return 1.0
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What the platform sweeps.
+
+    ``sums`` gives the shape of each additive quantity that ``evaluate`` returns, ``coordinates`` the labels of each
+    dimension that an output uses, ``check`` a sentence about a point that cannot be computed (None if it can),
+    ``cost`` the random numbers drawn per realisation. A new ``version`` says that the same parameters now give other
+    numbers: stores of another version are not continued.
+    """
+
+    name: str
+    version: int
+    parameters: tuple[Parameter, ...]
+    sums: Mapping[str, tuple[int, ...]]
+    outputs: tuple[Output, ...]
+    evaluate: Evaluate
+    summarise: Summarise
+    coordinates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    component_units: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    check: Callable[[Point], str | None] = _no_problem
+    cost: Callable[[Point], float] = _one
+
+    def parameter(self, name: str) -> Parameter:
+        """Return the declared parameter; raises ValueError with a suggestion for an unknown name."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise ValueError(f"unknown parameter {name!r}{suggest(name, [p.name for p in self.parameters])}")
+
+    def defaults(self) -> dict[str, Value]:
+        """Return the default of every parameter."""
+        return {p.name: p.default for p in self.parameters}
+
+    @property
+    def sums_width(self) -> int:
+        """Number of floats in one block's sums."""
+        return sum(math.prod(shape) for shape in self.sums.values())

@@ -1,0 +1,115 @@
+"""Runs tasks: a serial reference that defines what is meant, and Dask."""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from sweep.contract import SweepError
+from sweep.plan import Work
+from sweep.study import Study
+from sweep.worker import Task, TaskResult, run_task
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Pool = Literal["serial", "threads", "processes"]
+Results = Iterator[tuple[list[Work], TaskResult]]
+Executor = Callable[[Iterable[list[Work]]], Results]
+
+TASKS_IN_FLIGHT = 4
+"""For each worker thread: enough that none waits, few enough that a grid of any size makes no large graph."""
+
+CONNECT_TIMEOUT = "10s"
+
+
+def make_task(study: Study, works: list[Work]) -> Task:
+    """Return what a worker must know to do this work."""
+    items = tuple((work.point.parameters, work.point.digest, work.block) for work in works)
+    return Task(study.experiment_reference, study.sampling.seed, items)
+
+
+@contextmanager
+def serial(study: Study) -> Iterator[Executor]:
+    """Give an executor that computes one task after the other in this process: the definition of the result."""
+    with threadpool_limits(1):  # sums of products must not depend on the number of cores
+        yield lambda batches: ((works, run_task(make_task(study, works))) for works in batches)
+
+
+@contextmanager
+def dask_local(study: Study, workers: int, pool: Pool) -> Iterator[Executor]:
+    """Give an executor on a Dask cluster of this machine, in worker processes or in threads of this process."""
+    from distributed import LocalCluster
+
+    options: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
+    if pool == "processes":
+        options |= {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+    else:
+        options |= {"n_workers": 1, "threads_per_worker": workers, "processes": False}
+    with threadpool_limits(1), LocalCluster(**options) as cluster, cluster.get_client() as client:
+        yield _on_client(study, client)
+
+
+@contextmanager
+def dask_scheduler(study: Study, address: str) -> Iterator[Executor]:
+    """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers or it has no
+    workers.
+    """
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise SweepError(f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT}: {error}") from error
+    with client:
+        yield _on_client(study, client)
+
+
+def available_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _on_client(study: Study, client: "Client") -> Executor:
+    from distributed import as_completed
+
+    from sweep.pin import PinBlas
+
+    client.register_plugin(PinBlas(), name="linksweep-pin-blas")
+
+    def run(batches: Iterable[list[Work]]) -> Results:
+        queue = iter(batches)
+        works_of: dict[Any, list[Work]] = {}
+
+        def submit(count: int) -> list[Any]:
+            futures = []
+            for works in islice(queue, count):
+                future = client.submit(run_task, make_task(study, works), pure=False)
+                works_of[future] = works
+                futures.append(future)
+            return futures
+
+        window = TASKS_IN_FLIGHT * max(1, sum(client.nthreads().values()))
+        finished = as_completed(submit(window))
+        for future in finished:
+            works = works_of.pop(future)
+            failure = future.exception() if future.status != "finished" else None
+            result = _lost(study, works, failure) if failure is not None else future.result()
+            future.release()
+            finished.update(submit(1))
+            yield works, result
+
+    return run
+
+
+def _lost(study: Study, works: list[Work], failure: BaseException) -> TaskResult:
+    """A task that Dask gave up on, for example because it killed its workers: all of its blocks failed, the rest goes
+    on.
+    """
+    message = f"{type(failure).__name__}: {failure}"
+    width = study.experiment.sums_width
+    return TaskResult(np.full((len(works), width), np.nan), dict.fromkeys(range(len(works)), message))

@@ -1,0 +1,55 @@
+"""Finds an experiment by its reference, ``module:attribute`` or ``path/to/file.py:attribute``."""
+
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+
+from sweep.contract import Experiment, SweepError
+
+
+def load_experiment(reference: str, folder: Path | None = None) -> Experiment:
+    """Return the Experiment that a reference names; a file's path is relative to ``folder``.
+
+    Raises SweepError where the module, the file or the attribute does not exist or is something else.
+    """
+    place, colon, attribute = reference.rpartition(":")
+    if not colon or not place or not attribute:
+        raise SweepError(f"{reference!r}: write module:attribute or file.py:attribute")
+    try:
+        module = _module_of_file(place, folder) if place.endswith(".py") else importlib.import_module(place)
+    except SweepError:
+        raise
+    except Exception as error:  # whatever a user's module raises while it is imported
+        raise SweepError(f"{reference!r}: cannot import {place}: {type(error).__name__}: {error}") from error
+    found = getattr(module, attribute, None)
+    if not isinstance(found, Experiment):
+        kind = "has no attribute" if found is None else f"has a {type(found).__name__}, not an Experiment, at"
+        raise SweepError(f"{reference!r}: {place} {kind} {attribute!r}")
+    return found
+
+
+def absolute_reference(reference: str, folder: Path) -> str:
+    """Return the reference as it works from any directory: a file's path is made absolute."""
+    place, _, attribute = reference.rpartition(":")
+    return f"{(folder / place).resolve()}:{attribute}" if place.endswith(".py") else reference
+
+
+def _module_of_file(place: str, folder: Path | None) -> object:
+    path = (folder or Path.cwd()) / place
+    name = str(path.resolve())
+    if name in sys.modules:
+        return sys.modules[name]
+    if not path.is_file():
+        raise SweepError(f"no file {path}")
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise SweepError(f"{path} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module

@@ -1,0 +1,67 @@
+"""Where results come from: versions, machine, git commit, times."""
+
+import json
+import platform
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from sweep.study import Study
+
+PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
+
+
+def provenance(study: Study) -> dict[str, Any]:
+    """Return the attributes of a result that say how it was made; plain strings and numbers."""
+    attributes: dict[str, Any] = {
+        "title": study.title,
+        "study_name": study.name,
+        "study": study.text,
+        "study_overrides": " ".join(study.overrides),
+        "study_digest": study.digest(),
+        "experiment": study.experiment_reference,
+        "seed": study.sampling.seed,
+        "n_sim": study.sampling.n_sim,
+        "n_cat": study.sampling.n_cat,
+        "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
+        "host": platform.node(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "started": now(),
+    }
+    if commit := git_commit():
+        attributes["git_commit"] = commit
+    return attributes
+
+
+def now() -> str:
+    """Return the time as ISO 8601 in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def git_commit() -> str | None:
+    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside one."""
+    folder = Path(__file__).parent.parent
+
+    def git(*arguments: str) -> str:
+        run = subprocess.run(
+            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=5, check=True
+        )
+        return run.stdout.strip()
+
+    try:
+        if Path(git("rev-parse", "--show-toplevel")).resolve() != folder.resolve():
+            return None
+        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

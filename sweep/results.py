@@ -1,0 +1,151 @@
+"""The labelled dataset of a study, assembled from the sums in its ledger."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sweep.contract import Output
+from sweep.grid import Grid
+from sweep.plan import Plan
+
+MISSING, DONE, FAILED, EXCLUDED = 0, 1, 2, 3
+STATUS_WORDS = ("missing", "done", "failed", "excluded")
+
+Array = NDArray[np.float64]
+
+
+def assemble(plan: Plan, rows: Mapping[bytes, int], sums: Array, failures: Mapping[int, str]) -> xr.Dataset:
+    """Return the dataset of a plan from the ledger's ``rows`` and ``sums``; ``failures`` are points (by index) that
+    raised.
+
+    A point has values when all its blocks are there; all others are NaN with a ``status`` that says why.  Blocks are
+    added in their own order, not in that of their arrival, so that the result is bitwise the same however it was
+    computed.
+    """
+    grid = plan.grid
+    study = grid.study
+    experiment = study.experiment
+    total = np.zeros((len(grid), experiment.sums_width))
+    status = np.full(len(grid), EXCLUDED, dtype=np.int8)
+    n_done = np.zeros(len(grid), dtype=np.int64)
+    for work in plan.work():
+        index = work.point.index
+        if status[index] == EXCLUDED:
+            status[index] = DONE
+        row = rows.get(work.key)
+        if row is None:
+            status[index] = FAILED if index in failures else MISSING
+        else:
+            total[index] += sums[row]
+            n_done[index] += work.block.realisations
+
+    done = status == DONE
+    variables: dict[str, Any] = {}
+    if done.any():
+        n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
+        results = experiment.summarise(_split(experiment.sums, total[done]), n_done[done].astype(float), n_cat)
+    else:
+        results = {}
+    for output in experiment.outputs:
+        if output.name in study.axes:
+            continue  # the coordinate of that name says it already
+        shape = tuple(len(experiment.coordinates[dim]) for dim in output.dims)
+        values = np.full((len(grid), *shape), np.nan)
+        if output.name in results:
+            values[done] = results[output.name]
+        variables[output.name] = _variable(grid, values, output)
+    variables["n_sim_done"] = _variable(
+        grid, n_done, Output("n_sim_done", "", "realisations done, over all catalogues")
+    )
+    variables["status"] = _variable(grid, status, Output("status", "", "state of the point"))
+    variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
+    variables |= _published(grid)
+    return xr.Dataset(variables, coords=_coordinates(grid))
+
+
+def _split(shapes: Mapping[str, tuple[int, ...]], flat: Array) -> dict[str, Array]:
+    pieces: dict[str, Array] = {}
+    start = 0
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        pieces[name] = flat[:, start : start + size].reshape(-1, *shape)
+        start += size
+    return pieces
+
+
+def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
+    attributes: dict[str, Any] = {"units": output.unit, "long_name": output.meaning}
+    if output.headline:
+        attributes["headline"] = 1
+    return (*grid.dimensions, *output.dims), values.reshape(*grid.shape, *values.shape[1:]), attributes
+
+
+def _coordinates(grid: Grid) -> dict[str, Any]:
+    study = grid.study
+    experiment = study.experiment
+    coordinates: dict[str, Any] = {}
+    for dimension, axes in grid.dimensions.items():
+        for name in axes:
+            parameter = experiment.parameter(name)
+            values = np.array(study.axes[name], dtype=object if parameter.kind == "str" else None)
+            coordinates[name] = (dimension, values, {"units": parameter.unit, "long_name": parameter.meaning})
+    for dimension, labels in experiment.coordinates.items():
+        coordinates[dimension] = (
+            dimension,
+            np.array(labels, dtype=object),
+            {"units": "", "long_name": dimension.replace("_", " ")},
+        )
+    for dimension, units in experiment.component_units.items():
+        meaning = {"units": "", "long_name": f"unit of each {dimension.replace('_', ' ')}"}
+        coordinates[f"{dimension}_unit"] = (dimension, np.array(units, dtype=object), meaning)
+    return coordinates
+
+
+def _published(grid: Grid) -> dict[str, Any]:
+    """Return a variable ``NAME_published`` for every output that the study's published table has a column of."""
+    study = grid.study
+    if study.published is None:
+        return {}
+    outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
+    variables: dict[str, Any] = {}
+    for column in study.published.rows[0]:
+        if column in outputs:
+            output = outputs[column]
+            values = np.full(grid.shape, np.nan)
+            for row in study.published.rows:
+                place = _place(grid, row, outputs)
+                if place is not None and row[column]:
+                    values[place] = float(row[column])
+            name = f"{column}_published"
+            variables[name] = _variable(
+                grid, values.reshape(-1), Output(name, output.unit, f"{output.meaning}, published")
+            )
+            variables[name][2]["source"] = study.published.source
+    return variables
+
+
+def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:
+    """Return the position in the grid that a published row speaks of, or None if it is not in this grid."""
+    study = grid.study
+    settings = study.experiment.defaults() | dict(study.fixed)
+    for column, text in row.items():
+        if column not in outputs and column not in study.axes and str(settings[column]) != text:
+            return None
+    place = []
+    for axes in grid.dimensions.values():
+        matches = [
+            i
+            for i, values in enumerate(zip(*(study.axes[a] for a in axes), strict=True))
+            if all(a not in row or _same(value, row[a]) for a, value in zip(axes, values, strict=True))
+        ]
+        if len(matches) != 1:
+            return None
+        place.append(matches[0])
+    return tuple(place)
+
+
+def _same(value: object, text: str) -> bool:
+    return str(value) == text if isinstance(value, (str, bool)) else float(str(value)) == float(text)

@@ -1,0 +1,228 @@
+"""The Zarr store of a study: an append-only ledger of finished blocks, and the labelled dataset made from it.
+
+The ledger is the truth: group ``blocks`` with two arrays of equal rows, ``index`` (who a row is, 32 bytes as
+`sweep.plan.ledger_key` says) and ``sums`` (the block's sums).  Chunks are whole files that replace their predecessors
+in one step, the sums before the index that names them, so that a process killed at any instant leaves a ledger that is
+merely shorter.  Only the client writes.
+"""
+
+import json
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import Crc32cCodec, ZstdCodec
+
+from sweep.contract import SweepError
+from sweep.study import Study
+
+FORMAT = 1
+KEY_BYTES = 32
+CHUNK_BYTES = 2**20
+
+
+class Store:
+    """An open store of one study: what is done, appending to it, and writing the dataset."""
+
+    def __init__(self, path: Path, study: Study) -> None:
+        """Open the ledger of the store at ``path`` for a study's blocks, making it where it is missing."""
+        self.path, self.study = path, study
+        self.attributes = read_attributes(path)
+        width = study.experiment.sums_width
+        self._rows_per_chunk = max(64, 2 ** int(np.log2(CHUNK_BYTES / (8 * max(width, 1)))))
+        self._index = self._array("index", KEY_BYTES, "uint8", 0)
+        self._sums = self._array("sums", width, "float64", np.nan)
+        self.rows = self._read_index()
+        self._next = 1 + max(self.rows.values(), default=-1)
+        self._tail_index = np.zeros((self._rows_per_chunk, KEY_BYTES), dtype=np.uint8)
+        self._tail_sums = np.full((self._rows_per_chunk, width), np.nan)
+        self._unwritten = 0
+        in_tail = self._next % self._rows_per_chunk
+        if in_tail:
+            start = self._next - in_tail
+            self._tail_index[:in_tail] = self._index[start : self._next]
+            self._tail_sums[:in_tail] = self._sums[start : self._next]
+
+    def sums(self) -> NDArray[np.float64]:
+        """Return all rows of the ledger, (rows, width); `rows` says which is whose."""
+        self.flush()
+        return cast(NDArray[np.float64], self._sums[: self._next])
+
+    def append(self, keys: Sequence[bytes], sums: NDArray[np.float64]) -> None:
+        """Add finished blocks; they are durable after the next `flush`."""
+        for key, row in zip(keys, sums, strict=True):
+            at = self._next % self._rows_per_chunk
+            self._tail_index[at] = np.frombuffer(key, dtype=np.uint8)
+            self._tail_sums[at] = row
+            self.rows[key] = self._next
+            self._next += 1
+            self._unwritten += 1
+            if at == self._rows_per_chunk - 1:
+                self.flush()
+
+    def flush(self) -> None:
+        """Make everything appended so far durable."""
+        if not self._unwritten:
+            return
+        start = (self._next - 1) // self._rows_per_chunk * self._rows_per_chunk
+        stop = start + self._rows_per_chunk
+        for array, tail, empty in ((self._sums, self._tail_sums, np.nan), (self._index, self._tail_index, 0)):
+            if array.shape[0] < stop:
+                array.resize((stop, *array.shape[1:]))
+            array[start:stop] = tail
+            if self._next == stop:
+                tail[:] = empty
+        self._unwritten = 0
+
+    def write(self, dataset: xr.Dataset) -> None:
+        """Replace the labelled dataset; until its last step the store says that it is incomplete."""
+        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
+        encoding: dict[str, Any] = {}
+        for name, variable in dataset.variables.items():
+            old = group.get(str(name))
+            if isinstance(old, zarr.Array) and (old.shape != variable.shape or _kind(old) != variable.dtype.kind):
+                del group[str(name)]
+                old = None
+            if old is None:
+                encoding[str(name)] = {"compressors": [ZstdCodec(level=1), Crc32cCodec()]}
+        stale = set(group.array_keys()) - {str(name) for name in dataset.variables}
+        for name in stale:
+            del group[name]
+        attributes = {**dataset.attrs, **_identity(self.study)}
+        partial = dataset.assign_attrs({**attributes, "complete": 0})
+        partial.to_zarr(self.path, mode="a", consolidated=False, zarr_format=3, encoding=encoding)
+        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
+        group.attrs.put(attributes)
+        with warnings.catch_warnings():  # zarr-python#3709: consolidated metadata is not in the v3 specification yet
+            warnings.filterwarnings("ignore", message="Consolidated metadata")
+            zarr.consolidate_metadata(self.path)
+
+    def _array(self, name: str, width: int, dtype: str, fill: float) -> zarr.Array[Any]:
+        root = zarr.open_group(self.path, mode="r+", use_consolidated=False)
+        blocks = root.require_group("blocks")
+        if name not in blocks:
+            blocks.create_array(
+                name,
+                shape=(0, width),
+                chunks=(self._rows_per_chunk, width),
+                dtype=dtype,
+                fill_value=fill,
+                compressors=[ZstdCodec(level=1), Crc32cCodec()],
+            )
+        array = blocks[name]
+        if not isinstance(array, zarr.Array) or array.shape[1:] != (width,):
+            raise SweepError(
+                f"the ledger's {name!r} does not have rows of {width} numbers; the store was made by another version",
+                str(self.path),
+            )
+        return array
+
+    def _read_index(self) -> dict[bytes, int]:
+        """Return the row of every finished block; a row whose sums never reached the disk does not count."""
+        rows = min(self._index.shape[0], self._sums.shape[0])
+        index = np.asarray(self._index[:rows])
+        written = index.any(axis=1) & ~np.isnan(np.asarray(self._sums[:rows])).all(axis=1)
+        return {index[row].tobytes(): int(row) for row in np.flatnonzero(written)}
+
+
+def create_or_resume(path: Path, study: Study, attributes: Mapping[str, Any]) -> Store:
+    """Return the store at ``path``, made in one atomic step if there is none.
+
+    Raises SweepError where something else is there, or results that cannot be mixed with this study's.
+    """
+    check_store(path, study)
+    if not (path / "zarr.json").exists():
+        zarr.create_group(path, zarr_format=3, attributes={**attributes, **_identity(study), "complete": 0})
+    return Store(path, study)
+
+
+def done_rows(path: Path, study: Study) -> Mapping[bytes, int]:
+    """Return which blocks the store at ``path`` holds, without writing; raises SweepError as `create_or_resume`."""
+    check_store(path, study)
+    if not (path / "blocks" / "sums" / "zarr.json").exists():
+        return {}
+    return Store(path, study).rows
+
+
+def check_store(path: Path, study: Study) -> None:
+    """Raise SweepError unless ``path`` is free or holds results that this study can be mixed with."""
+    if not path.exists() or (path.is_dir() and _only_leftovers(path)):
+        parent = next(p for p in path.absolute().parents if p.exists())
+        if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+            raise SweepError(f"cannot make a store there: {parent} is not a directory that can be written", str(path))
+        return
+    attributes = read_attributes(path)
+    old, new = json.loads(attributes["study_meaning"]), _json(study.meaning())
+    old_axes, fixed = set(json.loads(attributes["study_axes"])), "fixed"
+    differences = [
+        f"{key}: {old.get(key)!r} in the store, {new.get(key)!r} in the study"
+        for key in sorted({*old, *new} - {fixed})
+        if old.get(key) != new.get(key)
+    ]
+    for name in sorted({*old[fixed], *new[fixed]} - old_axes - set(study.axes)):
+        if old[fixed].get(name) != new[fixed].get(name):
+            default = study.experiment.defaults().get(name)
+            was, now = old[fixed].get(name, default), new[fixed].get(name, default)
+            differences.append(f"fixed.{name}: {was!r} in the store, {now!r} in the study")
+    if differences:
+        raise SweepError(
+            ["holds results of a different study, which would be mixed up; give another store with -o", *differences],
+            str(path),
+        )
+
+
+def read_attributes(path: Path) -> dict[str, Any]:
+    """Return the attributes of a store; raises SweepError unless a linksweep store of this format is there."""
+    where = str(path)
+    if not path.exists():
+        raise SweepError("no store there", where)
+    if not path.is_dir():
+        raise SweepError("is a file, not a Zarr store", where)
+    try:
+        attributes = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
+        version = attributes["linksweep_format"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SweepError("is not a store of linksweep (foreign or half-made); nothing was changed", where) from error
+    if version != FORMAT:
+        raise SweepError(f"has store format {version}; this version of linksweep reads format {FORMAT}", where)
+    return cast(dict[str, Any], attributes)
+
+
+def open_dataset(path: Path) -> xr.Dataset:
+    """Return the labelled dataset of a store, in memory; raises SweepError as `read_attributes`, or if there is none
+    yet.
+    """
+    read_attributes(path)
+    with warnings.catch_warnings():  # no consolidated metadata while a run has not written any results
+        warnings.filterwarnings("ignore", message="Failed to open Zarr store with consolidated metadata")
+        dataset: xr.Dataset = xr.open_zarr(path).load()
+    if not dataset.data_vars:
+        raise SweepError("has no results yet; `sweep run` the study to go on", str(path))
+    return dataset
+
+
+def _identity(study: Study) -> dict[str, Any]:
+    return {
+        "linksweep_format": FORMAT,
+        "study_meaning": json.dumps(study.meaning()),
+        "study_axes": json.dumps(list(study.axes)),
+    }
+
+
+def _json(value: dict[str, Any]) -> dict[str, Any]:
+    return cast(dict[str, Any], json.loads(json.dumps(value)))
+
+
+def _kind(array: "zarr.Array[Any]") -> str:
+    return np.dtype(array.dtype).kind if array.dtype.kind != "T" else "O"
+
+
+def _only_leftovers(path: Path) -> bool:
+    """An empty directory, or one in which a killed process left nothing but a temporary file of its first write."""
+    return all(item.name.startswith("zarr.json.") and item.is_file() for item in path.iterdir())

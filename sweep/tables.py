@@ -1,0 +1,143 @@
+"""Results as tables: for reading, for a script (CSV, JSON), for astronomers (ECSV)."""
+
+import csv
+import io
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+import xarray as xr
+
+from sweep.results import STATUS_WORDS
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+FORMATS = ("text", "csv", "ecsv", "json")
+
+
+def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
+    """Return columns {name: (unit, values)} with one row a point: the axes, then every variable without further
+    dimensions.
+    """
+    dimensions = axes_of(dataset)
+    flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
+    columns: dict[str, tuple[str, list[Any]]] = {}
+    for name in [*_axis_coordinates(dataset, dimensions), *flat.data_vars]:
+        variable = dataset[name]
+        template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
+        values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)
+        columns[str(name)] = (variable.attrs.get("units", ""), values.tolist())
+    status = columns["status"][1]
+    columns["status"] = ("", [STATUS_WORDS[code] for code in status])
+    return columns
+
+
+def axes_of(dataset: xr.Dataset) -> list[str]:
+    """Return the dimensions that are axes of the study."""
+    return [str(d) for d in dataset["status"].dims]
+
+
+def as_csv(dataset: xr.Dataset) -> str:
+    """Return the long table as CSV; a missing value is an empty cell, units stand in the header as ``name [unit]``."""
+    columns = long_table(dataset)
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()])
+    for row in zip(*(values for _, values in columns.values()), strict=True):
+        writer.writerow(["" if _is_missing(cell) else cell for cell in row])
+    return out.getvalue()
+
+
+def as_ecsv(dataset: xr.Dataset) -> str:
+    """Return the long table as ECSV, which astropy reads with its units."""
+    from astropy.table import MaskedColumn, Table
+
+    table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
+    for name, (unit, values) in long_table(dataset).items():
+        mask = [_is_missing(v) for v in values]
+        table[name] = (
+            MaskedColumn(values, mask=mask, unit=unit or None) if any(mask) else MaskedColumn(values, unit=unit or None)
+        )
+    out = io.StringIO()
+    table.write(out, format="ascii.ecsv")
+    return out.getvalue()
+
+
+def as_json(dataset: xr.Dataset) -> str:
+    """Return the long table as JSON: units by column, and one object a point, null for a missing value."""
+    columns = long_table(dataset)
+    rows = [
+        {name: None if _is_missing(cell) else cell for name, cell in zip(columns, row, strict=True)}
+        for row in zip(*(values for _, values in columns.values()), strict=True)
+    ]
+    return json.dumps({"units": {name: unit for name, (unit, _) in columns.items()}, "rows": rows}, indent=1)
+
+
+def as_text(dataset: xr.Dataset) -> "Table":
+    """Return the headline results for reading: value +- Monte-Carlo error, prediction, published value and
+    difference.
+    """
+    from rich.table import Table
+
+    columns = long_table(dataset)
+    table = Table(
+        title=str(dataset.attrs.get("title", "")), title_justify="left", box=None, pad_edge=False, header_style="bold"
+    )
+    cells: list[list[str]] = []
+    axes = _axis_coordinates(dataset, axes_of(dataset))
+    for name in axes:
+        _add(table, cells, name, columns[name][0], [_plain(v) for v in columns[name][1]])
+    for name in _headline(dataset):
+        unit, values = columns[name]
+        errors = columns[f"{name}_mc_error"][1] if f"{name}_mc_error" in columns else [0.0] * len(values)
+        shown = [
+            _rounded(v, e) + (f" ± {_rounded(e, e)}" if e > 0.0 else "") for v, e in zip(values, errors, strict=True)
+        ]
+        _add(table, cells, name, unit, shown)
+        if (predicted := columns.get(f"{name}_predicted")) is not None:
+            _add(table, cells, "predicted", unit, [_rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)])
+        if (published := columns.get(f"{name}_published")) is not None and not all(map(_is_missing, published[1])):
+            _add(table, cells, "published", unit, [_rounded(v, 0.0) for v in published[1]])
+            _add(table, cells, "difference", "", [_difference(v, p) for v, p in zip(values, published[1], strict=True)])
+    if set(columns["status"][1]) != {"done"}:
+        _add(table, cells, "status", "", columns["status"][1])
+    for row in zip(*cells, strict=True):
+        table.add_row(*row)
+    return table
+
+
+def _add(table: "Table", cells: list[list[str]], name: str, unit: str, values: list[str]) -> None:
+    table.add_column(f"{name}\n\\[{unit}]" if unit else name, justify="right", no_wrap=True)
+    cells.append(values)
+
+
+def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
+    return [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
+
+
+def _headline(dataset: xr.Dataset) -> list[str]:
+    return [str(n) for n, v in dataset.data_vars.items() if v.attrs.get("headline") and str(n) in dataset]
+
+
+def _is_missing(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _rounded(value: float, error: float) -> str:
+    """Return a number to two digits of its error, or to four digits of its own where it has none."""
+    if _is_missing(value):
+        return ""
+    if error > 0.0:
+        return f"{value:.{max(0, 1 - math.floor(math.log10(error)))}f}"
+    return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
+
+
+def _difference(value: float, published: float) -> str:
+    if _is_missing(value) or _is_missing(published):
+        return ""
+    return "none" if value == published else f"{100.0 * (value / published - 1.0):+.1f} %"

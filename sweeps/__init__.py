@@ -1,0 +1,1 @@
+"""The built-in studies, as TOML files; `sweep list` names them."""
