@@ -5,6 +5,7 @@ This module and NumPy are all that an experiment needs; the platform knows nothi
 
 import difflib
 import math
+import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
@@ -31,6 +32,23 @@ class SweepError(Exception):
         self.problems = [problems] if isinstance(problems, str) else list(problems)
         self.where = where
         super().__init__("\n".join(self.problems))
+
+
+class _Short(reprlib.Repr):
+    """A repr of bounded length and depth, also of integers so large that Python refuses to print them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel = 3
+        self.maxstring = self.maxother = 60
+
+    def repr_int(self, x: int, level: int) -> str:
+        return super().repr_int(x, level) if x.bit_length() <= 1100 else f"an integer of {x.bit_length()} bits"
+
+
+def shown(value: object) -> str:
+    """Return a value as messages show it: its repr, cut short where it is long or deep."""
+    return _Short().repr(value)
 
 
 def suggest(word: str, known: Sequence[str]) -> str:
@@ -63,16 +81,16 @@ class Parameter:
             if not isinstance(raw, str) or (self.choices and raw not in self.choices):
                 hint = suggest(raw, self.choices) if isinstance(raw, str) and self.choices else ""
                 raise ValueError(
-                    f"{self.name} = {raw!r}: must be {self.allowed()}{hint if 'did you mean' in hint else ''}"
+                    f"{self.name} = {shown(raw)}: must be {self.allowed()}{hint if 'did you mean' in hint else ''}"
                 )
             return raw
         if self.kind == "bool":
             if not isinstance(raw, bool):
-                raise ValueError(f"{self.name} = {raw!r}: must be true or false")
+                raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")
             return raw
         if self.kind == "vector":
             if not isinstance(raw, (list, tuple)) or len(raw) != 3:
-                raise ValueError(f"{self.name} = {raw!r}: must be {self.allowed()}")
+                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
             return tuple(self._number(x) for x in raw)
         number = self._number(raw)
         return int(number) if self.kind == "int" else number
@@ -85,7 +103,7 @@ class Parameter:
             above_open = self.above is None or number > self.above
             if whole and above_floor and above_open and (self.maximum is None or number <= self.maximum):
                 return number
-        raise ValueError(f"{self.name} = {raw!r}: must be {self.allowed()}")
+        raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
 
     def allowed(self) -> str:
         """Return in words what values are allowed."""
@@ -186,7 +204,7 @@ class Experiment:
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        raise ValueError(f"unknown parameter {name!r}{suggest(name, [p.name for p in self.parameters])}")
+        raise ValueError(f"unknown parameter {shown(name)}{suggest(name, [p.name for p in self.parameters])}")
 
     def defaults(self) -> dict[str, Value]:
         """Return the default of every parameter."""

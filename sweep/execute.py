@@ -1,11 +1,13 @@
 """Runs tasks: a serial reference that defines what is meant, and Dask."""
 
+import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
+import dask
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -24,7 +26,13 @@ Executor = Callable[[Iterable[list[Work]]], Results]
 TASKS_IN_FLIGHT = 4
 """For each worker thread: enough that none waits, few enough that a grid of any size makes no large graph."""
 
-CONNECT_TIMEOUT = "10s"
+CONNECT_TIMEOUT_S = 10
+
+LOOPBACK = "127.0.0.1"
+
+KEEP_BYTES = 2**28
+"""Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them
+back to the system each time costs a fifth of the run."""
 
 
 def make_task(study: Study, works: list[Work]) -> Task:
@@ -45,27 +53,37 @@ def dask_local(study: Study, workers: int, pool: Pool) -> Iterator[Executor]:
     """Give an executor on a Dask cluster of this machine, in worker processes or in threads of this process."""
     from distributed import LocalCluster
 
-    options: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
+    options: dict[str, Any] = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
     if pool == "processes":
-        options |= {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+        options |= {"n_workers": workers, "threads_per_worker": 1, "processes": True, "host": LOOPBACK}
     else:
         options |= {"n_workers": 1, "threads_per_worker": workers, "processes": False}
-    with threadpool_limits(1), LocalCluster(**options) as cluster, cluster.get_client() as client:
+    environment = dict.fromkeys(("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"), KEEP_BYTES)
+    with (
+        dask.config.set({f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in environment.items()}),
+        threadpool_limits(1),
+        LocalCluster(**options) as cluster,
+        cluster.get_client() as client,
+    ):
         yield _on_client(study, client)
 
 
 @contextmanager
 def dask_scheduler(study: Study, address: str) -> Iterator[Executor]:
-    """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers or it has no
-    workers.
+    """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers, it has no workers
+    or they cannot import linksweep.
     """
     from distributed import Client
 
     try:
-        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise SweepError(f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT}: {error}") from error
+        raise SweepError(f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}") from error
     with client:
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
+        except TimeoutError as error:
+            raise SweepError(f"the Dask scheduler at {address!r} has no workers") from error
         yield _on_client(study, client)
 
 
@@ -79,7 +97,10 @@ def _on_client(study: Study, client: "Client") -> Executor:
 
     from sweep.pin import PinBlas
 
-    client.register_plugin(PinBlas(), name="linksweep-pin-blas")
+    try:
+        client.register_plugin(PinBlas(), name="linksweep-pin-blas")
+    except Exception as error:  # whatever keeps a worker from importing it
+        raise SweepError(f"the workers cannot run linksweep: {type(error).__name__}: {error}") from error
 
     def run(batches: Iterable[list[Work]]) -> Results:
         queue = iter(batches)
@@ -94,7 +115,7 @@ def _on_client(study: Study, client: "Client") -> Executor:
             return futures
 
         window = TASKS_IN_FLIGHT * max(1, sum(client.nthreads().values()))
-        finished = as_completed(submit(window))
+        finished = as_completed(submit(window), loop=client.loop)
         for future in finished:
             works = works_of.pop(future)
             failure = future.exception() if future.status != "finished" else None

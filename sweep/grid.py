@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -71,28 +72,52 @@ class Grid:
 def make_grid(study: Study) -> Grid:
     """Return the grid of a study after asking the experiment about every point.
 
-    Raises SweepError that lists the points that cannot be computed (grouped by reason), points that are the same point
-    twice, or a grid too large or empty.
+    Raises SweepError that lists the points that cannot be computed (grouped by reason; it looks no further after
+    `MAX_PROBLEMS` reasons), points that are the same point twice, or a grid too large or empty.
     """
     grid = Grid(study)
     if len(grid) > MAX_POINTS:
-        raise SweepError(f"the grid has {len(grid):,} points; at most {MAX_POINTS:,} are allowed", study.name)
-    problems: dict[str, int] = {}
-    seen: set[bytes] = set()
+        sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
+        message = f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed"
+        raise SweepError(message, study.name)
+    sentences = _repeated(grid)
+    reasons: dict[str, int] = {}
+    empty = True
     for point in grid.points():
-        if (reason := study.experiment.check(point.parameters)) is not None:
-            problems[reason] = problems.get(reason, 0) + 1
-        if point.digest in seen:
-            problems[f"the same point occurs twice: {describe(study, point.parameters)}"] = 1
-        seen.add(point.digest)
-    if not seen:
+        empty = False
+        if (reason := _reason(study, point.parameters)) is None:
+            continue
+        if reason not in reasons and len(reasons) == MAX_PROBLEMS:
+            reasons["... and other reasons; the rest of the grid was not checked"] = 0
+            break
+        reasons[reason] = reasons.get(reason, 0) + 1
+    if empty:
         raise SweepError("every point of the grid is excluded", study.name)
-    if problems:
-        sentences = [f"{reason} ({n} point{'s' if n > 1 else ''})" for reason, n in problems.items()]
-        if len(sentences) > MAX_PROBLEMS:
-            sentences[MAX_PROBLEMS:] = [f"... and {len(sentences) - MAX_PROBLEMS} more reasons"]
+    sentences += [f"{reason} ({n} point{'s' if n > 1 else ''})" if n else reason for reason, n in reasons.items()]
+    if sentences:
         raise SweepError(sentences, study.name)
     return grid
+
+
+def _repeated(grid: Grid) -> list[str]:
+    """Say which points occur twice: as every axis has distinct values, only axes that are zipped can make some."""
+    sentences: list[str] = []
+    for axes in grid.dimensions.values():
+        counts = Counter(zip(*(grid.study.axes[name] for name in axes), strict=True))
+        repeated = [values for values, n in counts.items() if n > 1]
+        for values in repeated[:MAX_PROBLEMS]:
+            place = ",".join(f"{name}={value}" for name, value in zip(axes, values, strict=True))
+            sentences.append(f"the same point occurs {counts[values]} times: {place}")
+        if len(repeated) > MAX_PROBLEMS:
+            sentences.append(f"... and {len(repeated) - MAX_PROBLEMS} more points")
+    return sentences
+
+
+def _reason(study: Study, parameters: dict[str, Any]) -> str | None:
+    try:
+        return study.experiment.check(parameters)
+    except Exception as error:  # whatever a user's check raises
+        return f"the experiment's check of a point raises {type(error).__name__}: {error}"
 
 
 def describe(study: Study, parameters: dict[str, Any]) -> str:

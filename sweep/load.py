@@ -1,11 +1,13 @@
 """Finds an experiment by its reference, ``module:attribute`` or ``path/to/file.py:attribute``."""
 
 import importlib
+import importlib.machinery
 import importlib.util
 import sys
 from pathlib import Path
+from typing import Any
 
-from sweep.contract import Experiment, SweepError
+from sweep.contract import Experiment, SweepError, shown
 
 
 def load_experiment(reference: str, folder: Path | None = None) -> Experiment:
@@ -15,17 +17,17 @@ def load_experiment(reference: str, folder: Path | None = None) -> Experiment:
     """
     place, colon, attribute = reference.rpartition(":")
     if not colon or not place or not attribute:
-        raise SweepError(f"{reference!r}: write module:attribute or file.py:attribute")
+        raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
     try:
         module = _module_of_file(place, folder) if place.endswith(".py") else importlib.import_module(place)
+        found = getattr(module, attribute, None)
     except SweepError:
         raise
-    except Exception as error:  # whatever a user's module raises while it is imported
-        raise SweepError(f"{reference!r}: cannot import {place}: {type(error).__name__}: {error}") from error
-    found = getattr(module, attribute, None)
+    except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
+        raise SweepError(f"{shown(reference)}: cannot be imported: {type(error).__name__}: {error}") from error
     if not isinstance(found, Experiment):
         kind = "has no attribute" if found is None else f"has a {type(found).__name__}, not an Experiment, at"
-        raise SweepError(f"{reference!r}: {place} {kind} {attribute!r}")
+        raise SweepError(f"{shown(reference)}: the module {kind} {shown(attribute)}")
     return found
 
 
@@ -35,14 +37,21 @@ def absolute_reference(reference: str, folder: Path) -> str:
     return f"{(folder / place).resolve()}:{attribute}" if place.endswith(".py") else reference
 
 
+class _Loader(importlib.machinery.SourceFileLoader):
+    """Loads a module without leaving a ``__pycache__`` beside it."""
+
+    def set_data(self, path: str, data: Any, *, _mode: int = 0o666) -> None:
+        """Write nothing."""
+
+
 def _module_of_file(place: str, folder: Path | None) -> object:
     path = (folder or Path.cwd()) / place
     name = str(path.resolve())
     if name in sys.modules:
         return sys.modules[name]
     if not path.is_file():
-        raise SweepError(f"no file {path}")
-    spec = importlib.util.spec_from_file_location(name, path)
+        raise SweepError(f"there is no file {path}")
+    spec = importlib.util.spec_from_file_location(name, path, loader=_Loader(name, str(path)))
     if spec is None or spec.loader is None:
         raise SweepError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)

@@ -3,7 +3,9 @@
 import csv
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -11,11 +13,16 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from sweep.axes import axis_values, is_number, override
-from sweep.contract import Experiment, SweepError, Value, suggest
+from sweep.contract import Experiment, Parameter, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, load_experiment
 from sweep.study import Condition, Published, Sampling, Section, Study
 
 MAX_FILE_BYTES = 1_000_000
+MAX_PROBLEMS = 50
+"""After so many problems of one study the rest is not looked for."""
+
+Place = tuple[str | int, ...]
+"""Keys and indices that lead to a value of the document."""
 
 
 class _Grid(Section):
@@ -65,22 +72,29 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
     text = _read(path)
     try:
         document = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SweepError(f"not valid TOML: {error}", str(path)) from error
+    except ValueError as error:  # a TOMLDecodeError, or an integer of too many digits
+        raise SweepError(f"not valid TOML: {error}{_quoted_line(text, str(error))}", str(path)) from error
+    except RecursionError as error:
+        raise SweepError("not valid TOML: nested too deeply", str(path)) from error
     problems: list[str] = []
+    overridden: dict[Place, str] = {}
     for setting in settings:
-        override(document, setting, problems, as_axis=False)
+        overridden[override(document, setting, problems, as_axis=False)] = f"--set {_option(setting)}"
     for axis in axes:
-        override(document, axis, problems, as_axis=True)
+        overridden[override(document, axis, problems, as_axis=True)] = f"--axis {_option(axis)}"
     overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes])
-    return _Reader(document, text, path, problems, overrides).study()
+    return _Reader(document, text, path, problems, overrides, overridden).study()
 
 
 def study_from_dict(document: Mapping[str, Any], name: str = "study") -> Study:
     """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError as
     `load_study`.
     """
-    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], ()).study()
+    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}).study()
+
+
+def _option(text: str) -> str:
+    return text if text.isprintable() and len(text) <= 80 else shown(text)
 
 
 def _find(name_or_path: str) -> Path:
@@ -88,9 +102,14 @@ def _find(name_or_path: str) -> Path:
     if name_or_path in built_in:
         return built_in[name_or_path]
     path = Path(name_or_path)
-    if path.is_dir():
-        raise SweepError(f"{name_or_path} is a directory, not a study file")
-    if not path.exists():
+    try:
+        if path.is_dir():
+            raise SweepError(f"{name_or_path!r} is a directory, not a study file")
+        exists = path.exists()
+    except (OSError, ValueError) as error:  # for example a name that is too long, or a directory closed to us
+        reason = getattr(error, "strerror", None) or str(error)
+        raise SweepError(f"the study {shown(name_or_path)} cannot be read: {reason}") from error
+    if not exists:
         hint = "" if path.suffix else suggest(name_or_path, list(built_in))
         raise SweepError(f"no study {name_or_path!r}: neither a file nor a built-in study{hint}")
     return path
@@ -98,22 +117,39 @@ def _find(name_or_path: str) -> Path:
 
 def _read(path: Path) -> str:
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise SweepError(f"the study file is larger than {MAX_FILE_BYTES:,} bytes", str(path))
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:  # no stat: a device or a pipe has no size
+            content = file.read(MAX_FILE_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise SweepError(f"cannot be read: {getattr(error, 'strerror', None) or error}", str(path)) from error
+    if len(content) > MAX_FILE_BYTES:
+        raise SweepError(f"is larger than {MAX_FILE_BYTES:,} bytes", str(path))
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        raise SweepError(f"not UTF-8 text: {error}", str(path)) from error
-    except OSError as error:
-        raise SweepError(f"cannot be read: {error.strerror}", str(path)) from error
+        line = content.count(b"\n", 0, error.start) + 1
+        raise SweepError(f"not UTF-8 text: byte 0x{content[error.start]:02x} in line {line}", str(path)) from error
+
+
+def _quoted_line(text: str, message: str) -> str:
+    """Return the line that a message of the TOML parser speaks of, after a colon; nothing if it names none."""
+    number = re.search(r"at line (\d+)", message)
+    return f": {shown(text.splitlines()[int(number[1]) - 1].strip())}" if number else ""
 
 
 class _Reader:
     """Reads one document into a Study, gathering every problem on the way."""
 
     def __init__(
-        self, document: dict[str, Any], text: str, path: Path, problems: list[str], overrides: tuple[str, ...]
+        self,
+        document: dict[str, Any],
+        text: str,
+        path: Path,
+        problems: list[str],
+        overrides: tuple[str, ...],
+        overridden: Mapping[Place, str],
     ) -> None:
-        self.document, self.text, self.path, self.problems, self.overrides = document, text, path, problems, overrides
+        self.document, self.text, self.path, self.problems = document, text, path, problems
+        self.overrides, self.overridden = overrides, overridden
 
     def study(self) -> Study:
         form = self._form()
@@ -123,7 +159,7 @@ class _Reader:
         axes = {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
         fixed = {name: self._fixed(experiment, form, name, raw) for name, raw in form.fixed.items()}
         zipped = self._zip(form, axes)
-        excluded = tuple(self._exclusion(experiment, i, clause) for i, clause in enumerate(form.exclude))
+        excluded = tuple(self._exclusion(experiment, form, i, clause) for i, clause in enumerate(form.exclude))
         published = self._published(experiment, form, axes)
         if self.problems:
             raise SweepError(self.problems, str(self.path))
@@ -142,10 +178,19 @@ class _Reader:
             overrides=self.overrides,
         )
 
-    def _problem(self, where: tuple[str | int, ...], message: str) -> None:
-        line = line_of(self.text, where)
-        key = ".".join(str(part) for part in where)
-        self.problems.append(f"{key}{f' (line {line})' if line else ''}: {message}")
+    @cached_property
+    def _lines(self) -> dict[Place, int]:
+        return lines_of_keys(self.text)
+
+    def _problem(self, where: Place, message: str) -> None:
+        if len(self.problems) >= MAX_PROBLEMS:
+            raise SweepError([*self.problems, "... and perhaps more problems like these"], str(self.path))
+        source = self.overridden.get(where[:2]) or self.overridden.get(where[:1])
+        if source is None:
+            line = line_of(self._lines, where)
+            source = f"line {line}" if line else None
+        key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in where)
+        self.problems.append(f"{key}{f' ({source})' if source else ''}: {message}")
 
     def _form(self) -> _Form | None:
         try:
@@ -159,9 +204,17 @@ class _Reader:
                 elif item["type"] == "missing":
                     self._problem(where, "is required")
                 else:
-                    shown = repr(item["input"])
-                    self._problem(where, f"{item['msg'][0].lower()}{item['msg'][1:]}, not {shown[:60]}")
+                    self._problem(where, f"{item['msg'][0].lower()}{item['msg'][1:]}, not {shown(item['input'])}")
+            return self._rest_of_form({item["loc"][0] for item in error.errors()})
+
+    def _rest_of_form(self, broken: set[str | int]) -> _Form | None:
+        """Return the form without its broken sections, so that the others are checked too."""
+        if "experiment" in broken:
             return None
+        if "axes" in broken:
+            broken = broken | {"grid"}
+        rest = {key: value for key, value in self.document.items() if key not in broken}
+        return _Form.model_validate({"title": "", **rest})
 
     def _experiment(self, form: _Form) -> Experiment | None:
         try:
@@ -203,9 +256,10 @@ class _Reader:
                 return None
         if len(self.problems) > before:
             return None
-        repeated = sorted({str(v) for v in values if values.count(v) > 1}) if len(set(values)) < len(values) else []
+        repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
         if repeated:
-            self._problem(where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated)}")
+            more = ", ..." if len(repeated) > 10 else ""
+            self._problem(where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated[:10])}{more}")
         return tuple(values)
 
     def _zip(self, form: _Form, axes: Mapping[str, tuple[Value, ...] | None]) -> tuple[tuple[str, ...], ...]:
@@ -213,12 +267,12 @@ class _Reader:
         for i, group in enumerate(form.grid.zip):
             where = ("grid", "zip", i)
             if len(group) < 2:
-                self._problem(where, f"{group}: name at least two axes to walk together")
+                self._problem(where, f"{shown(group)}: name at least two axes to walk together")
             for name in group:
                 if name not in axes:
-                    self._problem(where, f"{name!r} is not an axis{suggest(name, list(axes)) if axes else ''}")
+                    self._problem(where, f"{shown(name)} is not an axis{suggest(name, list(axes)) if axes else ''}")
                 if name in seen:
-                    self._problem(where, f"{name!r} is zipped twice")
+                    self._problem(where, f"{shown(name)} is zipped twice")
                 seen.add(name)
             lengths = {name: len(values) for name in group if (values := axes.get(name)) is not None}
             if len(set(lengths.values())) > 1:
@@ -226,35 +280,43 @@ class _Reader:
                 self._problem(where, f"zipped axes must have the same number of values: {sizes}")
         return tuple(tuple(group) for group in form.grid.zip)
 
-    def _exclusion(self, experiment: Experiment, index: int, clause: Mapping[str, object]) -> tuple[Condition, ...]:
+    def _exclusion(
+        self, experiment: Experiment, form: _Form, index: int, clause: Mapping[str, object]
+    ) -> tuple[Condition, ...]:
         if not clause:
             self._problem(("exclude", index), "is empty and would leave out every point")
-        return tuple(self._condition(experiment, ("exclude", index, name), name, rule) for name, rule in clause.items())
+        return tuple(self._condition(experiment, form, index, name, rule) for name, rule in clause.items())
 
-    def _condition(self, experiment: Experiment, where: tuple[str | int, ...], name: str, rule: object) -> Condition:
+    def _condition(self, experiment: Experiment, form: _Form, index: int, name: str, rule: object) -> Condition:
+        where = ("exclude", index, name)
+        try:
+            parameter = experiment.parameter(name)
+        except ValueError as error:
+            self._problem(where, str(error))
+            return Condition(name)
         if not isinstance(rule, dict):
             return Condition(name, among=(self._value(experiment, where, name, rule),))
         unknown = [key for key in rule if key not in ("above", "below", "equal", "in")]
         if unknown or not rule:
-            self._problem(where, f"unknown condition {unknown}; allowed are above, below, equal, in")
+            wrong = f"unknown condition {shown(unknown)}" if unknown else "has no condition"
+            self._problem(where, f"{wrong}; allowed are above, below, equal, in")
             return Condition(name)
         listed = [rule["equal"]] if "equal" in rule else rule.get("in")
         if listed is not None:
-            if not isinstance(listed, list) or "above" in rule or "below" in rule or ("in" in rule and "equal" in rule):
+            if not isinstance(listed, list) or len(rule) > 1:
                 self._problem(where, "'in' takes a list, and 'in' or 'equal' stands alone")
                 return Condition(name)
             return Condition(name, among=tuple(self._value(experiment, where, name, raw) for raw in listed))
+        if parameter.kind not in ("float", "int"):
+            self._problem(where, f"{name} has no order: use equal or in")
+        elif parameter.default is None and name not in form.axes and name not in form.fixed:
+            self._problem(where, f"{name} has no value to compare: it is neither an axis nor fixed, and has no default")
         bounds: dict[str, float] = {}
         for key, raw in rule.items():
             if not is_number(raw):
-                self._problem((*where, key), f"{raw!r}: must be a finite number")
+                self._problem((*where, key), f"{shown(raw)}: must be a finite number")
             else:
                 bounds[key] = float(raw)
-        try:
-            if experiment.parameter(name).kind not in ("float", "int"):
-                self._problem(where, f"{name} has no order: use equal or in")
-        except ValueError as error:
-            self._problem(where, str(error))
         return Condition(name, above=bounds.get("above"), below=bounds.get("below"))
 
     def _published(
@@ -263,37 +325,73 @@ class _Reader:
         if form.published is None:
             return None
         where = ("published", "file")
+        file = shown(form.published.file)
         try:
-            text = (self.path.parent / form.published.file).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            self._problem(where, f"{form.published.file!r} cannot be read: {error}")
+            text = _read(self.path.parent / form.published.file)
+        except SweepError as error:
+            self._problem(where, f"{file} {error}")
             return None
-        rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
-        known = [*(p.name for p in experiment.parameters), *(o.name for o in experiment.outputs)]
-        unknown = sorted({str(column) for row in rows for column in row} - set(known))
-        if unknown or not rows:
-            self._problem(where, f"columns {unknown} are neither parameters nor outputs" if rows else "holds no rows")
+        lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
+        reader = csv.DictReader((line for _, line in lines), restkey="")
+        try:
+            rows = [(lines[reader.line_num - 1][0], row) for row in reader]
+        except csv.Error as error:
+            self._problem(where, f"{file} is not a CSV table: {error}")
             return None
-        return Published(source=form.published.source, rows=tuple(rows))
+        if not rows:
+            self._problem(where, f"{file} holds no rows")
+            return None
+        outputs = {o.name for o in experiment.outputs}
+        parameters = {p.name: p for p in experiment.parameters}
+        columns = list(reader.fieldnames or ())
+        unknown = [column for column in columns if column not in outputs and column not in parameters]
+        if unknown:
+            self._problem(where, f"{file}: columns {shown(unknown)} are neither parameters nor outputs")
+            return None
+        for number, row in rows:
+            if "" in row or None in row.values():
+                self._problem(where, f"{file}, line {number}: does not have {len(columns)} cells as the header has")
+                continue
+            for column, cell in row.items():
+                optional = column in outputs and column not in form.axes
+                if wanted := _wrong_cell(parameters.get(column), cell, optional):
+                    self._problem(where, f"{file}, line {number}: {column} = {shown(cell)}: must be {wanted}")
+        return Published(source=form.published.source, rows=tuple(row for _, row in rows))
 
 
-def line_of(text: str, where: tuple[str | int, ...]) -> int | None:
-    """Return the 1-based line on which a key of a TOML text stands, as well as it can be told without a parser of
-    lines.
-    """
-    table: tuple[str | int, ...] = ()
+def _wrong_cell(parameter: Parameter | None, cell: str, optional: bool) -> str | None:
+    """Return what a cell of a published table ought to be, or None if it is; an optional one may be empty."""
+    if optional and not cell:
+        return None
+    if parameter is None or parameter.kind in ("float", "int"):
+        try:
+            number = float(cell)
+        except ValueError:
+            return "a number" + (" or empty" if optional else "")
+        return None if optional or is_number(number) else "a finite number"
+    if parameter.kind == "bool":
+        return None if cell in ("True", "False") else "True or False"
+    return parameter.allowed() if parameter.choices and cell not in parameter.choices else None
+
+
+def lines_of_keys(text: str) -> dict[Place, int]:
+    """Return the 1-based line of every key of a TOML text, as well as it can be told without a parser of lines."""
+    table: Place = ()
     counts: dict[str, int] = {}
-    best = None
-    for number, line in enumerate(text.splitlines(), 1):
-        if header := re.match(r"\s*(\[\[?)\s*([^\]]+?)\s*\]", line):
-            name = header[2].strip("\"'")
+    lines: dict[Place, int] = {}
+    for number, whole in enumerate(text.split("\n"), 1):
+        line = whole[:200]  # a key stands at the beginning; the patterns take long on a long line
+        if header := re.match(r"\s*(\[\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?$", line):
+            name = header[2]
+            keys = tuple(part.strip(" \"'") for part in name.split("."))
             index = counts[name] = counts.get(name, -1) + 1
-            table = (name, index) if header[1] == "[[" else tuple(name.split("."))
-            here = table
+            table = (*keys, index) if header[1] == "[[" else keys
+            lines[table] = number
         elif entry := re.match(r"\s*([\w.\"'-]+)\s*=", line):
-            here = (*table, *entry[1].replace('"', "").replace("'", "").split("."))
-        else:
-            continue
-        if here == where[: len(here)] and len(here) > 0 and (best is None or len(here) >= best[0]):
-            best = (len(here), number)
-    return best[1] if best else None
+            lines[*table, *entry[1].replace('"', "").replace("'", "").split(".")] = number
+    return lines
+
+
+def line_of(lines: Mapping[Place, int], where: Place) -> int | None:
+    """Return the line of a place, or of the innermost table around it that has one."""
+    return next((lines[where[:n]] for n in range(len(where), 0, -1) if where[:n] in lines), None)

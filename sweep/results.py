@@ -80,7 +80,7 @@ def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[s
     attributes: dict[str, Any] = {"units": output.unit, "long_name": output.meaning}
     if output.headline:
         attributes["headline"] = 1
-    return (*grid.dimensions, *output.dims), values.reshape(*grid.shape, *values.shape[1:]), attributes
+    return (*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes
 
 
 def _coordinates(grid: Grid) -> dict[str, Any]:

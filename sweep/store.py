@@ -126,9 +126,17 @@ class Store:
     def _read_index(self) -> dict[bytes, int]:
         """Return the row of every finished block; a row whose sums never reached the disk does not count."""
         rows = min(self._index.shape[0], self._sums.shape[0])
-        index = np.asarray(self._index[:rows])
-        written = index.any(axis=1) & ~np.isnan(np.asarray(self._sums[:rows])).all(axis=1)
+        index, sums = (_read(array, rows, self.path) for array in (self._index, self._sums))
+        written = index.any(axis=1) & ~np.isnan(sums).all(axis=1)
         return {index[row].tobytes(): int(row) for row in np.flatnonzero(written)}
+
+
+def _read(array: "zarr.Array[Any]", rows: int, path: Path) -> NDArray[Any]:
+    """Return the first rows of an array; raises SweepError where a chunk fails its checksum or cannot be decoded."""
+    try:
+        return np.asarray(array[:rows])
+    except (ValueError, RuntimeError) as error:
+        raise SweepError(f"{array.name.strip('/')} is damaged: {error}", str(path)) from error
 
 
 def create_or_resume(path: Path, study: Study, attributes: Mapping[str, Any]) -> Store:

@@ -1,0 +1,77 @@
+"""Studies that the platform's tests share, and `sweep` as a real process."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COINS = str(Path(__file__).parent / "sweep" / "coins.py") + ":experiment"
+
+
+@pytest.fixture
+def coins():
+    """A document of a study of the coin experiment: 2 x 3 points, some blocks each."""
+    return {
+        "title": "Coins",
+        "experiment": COINS,
+        "axes": {"metal": ["gold", "tin"], "coins": [1, 5, 20]},
+        "fixed": {"chance": 0.4},
+        "sampling": {"n_sim": 1000, "n_cat": 20, "seed": 7},
+    }
+
+
+LINK_STUDY = """
+title = "A small link"
+[axes]
+model = ["amex", "gaia"]
+v_max = [14.0, 15.0, 16.0]
+[fixed]
+catalogue = "quasars"
+[sampling]
+n_sim = 2000
+n_cat = 3
+seed = 11
+"""
+
+
+@pytest.fixture
+def link_study(tmp_path):
+    """The path of a small study of the link."""
+    path = tmp_path / "small.toml"
+    path.write_text(LINK_STUDY)
+    return path
+
+
+@pytest.fixture
+def start_sweep():
+    """A function that starts `sweep` as a process of its own; what still runs at the end of the test is killed."""
+    started = []
+
+    def start(*arguments, **options):
+        command = [sys.executable, "-m", "sweep", *map(str, arguments)]
+        environment = os.environ | {"PYTHONWARNINGS": "default"}
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, **options
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def sweep(start_sweep):
+    """A function that runs `sweep` as a process to its end and returns (exit code, stdout, stderr)."""
+
+    def run(*arguments, **options):
+        process = start_sweep(*arguments, **options)
+        out, err = process.communicate(timeout=300)
+        return process.returncode, out, err
+
+    return run

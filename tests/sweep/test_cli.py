@@ -1,0 +1,110 @@
+"""The commands, as a user types them."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+import xarray as xr
+
+from tests.conftest import COINS
+
+COMMANDS = ("run", "plan", "show", "status", "list", "params", "plot")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help_with_an_example(sweep, command):
+    code, out, _ = sweep(command, "--help")
+    assert code == 0
+    assert f"sweep {command}" in out.replace("Usage: sweep", "")
+
+
+def test_help_imports_nothing_heavy():
+    """`sweep --help` answers at once: what takes long to import is imported by the commands that need it."""
+    code = "import sys, sweep.cli; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert "click" in loaded
+    assert not {"numpy", "xarray", "zarr", "dask", "distributed", "pydantic", "rich", "matplotlib"} & set(loaded)
+
+
+def test_list_names_the_built_in_studies(sweep):
+    code, out, _ = sweep("list")
+    assert code == 0
+    assert "quasars" in out
+    assert "grid" in out
+
+
+def test_params_tell_unit_default_and_meaning(sweep):
+    code, out, _ = sweep("params", "--json")
+    by_name = {p["name"]: p for p in json.loads(out)}
+    assert code == 0
+    assert by_name["v_max"]["unit"] == "mag"
+    assert by_name["weighting"]["default"] == "inverse-variance"
+    code, out, _ = sweep("params", COINS)
+    assert "mean chance of heads; a finite number >= 0.2 and <= 0.8" in out
+
+
+def test_plan_and_dry_run_write_nothing(sweep, tmp_path):
+    code, out, _ = sweep("plan", "grid", cwd=tmp_path)
+    assert code == 0
+    assert "200" in out
+    code, out, _ = sweep("run", "grid", "--dry-run", "--json", "--axis", "n_obj=10:30:10", cwd=tmp_path)
+    assert json.loads(out)["points"] == 2 * 5 * 3 * 4
+    assert not list(tmp_path.iterdir())
+
+
+def test_plan_knows_what_is_done(sweep, link_study, tmp_path):
+    store = tmp_path / "s.zarr"
+    sweep("run", link_study, "-o", store, "--axis", "v_max=14,15")
+    _, out, _ = sweep("plan", link_study, "-o", store, "--json")
+    report = json.loads(out)
+    assert (report["points"], report["points_done"]) == (6, 4)
+
+
+def test_overrides_on_the_command_line_are_those_in_the_file(sweep, link_study, tmp_path):
+    sweep("run", link_study, "-o", tmp_path / "a.zarr", "--set", "n_sim=100", "--axis", "v_max=14:15:0.5")
+    text = (
+        link_study.read_text()
+        .replace("n_sim = 2000", "n_sim = 100")
+        .replace("[14.0, 15.0, 16.0]", "[14.0, 14.5, 15.0]")
+    )
+    link_study.write_text(text)
+    sweep("run", link_study, "-o", tmp_path / "b.zarr")
+    a, b = (xr.open_zarr(tmp_path / name).load() for name in ("a.zarr", "b.zarr"))
+    xr.testing.assert_identical(a.drop_attrs(), b.drop_attrs())
+    assert a.attrs["study_digest"] == b.attrs["study_digest"]
+    assert a.attrs["study_overrides"] == "--set n_sim=100 --axis v_max=14:15:0.5"
+
+
+def test_an_axis_replaced_by_a_value_is_fixed(sweep, link_study, tmp_path):
+    code, out, err = sweep(
+        "run", link_study, "-o", tmp_path / "s.zarr", "--set", "model=gaia", "--set", "n_sim=10", "--json"
+    )
+    assert code == 0, err
+    assert [row["v_max"] for row in json.loads(out)["rows"]] == [14, 15, 16]
+
+
+def test_a_bar_on_a_terminal_and_lines_elsewhere(link_study, tmp_path):
+    """Under a pseudo-terminal the bar is drawn; what is left at the end are plain sentences."""
+    script = f"{sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=20000 --pool serial"
+    shown = subprocess.run(["script", "-qec", script, "/dev/null"], capture_output=True, text=True, check=True).stdout
+    assert "realisations/s" in shown
+    assert "6/6 points" in shown
+    assert "wrote" in shown
+
+
+def test_the_four_axis_grid_runs(sweep, tmp_path):
+    code, _, err = sweep("run", "grid", "-o", tmp_path / "s.zarr", "--set", "n_sim=20", "--set", "n_cat=4", "--json")
+    assert code == 0, err
+    dataset = xr.open_zarr(tmp_path / "s.zarr").load()
+    assert dict(dataset.sizes) == {
+        "model": 2,
+        "v_max": 5,
+        "n_obj": 5,
+        "error_scale": 4,
+        "component": 6,
+        "component_other": 6,
+    }
+    assert dataset["status"].size >= 200
+    off = (dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / dataset["sigma_spin_mc_error"]
+    assert abs(off).max() < 4.5  # 200 points

@@ -1,0 +1,210 @@
+"""The main job: `sweep run quasars` gives the paper's Table 1, out of a store that plain xarray opens."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pytest
+import xarray as xr
+
+SPIN = ["omega_x", "omega_y", "omega_z"]
+
+# Metz & Geffert 2004, Table 1, typed in from the paper: V_max, N_obj, AMEX, GAIA [mas/yr]
+TABLE_1 = """
+14   28    0.65 0.0017
+14.5 49    0.63 0.0015
+15   88    0.61 0.0012
+15.5 163   0.60 0.0011
+16   315   0.58 0.00094
+16.5 624   0.58 0.00083
+17   1156  0.57 0.00074
+17.5 2056  nan  0.00068
+18   3453  nan  0.00063
+18.5 5542  nan  0.00060
+19   8095  nan  0.00058
+19.5 11442 nan  0.00057
+20   15533 nan  0.00057
+"""
+PAPER = np.array([line.split() for line in TABLE_1.split("\n") if line], dtype=float)
+
+
+@pytest.fixture(scope="module")
+def main_job(tmp_path_factory):
+    """Run the command once; give its folder and what it printed."""
+    folder = tmp_path_factory.mktemp("main")
+    command = [sys.executable, "-m", "sweep", "run", "quasars"]
+    run = subprocess.run(
+        command, cwd=folder, capture_output=True, check=False, text=True, env=os.environ | {"COLUMNS": "200"}
+    )
+    assert run.returncode == 0, run.stderr
+    return folder, run.stdout, run.stderr
+
+
+@pytest.fixture(scope="module")
+def dataset(main_job):
+    return xr.open_zarr(main_job[0] / "results" / "quasars.zarr").load()
+
+
+def test_every_amex_cell_of_table_1(dataset):
+    ours = dataset["sigma_spin"].sel(model="amex").values
+    published = ~np.isnan(PAPER[:, 2])
+    assert np.abs(ours - PAPER[:, 2])[published].max() < 0.02  # mas/yr
+
+
+def test_every_gaia_cell_of_table_1(dataset):
+    ours = dataset["sigma_spin"].sel(model="gaia").values
+    assert np.abs(ours / PAPER[:, 3] - 1).max() < 0.07
+
+
+def test_the_number_of_objects_is_the_papers(dataset):
+    assert dataset["v_max"].values.tolist() == PAPER[:, 0].tolist()
+    for model in ("amex", "gaia"):
+        assert dataset["n_obj"].sel(model=model).values.tolist() == PAPER[:, 1].tolist()
+
+
+def test_the_published_values_in_the_store_are_the_papers(dataset):
+    published = dataset["sigma_spin_published"]
+    np.testing.assert_array_equal(published.sel(model="amex"), PAPER[:, 2])
+    np.testing.assert_array_equal(published.sel(model="gaia"), PAPER[:, 3])
+
+
+def test_every_sigma_is_within_four_of_its_own_errors_of_the_prediction(dataset):
+    off = np.abs(dataset["sigma"] - dataset["sigma_predicted"]) / dataset["sigma_mc_error"]
+    assert off.max() < 4
+    off = np.abs(dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / dataset["sigma_spin_mc_error"]
+    assert off.max() < 4
+    assert 0.5 < np.sqrt((off**2).mean()) < 1.5  # the errors are honest, neither too small nor too large
+
+
+def test_there_is_no_bias(dataset):
+    off = np.abs(dataset["bias"]) / (dataset["sigma"] / np.sqrt(dataset["n_sim_done"]))
+    assert off.max() < 4.5  # 156 values
+
+
+def test_chi2_is_its_degrees_of_freedom(dataset):
+    dof = 4 * dataset["n_obj"] - 6
+    off = np.abs(dataset["chi2"] - dof) / np.sqrt(2 * dof / dataset["n_sim_done"])
+    np.testing.assert_array_equal(dataset["dof"], dof)
+    assert off.max() < 4
+
+
+def test_the_covariance_is_that_of_the_estimates(dataset):
+    covariance = dataset["covariance"]
+    variance = xr.DataArray(np.einsum("...ii->...i", covariance), dims=("model", "v_max", "component"))
+    np.testing.assert_allclose(variance + dataset["bias"] ** 2, dataset["sigma"] ** 2, rtol=1e-12)
+    np.testing.assert_array_equal(covariance, covariance.transpose("model", "v_max", "component_other", "component"))
+
+
+def test_the_catalogue_error_tells_how_far_another_hundred_catalogues_may_be(dataset):
+    relative = (dataset["sigma_catalogue_error"] / dataset["sigma"]).sel(component=SPIN).mean("component")
+    at_28 = relative.sel(model="amex", v_max=14).item()
+    assert 0.005 < at_28 < 0.02  # 7-10 % from one catalogue of 28 to the next, over sqrt(100)
+    assert relative.sel(model="gaia", v_max=20).item() < 0.002
+
+
+def test_a_newcomer_selects_by_label(dataset):
+    chosen = dataset.sigma.sel(model="gaia", component=SPIN)
+    assert chosen.dims == ("v_max", "component")
+    assert chosen["component_unit"].values.tolist() == ["mas / yr"] * 3
+    assert {"model", "v_max", "component"} <= set(dataset.dims)
+
+
+def test_every_variable_and_coordinate_has_a_unit_that_astropy_parses(dataset):
+    for name, variable in dataset.variables.items():
+        u.Unit(variable.attrs["units"])
+        assert variable.attrs["long_name"], name
+    assert u.Unit(dataset["sigma_spin"].attrs["units"]) == u.mas / u.yr
+    assert u.Unit(dataset["v_max"].attrs["units"]) == u.mag
+    each = u.Unit(dataset["sigma"].attrs["units"])
+    assert [each[f] for f in each.field_names] == [u.Unit(t) for t in dataset["component_unit"].values]
+    products = u.Unit(dataset["covariance"].attrs["units"])
+    assert products["f0"]["f5"] == u.mas**2 / u.yr
+    assert products["f3"]["f5"] == u.mas**2 / u.yr**2
+
+
+def test_all_results_are_float64_and_complete(dataset):
+    floats = [v for v in dataset.data_vars.values() if v.dtype.kind == "f"]
+    assert all(v.dtype == np.float64 for v in floats)
+    assert not any(np.isnan(v).any() for name, v in dataset.data_vars.items() if not name.endswith("_published"))
+    assert (dataset["status"] == 1).all()
+
+
+def test_attributes_say_where_the_numbers_come_from(dataset):
+    attributes = dataset.attrs
+    assert "Metz & Geffert 2004" in attributes["study"]
+    assert attributes["complete"] == 1
+    assert attributes["seed"] == 20031
+    assert attributes["n_sim"] * attributes["n_cat"] == 10_000
+    assert len(attributes["study_digest"]) == 64
+    assert json.loads(attributes["versions"])["numpy"] == np.__version__
+    assert attributes["started"] <= attributes["finished"]
+    assert attributes["host"]
+
+
+def test_the_printed_table_shows_ours_the_prediction_and_the_papers(main_job):
+    _, out, err = main_job
+    line = next(row for row in out.splitlines() if row.split()[:2] == ["gaia", "20"])
+    n_obj, n_published, _, sigma, plus_minus, _, predicted, published, difference, percent = line.split()[2:]
+    assert n_obj == n_published == "15533"
+    assert plus_minus == "±"
+    assert float(sigma) == pytest.approx(float(predicted), rel=0.02)
+    assert float(published) == 0.00057
+    assert float(difference) == pytest.approx(100 * (float(sigma) / 0.00057 - 1), abs=0.1)
+    assert percent == "%"
+    assert sum(line.startswith((" amex", "amex", " gaia", "gaia")) for line in out.splitlines()) == 26
+    assert "26 points" in err
+    assert "\x1b" not in out + err  # no colour, no bar: this is not a terminal
+
+
+def test_the_table_comes_back_from_the_store(main_job, sweep):
+    store = main_job[0] / "results" / "quasars.zarr"
+    code, out, _ = sweep("show", store)
+    assert (code, out) == (0, main_job[1])
+    code, out, _ = sweep("show", store, "--format", "csv")
+    rows = list(csv.DictReader(out.splitlines()))
+    assert len(rows) == 26
+    assert float(rows[-1]["sigma_spin_published [mas / yr]"]) == 0.00057
+    assert rows[12]["sigma_spin_published [mas / yr]"] == ""
+    code, out, _ = sweep("show", store, "--json")
+    assert json.loads(out)["rows"][0]["n_obj"] == 28
+    assert json.loads(out)["rows"][12]["sigma_spin_published"] is None
+
+
+def test_ecsv_is_read_by_astropy_with_its_units(main_job, sweep):
+    from astropy.table import QTable
+
+    _, out, _ = sweep("show", main_job[0] / "results" / "quasars.zarr", "--format", "ecsv")
+    table = QTable.read(out, format="ascii.ecsv")
+    assert len(table) == 26
+    assert table["sigma_spin"].unit == u.mas / u.yr
+    assert table["sigma_spin_published"].mask.sum() == 6
+
+
+def test_status_tells_that_it_is_done(main_job, sweep):
+    code, out, _ = sweep("status", main_job[0] / "results" / "quasars.zarr", "--json")
+    report = json.loads(out)
+    assert code == 0
+    assert report["complete"] is True
+    assert report["points"] == {"missing": 0, "done": 26, "failed": 0, "excluded": 0}
+    assert report["realisations done"] == 260_000
+
+
+def test_error_free_data_return_the_truth(tmp_path, sweep):
+    """epsilon and omega come back to 1e-6 of their size."""
+    options = ("--set", "satellite_errors=none", "--set", "n_sim=1", "--set", "n_cat=10", "-o", tmp_path / "s.zarr")
+    code, _, err = sweep("run", "quasars", *options)
+    assert code == 0, err
+    exact = xr.open_zarr(tmp_path / "s.zarr").load()
+    assert exact["sigma"].max() < 1e-6  # the truth is 1 mas and 1 mas/yr in every component
+    assert (exact["sigma_predicted"] == 0).all()
+
+
+def test_the_store_holds_no_pickle_and_few_files(main_job):
+    files = [p for p in Path(main_job[0]).rglob("*") if p.is_file()]
+    assert not any(b"numcodecs.pickle" in p.read_bytes() for p in files if p.name == "zarr.json")
+    assert len(files) < 100

@@ -1,0 +1,149 @@
+"""The ledger of finished blocks, and the labelled dataset made from it."""
+
+import json
+import shutil
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+import zarr
+
+from sweep.contract import SweepError
+from sweep.provenance import provenance
+from sweep.reader import study_from_dict
+from sweep.run import Resources, run_study
+from sweep.store import check_store, create_or_resume, done_rows, open_dataset, read_attributes
+
+
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins)
+
+
+def open_store(path, study):
+    return create_or_resume(path, study, provenance(study))
+
+
+def rows(number, start=0):
+    keys = [(start + i + 1).to_bytes(32, "little") for i in range(number)]
+    return keys, np.arange(2.0 * number).reshape(number, 2) + start
+
+
+def test_what_was_flushed_is_there_again(tmp_path, study):
+    keys, sums = rows(5)
+    store = open_store(tmp_path / "s.zarr", study)
+    store.append(keys[:3], sums[:3])
+    store.flush()
+    store.append(keys[3:], sums[3:])  # never flushed: a killed process
+    again = open_store(tmp_path / "s.zarr", study)
+    assert set(again.rows) == set(keys[:3])
+    again.append(keys[3:], sums[3:])
+    again.flush()
+    assert np.array_equal(open_store(tmp_path / "s.zarr", study).sums(), sums)
+
+
+def test_the_ledger_grows_over_chunks_in_few_files(tmp_path, study):
+    store = open_store(tmp_path / "s.zarr", study)
+    chunk = zarr.open_array(tmp_path / "s.zarr", path="blocks/sums").chunks[0]
+    written = 0
+    for size in (chunk - 1, 1, 5, chunk, 7):  # to the brim, over it, a whole one, a bit more
+        store.append(*rows(size, written))
+        store.flush()
+        written += size
+    again = open_store(tmp_path / "s.zarr", study)
+    assert len(again.rows) == written
+    for start, size in ((0, chunk - 1), (chunk + 5, chunk)):
+        keys, sums = rows(size, start)
+        assert np.array_equal(again.sums()[[again.rows[k] for k in keys]], sums)
+    assert len([p for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()]) < 15
+
+
+def test_an_index_whose_sums_did_not_reach_the_disk_does_not_count(tmp_path, study):
+    store = open_store(tmp_path / "s.zarr", study)
+    store.append(*rows(4))
+    store.flush()
+    shutil.rmtree(tmp_path / "s.zarr" / "blocks" / "sums" / "c")
+    assert open_store(tmp_path / "s.zarr", study).rows == {}
+
+
+def test_a_flipped_bit_is_noticed(tmp_path, study):
+    store = open_store(tmp_path / "s.zarr", study)
+    store.append(*rows(4))
+    store.flush()
+    chunk = tmp_path / "s.zarr" / "blocks" / "sums" / "c" / "0" / "0"
+    damaged = bytearray(chunk.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    chunk.write_bytes(damaged)
+    with pytest.raises(SweepError, match="blocks/sums is damaged"):
+        open_store(tmp_path / "s.zarr", study)
+
+
+def test_a_directory_left_by_a_kill_before_the_first_write_is_free(tmp_path, study):
+    (tmp_path / "s.zarr").mkdir()
+    (tmp_path / "s.zarr" / "zarr.json.0123abcd.partial").write_text("{")
+    check_store(tmp_path / "s.zarr", study)
+    open_store(tmp_path / "s.zarr", study)
+    assert read_attributes(tmp_path / "s.zarr")["complete"] == 0
+
+
+def test_a_store_made_up_to_its_root_is_resumed(tmp_path, study):
+    open_store(tmp_path / "s.zarr", study)
+    shutil.rmtree(tmp_path / "s.zarr" / "blocks")
+    assert done_rows(tmp_path / "s.zarr", study) == {}
+    dataset, _ = run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+    assert dataset.attrs["complete"] == 1
+
+
+def test_a_store_without_results_says_so(tmp_path, study):
+    open_store(tmp_path / "s.zarr", study)
+    with pytest.raises(SweepError, match="no results yet"):
+        open_dataset(tmp_path / "s.zarr")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"sampling": {"n_sim": 1000, "n_cat": 20, "seed": 8}}, "seed: 7 in the store, 8 in the study"),
+        ({"fixed": {"chance": 0.6}}, "fixed.chance: 0.4 in the store, 0.6 in the study"),
+        ({"fixed": {}}, "fixed.chance: 0.4 in the store, 0.5 in the study"),
+    ],
+)
+def test_another_meaning_is_refused_with_the_differences(tmp_path, coins, study, change, words):
+    open_store(tmp_path / "s.zarr", study)
+    with pytest.raises(SweepError) as refused:
+        check_store(tmp_path / "s.zarr", study_from_dict(coins | change))
+    assert words in refused.value.problems
+
+
+def test_a_fixed_value_may_become_an_axis_and_keeps_its_numbers(tmp_path, coins, study):
+    first, _ = run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+    wider = study_from_dict(coins | {"axes": coins["axes"] | {"chance": [0.3, 0.4]}, "fixed": {}})
+    second, _ = run_study(wider, tmp_path / "s.zarr", Resources(pool="serial"))
+    xr.testing.assert_equal(second["share"].sel(chance=0.4, drop=True), first["share"])
+    assert xr.open_zarr(tmp_path / "s.zarr")["share"].shape == (2, 3, 2)
+
+
+def test_a_smaller_study_shows_its_part_and_the_ledger_keeps_the_rest(tmp_path, coins, study):
+    run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+    smaller = study_from_dict(coins | {"axes": {"metal": ["tin"], "coins": [5]}})
+    run_study(smaller, tmp_path / "s.zarr", Resources(pool="serial"))
+    assert xr.open_zarr(tmp_path / "s.zarr")["share"].shape == (1, 1)
+    assert len(done_rows(tmp_path / "s.zarr", study)) == 6 * 4
+
+
+def test_a_newer_format_is_refused_politely(tmp_path, study):
+    open_store(tmp_path / "s.zarr", study)
+    root = tmp_path / "s.zarr" / "zarr.json"
+    document = json.loads(root.read_text())
+    document["attributes"]["linksweep_format"] = 99
+    root.write_text(json.dumps(document))
+    with pytest.raises(SweepError, match="format 99; this version of linksweep reads format 1"):
+        open_store(tmp_path / "s.zarr", study)
+
+
+def test_plain_xarray_opens_a_store_without_a_warning(tmp_path, study):
+    run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert xr.open_zarr(tmp_path / "s.zarr")["metal"].values.tolist() == ["gold", "tin"]
