@@ -62,8 +62,8 @@ def synthetic(
 ) -> Catalogue:
     """Return objects with isotropic positions, uniform magnitudes and isotropic proper motions.
 
-    The modulus of the proper motion is uniform between 0 and twice its mean ``mean_pm`` (rad/yr).
-    Source: Metz & Geffert 2004, Sect. 5.1 ("equally distributed apparent brightnesses and proper motions").
+    The paper has "equally distributed apparent brightnesses and proper motions" (Metz & Geffert 2004, Sect. 4.1); that
+    the modulus of a proper motion is uniform between 0 and twice its mean ``mean_pm`` (rad/yr) is our reading of it.
     """
     ra, dec = isotropic_positions(rng, n_obj, zone_of_avoidance)
     v_mag = rng.uniform(v_min, v_max, n_obj)

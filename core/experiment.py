@@ -16,6 +16,9 @@ from sweep.contract import Experiment, Output, Parameter, Point
 
 Array = NDArray[np.float64]
 
+SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
+"""Errors in mas and mas/yr for which the link is computed: beyond, weights overflow or an error is no small angle."""
+
 PARAMETERS = (
     Parameter("catalogue", "str", "synthetic", "reference catalogue (step A)", choices=("synthetic", "quasars")),
     Parameter(
@@ -26,8 +29,10 @@ PARAMETERS = (
         minimum=2,
         maximum=10_000_000,
     ),
-    Parameter("v_max", "float", 15.0, "limiting magnitude V", unit="mag"),
-    Parameter("v_min", "float", 5.0, "brightest magnitude V of a synthetic catalogue", unit="mag"),
+    Parameter("v_max", "float", 15.0, "limiting magnitude V", unit="mag", minimum=-5.0, maximum=30.0),
+    Parameter(
+        "v_min", "float", 5.0, "brightest magnitude V of a synthetic catalogue", unit="mag", minimum=-5.0, maximum=30.0
+    ),
     Parameter(
         "mean_pm", "float", 0.0, "mean modulus of the proper motions, synthetic catalogue", unit="mas / yr", minimum=0.0
     ),
@@ -91,9 +96,13 @@ PARAMETERS = (
         unit="mas / yr",
         minimum=0.0,
     ),
-    Parameter("error_scale", "float", 1.0, "factor on all errors", minimum=0.0),
-    Parameter("satellite_error_scale", "float", 1.0, "further factor on the satellite's errors", minimum=0.0),
-    Parameter("reference_error_scale", "float", 1.0, "further factor on the reference's errors", minimum=0.0),
+    Parameter("error_scale", "float", 1.0, "factor on all errors", minimum=0.0, maximum=1e6),
+    Parameter(
+        "satellite_error_scale", "float", 1.0, "further factor on the satellite's errors", minimum=0.0, maximum=1e6
+    ),
+    Parameter(
+        "reference_error_scale", "float", 1.0, "further factor on the reference's errors", minimum=0.0, maximum=1e6
+    ),
     Parameter(
         "epsilon",
         "vector",
@@ -163,7 +172,7 @@ OUTPUTS = (
     Output(
         "covariance", _PRODUCTS, "covariance of the estimates about their mean", dims=("component", "component_other")
     ),
-    Output("chi2", "", "mean chi2 of the solution"),
+    Output("chi2", "", "mean chi2 of the solution; dof is its expectation for inverse-variance weights"),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
 )
 
@@ -193,7 +202,7 @@ def evaluate(
 def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Array]:
     """Return every output of `OUTPUTS` from the sums over n realisations of n_cat catalogues.
 
-    Source: Metz & Geffert 2004, Sect. 5.1 (sigma is the RMS of estimate - truth); error of an RMS of normal errors
+    Source: Metz & Geffert 2004, Sect. 4.1 (sigma is the RMS of estimate - truth); error of an RMS of normal errors
     sigma/sqrt(2 n).
     """
     each = n[:, None]
@@ -247,20 +256,34 @@ def check(point: Point) -> str | None:
 
 def _check_errors(point: Point) -> str | None:
     """Inverse-variance weights need both a position and a proper-motion error, or neither (error-free data)."""
-    reference, satellite = (_error_model(point, side) for side in ("reference", "satellite"))
-    one = np.zeros(1)
-    probe = Catalogue(one, one, one, one, one + point["v_max"])
-    position, _, motion, _ = np.hypot(reference.standard_errors(probe), satellite.standard_errors(probe))[:, 0] > 0.0
-    if position != motion:
+    position, _, motion, _ = np.hypot(*_errors_at_limit(point)) / MAS
+    if (position > 0.0) != (motion > 0.0):
         exact, noisy = ("proper motions", "positions") if position else ("positions", "proper motions")
-        return f"{exact} without any error beside {noisy} with errors would have infinite weight; give an error to both"
+        return f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
+    if position > 0.0 and not (min(position, motion) >= SMALLEST_ERROR and max(position, motion) <= LARGEST_ERROR):
+        return (
+            f"errors of {position:.3g} mas and {motion:.3g} mas/yr at V = {point['v_max']:g}: must be from "
+            f"{SMALLEST_ERROR:g} to {LARGEST_ERROR:g}"
+        )
     return None
 
 
 def cost(point: Point) -> float:
     """Return how many normal deviates one realisation takes."""
     n_obj = point["n_obj"] if point["n_obj"] is not None else quasar_count(point["v_max"])
-    return float(4 * n_obj if point["reference_errors"] == "none" else 8 * n_obj)
+    reference, satellite = (np.any(sigma) for sigma in _errors_at_limit(point))
+    return float(n_obj * (8 if reference else 4 if satellite else 0))
+
+
+def _errors_at_limit(point: Point) -> tuple[Array, Array]:
+    """Return the standard errors of the reference and the satellite at the limiting magnitude, each of shape (4,)."""
+    zero = np.zeros(1)
+    probe = Catalogue(zero, zero, zero, zero, zero + point["v_max"])
+    with np.errstate(over="ignore"):  # a curve far beyond its range is infinite, and refused for that
+        reference, satellite = (
+            _error_model(point, side).standard_errors(probe)[:, 0] for side in ("reference", "satellite")
+        )
+    return reference, satellite
 
 
 def _draw_catalogue(point: Point, rng: np.random.Generator) -> Catalogue:

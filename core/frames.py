@@ -32,7 +32,8 @@ def triad(ra: Array, dec: Array) -> Triad:
 
 def position(r: Array) -> tuple[Array, Array]:
     """Return (ra, dec) in radians, ra in [0, 2 pi), of vectors of shape (3, ...) and any length."""
-    return np.arctan2(r[1], r[0]) % (2.0 * np.pi), np.arctan2(r[2], np.hypot(r[0], r[1]))
+    ra = np.arctan2(r[1], r[0]) % (2.0 * np.pi)
+    return np.where(ra < 2.0 * np.pi, ra, 0.0), np.arctan2(r[2], np.hypot(r[0], r[1]))  # -tiny % 2 pi is 2 pi
 
 
 def rotation_minus_identity(epsilon: Array) -> Array:
@@ -74,7 +75,7 @@ def stored_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon
     """Return the observables reference - satellite by subtracting two stored catalogues; shape (4, N).
 
     This is what the paper's program did: the difference of two large angles keeps at best the last bit of the angle,
-    about 4e-7 mas in ra (paper, Sect. 5.2).  The difference in ra is wrapped to [-pi, pi).
+    about 4e-7 mas in ra (paper, Sect. 4.2).  The difference in ra is wrapped to [-pi, pi).
     """
     ra_sat, dec_sat, pmra_sat, pmdec_sat = satellite_catalogue(ra, dec, pmra, pmdec, epsilon, omega)
     d_ra = (ra - ra_sat + np.pi) % (2.0 * np.pi) - np.pi

@@ -31,15 +31,16 @@ def design_matrix(ra: Array, dec: Array, pmra: Array, pmdec: Array, corrections:
     Positions (rad) and proper motions (rad/yr, pmra = mu_alpha*) are those of the reference catalogue, of one shape
     ``(...)``.  Rows: ``d alpha* = q.eps``, ``d dec = -p.eps``, ``d pmra = -pmdec eta.eps + q.omega`` and
     ``d pmdec = pmra eta.eps - p.omega`` with ``eta = (cos ra, sin ra, 0)/cos dec``: the triad turns by eta.eps about
-    the line of sight, which is what the paper's A21 says for mu_alpha* (see `paper_design_matrix`).  ``corrections=False``
-    drops these terms.
+    the line of sight, which is what the paper's A21 says for mu_alpha* (see `paper_design_matrix`).
+    ``corrections=False`` drops these terms.
     Raises LinkError for a source at a pole, where ra is undefined.
     """
     cos_dec = np.cos(dec)
     if np.any(cos_dec < POLE_LIMIT):
-        at = int(np.argmax(np.ravel(cos_dec) < POLE_LIMIT))
+        at = tuple(np.argwhere(cos_dec < POLE_LIMIT)[0])
         raise LinkError(
-            f"object {at} is at a celestial pole (dec = {np.degrees(np.ravel(dec)[at])} deg): ra is undefined there"
+            f"object {at[-1]} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec[at])} deg): "
+            "ra is undefined there"
         )
     p, q, _ = triad(ra, dec)
     p, q = np.moveaxis(p, 0, -1), np.moveaxis(q, 0, -1)
@@ -57,7 +58,7 @@ def paper_design_matrix(ra: Array, dec: Array, mu_alpha: Array, mu_delta: Array)
     """Return the paper's matrix for mu_alpha = d(alpha)/dt *without* cos dec; shape (4, N, 6).
 
     Its third observable is ``(mu_alpha,ref - mu_alpha,sat) cos(dec_ref)``, not a difference of mu_alpha*.
-    Source: Metz & Geffert 2004, Eqs. 9-11 (A21 as printed there is right; Eq. 7 has ``cos^2 dec`` for ``1/cos^2 dec``).
+    Source: Metz & Geffert 2004, Eqs. 11-13.  A21 as printed is right; Eq. 9 has ``cos^2 dec`` for ``1/cos^2 dec``.
     """
     design = design_matrix(ra, dec, mu_alpha, mu_delta, corrections=False)
     sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
@@ -72,10 +73,11 @@ def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
     """Return the standard error of the differences, sqrt(ref^2 + sat^2), as the link weighs them; shape (4, N).
 
     Error-free data (all zero) get unit errors of 1 mas and 1 mas/yr, that is equal weights.  Raises LinkError where an
-    error is negative, or zero beside non-zero ones.
+    error is negative or not finite, or zero beside non-zero ones.
     """
-    _require(np.minimum(sigma_reference, sigma_satellite) >= 0.0, "negative standard error")
     sigma = np.hypot(sigma_reference, sigma_satellite)
+    _require(np.isfinite(sigma), "non-finite standard error")
+    _require(np.minimum(sigma_reference, sigma_satellite) >= 0.0, "negative standard error")
     if not np.any(sigma):
         return np.full_like(sigma, MAS)
     _require(sigma > 0.0, "zero standard error beside non-zero ones, so an infinite weight,")
@@ -87,7 +89,8 @@ class LinkSolution:
     """A solved link; K unknowns in rad and rad/yr, in the order of `UNKNOWNS`.
 
     ``estimate`` and ``formal_error`` (K,), ``covariance`` and ``correlation`` (K, K), ``residuals`` (4, N), and the
-    numbers chi2 (sum of (residual/sigma)^2), dof, rank and condition number of the weighted design matrix.
+    numbers chi2 (sum of (residual/sigma)^2), dof, rank and condition number of the weighted design matrix with its
+    columns scaled to length 1.  For equal weights chi2 is not at its minimum, so it is larger than dof on average.
     """
 
     estimate: Array
@@ -125,13 +128,16 @@ def solve(design: Array, differences: Array, sigma: Array, weighting: Weighting 
     _require_unknowns(len(y), n_unknown)
 
     root_weight = 1.0 / s if weighting == "inverse-variance" else np.ones_like(s)
-    u, singular, vt = np.linalg.svd(root_weight[:, None] * a, full_matrices=False)
+    weighted = root_weight[:, None] * a
+    length = np.sqrt(np.sum(weighted**2, axis=0))
+    scale = np.where(length > 0.0, length, 1.0)  # positions and proper motions may differ by many orders of magnitude
+    u, singular, vt = np.linalg.svd(weighted / scale, full_matrices=False)
     rank = int(np.sum(singular > singular[0] * max(a.shape) * np.finfo(float).eps))
     if rank < n_unknown:
         raise LinkError(
             f"the link is rank deficient: {rank} of {n_unknown} unknowns are determined by these {len(y) // 4} objects"
         )
-    gain = (vt.T / singular) @ (u.T * root_weight)
+    gain = (vt.T / singular) @ (u.T * root_weight) / scale[:, None]
     estimate = gain @ y
     residuals = y - a @ estimate
     scaled_gain = gain * s
@@ -150,7 +156,7 @@ def normal_inverse(normal: Array) -> Array:
     """Return the inverse of normal matrices A^T W A of shape (..., K, K), scaled first so that units do not matter.
 
     For a sky that determines the link the condition is of order 1 and this equals the SVD to rounding (a test says how
-    well). Raises LinkError where a scaled matrix is singular to 1e-12.
+    well). Raises LinkError where the smallest eigenvalue of a scaled matrix, whose diagonal is 1, is not above 1e-12.
     """
     diagonal = np.einsum("...ii->...i", normal)
     if not np.all(diagonal > 0.0):

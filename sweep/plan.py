@@ -69,7 +69,7 @@ class Plan:
     def work(self) -> Iterator[Work]:
         """Yield every block of every point, in the order of the grid."""
         for point in self.grid.points():
-            cost = self.grid.study.experiment.cost(point.parameters)
+            cost = max(1.0, self.grid.study.experiment.cost(point.parameters))
             for block in self.blocks(cost):
                 yield Work(point, block, block.realisations * cost + block.n_cat * OVERHEAD)
 

@@ -1,0 +1,329 @@
+"""The design matrix, the weights and the solution of the link."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from core.constants import MAS, MICROARCSEC
+from core.frames import exact_differences, satellite_catalogue, triad
+from core.link import (
+    LinkError,
+    combined_error,
+    design_matrix,
+    normal_inverse,
+    paper_design_matrix,
+    solve,
+)
+
+EPSILON, OMEGA = np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS
+TRUTH = np.concatenate([EPSILON, OMEGA])
+
+
+def sky(n_obj, seed=1, mean_pm=300 * MAS):
+    rng = np.random.default_rng(seed)
+    pmra, pmdec = rng.normal(0.0, mean_pm, (2, n_obj))
+    return rng.uniform(0.0, 2.0 * np.pi, n_obj), np.arcsin(rng.uniform(-0.99, 0.99, n_obj)), pmra, pmdec
+
+
+def uneven_sigma(n_obj, seed=2):
+    return np.random.default_rng(seed).uniform(0.2, 3.0, (4, n_obj)) * MAS
+
+
+def paper_observables(ra, dec, pmra, pmdec, epsilon, omega):
+    """The paper's third observable is the difference of d(alpha)/dt times cos(dec_ref)."""
+    _, dec_sat, pmra_sat, _ = satellite_catalogue(ra, dec, pmra, pmdec, epsilon, omega)
+    differences = exact_differences(ra, dec, pmra, pmdec, epsilon, omega)
+    differences[2] = (pmra / np.cos(dec) - pmra_sat / np.cos(dec_sat)) * np.cos(dec)
+    return differences
+
+
+def numerical_derivative(observables, catalogue, step):
+    """Central differences by the six unknowns; shape (4, N, 6)."""
+    shifts = step * np.eye(6).reshape(6, 2, 3)
+    columns = [(observables(*catalogue, *s) - observables(*catalogue, *-s)) / (2.0 * step) for s in shifts]
+    return np.stack(columns, axis=-1)
+
+
+def test_design_matrix_is_the_derivative_of_the_exact_differences():
+    catalogue = sky(200, mean_pm=1.0)  # motions of order 1, so that A21 weighs as much as A11
+    derivative = numerical_derivative(exact_differences, catalogue, 1e-6)
+    steepness = np.cos(catalogue[1])[:, None] ** -3  # truncation h^2 times the third derivative
+    assert np.all(np.abs(derivative - design_matrix(*catalogue)) < 1e-10 * steepness)
+
+
+def test_corrections_are_exactly_the_terms_in_the_proper_motions():
+    ra, dec, pmra, pmdec = sky(50)
+    still = design_matrix(ra, dec, 0 * pmra, 0 * pmdec)
+    np.testing.assert_array_equal(design_matrix(ra, dec, pmra, pmdec, corrections=False), still)
+    assert np.all(design_matrix(ra, dec, pmra, pmdec)[2:, :, :2] != 0.0)
+
+
+def test_design_matrix_of_many_realisations_at_once():
+    columns = np.stack([sky(7, seed) for seed in (1, 2, 3)], axis=1)
+    together = design_matrix(*columns)
+    one_by_one = np.stack([design_matrix(*columns[:, k]) for k in range(3)], axis=1)
+    np.testing.assert_array_equal(together, one_by_one)
+
+
+def test_paper_design_matrix_is_the_derivative_of_its_own_observables():
+    ra, dec, pmra, pmdec = sky(200, mean_pm=1.0)
+    derivative = numerical_derivative(paper_observables, (ra, dec, pmra, pmdec), 1e-5)
+    steepness = np.cos(dec)[:, None] ** -4
+    assert np.all(np.abs(derivative - paper_design_matrix(ra, dec, pmra / np.cos(dec), pmdec)) < 2e-9 * steepness)
+
+
+def test_the_papers_equation_for_mu_alpha_is_misprinted():
+    ra, dec, pmra, pmdec = np.array([0.7]), np.array([0.9]), np.array([0.0]), np.array([1.0])
+    d_mu_alpha = numerical_derivative(paper_observables, (ra, dec, pmra, pmdec), 1e-5)[2, 0, :2] / np.cos(dec)
+    around = np.array([np.cos(0.7), np.sin(0.7)])
+    np.testing.assert_allclose(d_mu_alpha, -around / np.cos(0.9) ** 2, rtol=1e-7)
+    assert np.all(np.abs(d_mu_alpha + np.cos(0.9) ** 2 * around) > 1.0)  # as printed
+
+
+def test_both_forms_give_the_same_estimate():
+    ra, dec, pmra, pmdec = catalogue = sky(300)
+    sigma = uneven_sigma(300)
+    ours = solve(design_matrix(*catalogue), exact_differences(*catalogue, EPSILON, OMEGA), sigma)
+    paper = solve(
+        paper_design_matrix(ra, dec, pmra / np.cos(dec), pmdec), paper_observables(*catalogue, EPSILON, OMEGA), sigma
+    )
+    np.testing.assert_allclose(ours.estimate, TRUTH, atol=1e-4 * MICROARCSEC)  # epsilon^2 is 1e-5 microarcsec
+    np.testing.assert_allclose(paper.estimate, TRUTH, atol=1e-4 * MICROARCSEC)
+
+
+def test_mixing_the_two_forms_is_wrong():
+    ra, dec, pmra, pmdec = catalogue = sky(300)
+    ours, paper = design_matrix(*catalogue), paper_design_matrix(ra, dec, pmra / np.cos(dec), pmdec)
+    y, y_paper = (f(*catalogue, EPSILON, OMEGA) for f in (exact_differences, paper_observables))
+
+    def misclosure(observables, design):
+        return np.sqrt(np.mean((observables - design @ TRUTH)[2] ** 2))
+
+    consistent = max(misclosure(y, ours), misclosure(y_paper, paper))
+    assert misclosure(y, paper) > 10.0 * consistent
+    assert misclosure(y_paper, ours) > 10.0 * consistent
+
+
+def test_formal_error_on_an_isotropic_sky():
+    n_obj, sigma = 20_000, 0.4 * MAS
+    catalogue = sky(n_obj, mean_pm=0.0)
+    dec = np.arcsin(np.random.default_rng(3).uniform(-1.0, 1.0, n_obj))
+    solution = solve(design_matrix(catalogue[0], dec, *catalogue[2:]), np.zeros((4, n_obj)), np.full((4, n_obj), sigma))
+    scatter = np.sqrt(1 / 5) / np.sqrt(n_obj)  # 1 - r_x^2 has mean 2/3, variance 4/45; half of that for its root
+    np.testing.assert_allclose(solution.formal_error, sigma * np.sqrt(3 / (2 * n_obj)), rtol=4 * scatter / 2)
+
+
+def test_solution_equals_least_squares_of_the_whitened_system():
+    catalogue, sigma = sky(40), uneven_sigma(40)
+    design = design_matrix(*catalogue)
+    y = exact_differences(*catalogue, EPSILON, OMEGA) + sigma * np.random.default_rng(4).standard_normal((4, 40))
+    whitened, target = (design / sigma[..., None]).reshape(-1, 6), (y / sigma).ravel()
+    solution = solve(design, y, sigma)
+    tolerance = 1e-9 * solution.formal_error
+    x_numpy, chi2, rank, _ = np.linalg.lstsq(whitened, target)
+    for x in (x_numpy, scipy.linalg.lstsq(whitened, target, lapack_driver="gelsy")[0]):
+        assert np.all(np.abs(solution.estimate - x) < tolerance)
+    assert solution.chi2 == pytest.approx(chi2[0], rel=1e-10)
+    assert solution.rank == rank == 6
+    assert solution.dof == 4 * 40 - 6
+    assert solution.condition_number == pytest.approx(
+        np.linalg.cond(whitened / np.linalg.norm(whitened, axis=0)), rel=1e-10
+    )
+    np.testing.assert_allclose(solution.residuals, y - design @ x_numpy, atol=1e-9 * MAS)
+    np.testing.assert_allclose(
+        solution.covariance, np.linalg.inv(whitened.T @ whitened), atol=1e-9 * tolerance.min() * MAS
+    )
+
+
+def test_correlation_and_formal_error_come_from_the_covariance():
+    solution = solve(design_matrix(*sky(10)), np.zeros((4, 10)), uneven_sigma(10))
+    np.testing.assert_allclose(np.diag(solution.correlation), 1.0, rtol=1e-12)
+    rebuilt = solution.correlation * solution.formal_error[:, None] * solution.formal_error
+    np.testing.assert_allclose(rebuilt, solution.covariance, rtol=1e-12)
+    assert np.all(np.linalg.eigvalsh(solution.correlation) > 0.0)
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+def test_covariance_and_chi2_against_monte_carlo(weighting):
+    n_obj, n_sim = 8, 2000
+    catalogue, sigma = sky(n_obj), uneven_sigma(n_obj)
+    design, y = design_matrix(*catalogue), exact_differences(*catalogue, EPSILON, OMEGA)
+    rng = np.random.default_rng(5)
+    solutions = [solve(design, y + sigma * rng.standard_normal((4, n_obj)), sigma, weighting) for _ in range(n_sim)]
+    errors = np.array([s.estimate for s in solutions]) - TRUTH
+    formal = solutions[0].covariance
+    variance = np.diag(formal)
+    mc_error = np.sqrt((np.outer(variance, variance) + formal**2) / n_sim)  # of a covariance of normal errors
+    assert np.all(np.abs(errors.T @ errors / n_sim - formal) < 4.5 * mc_error)
+    assert np.all(np.abs(errors.mean(axis=0)) < 4.5 * np.sqrt(variance / n_sim))
+    chi2 = np.array([s.chi2 for s in solutions])
+    dof = solutions[0].dof
+    if weighting == "inverse-variance":
+        assert abs(chi2.mean() - dof) < 4 * np.sqrt(2 * dof / n_sim)  # the variance of chi2 is 2 dof
+        assert chi2.var() == pytest.approx(2 * dof, rel=0.2)  # 6 times sqrt((2 + 12/dof)/n)
+    else:
+        assert chi2.mean() > dof + 4 * np.sqrt(2 * dof / n_sim)  # not the minimum of chi2
+
+
+def test_equal_weights_ignore_sigma_in_the_estimate():
+    catalogue, y = sky(10), np.random.default_rng(6).standard_normal((4, 10)) * MAS
+    design = design_matrix(*catalogue)
+    uneven, even = (solve(design, y, s, "equal") for s in (uneven_sigma(10), np.full((4, 10), MAS)))
+    np.testing.assert_array_equal(uneven.estimate, even.estimate)
+    np.testing.assert_allclose(even.estimate, solve(design, y, np.full((4, 10), MAS)).estimate, rtol=1e-12)
+
+
+def test_two_objects_are_enough_and_one_is_not():
+    assert solve(design_matrix(*sky(2)), np.zeros((4, 2)), np.full((4, 2), MAS)).dof == 2
+    with pytest.raises(LinkError, match="too few objects: 1 give 4 observables for 6 unknowns"):
+        solve(design_matrix(*sky(1)), np.zeros((4, 1)), np.full((4, 1), MAS))
+
+
+@pytest.mark.parametrize("dec", [-np.pi / 2, np.pi / 2, 1e-9 - np.pi / 2])
+def test_an_object_at_a_pole_is_named(dec):
+    ra, decs, pmra, pmdec = sky(5)
+    decs[3] = dec
+    with pytest.raises(LinkError, match=r"object 3 is at a celestial pole or.*\(dec = -?(90|89.99999)"):
+        design_matrix(ra, decs, pmra, pmdec)
+
+
+def test_an_object_at_a_pole_is_named_among_many_realisations():
+    columns = np.stack([sky(5, seed) for seed in (1, 2)], axis=1)
+    columns[1, 1, 3] = np.pi / 2
+    with pytest.raises(LinkError, match="object 3 "):
+        design_matrix(*columns)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_non_finite_input_is_named(bad):
+    design, y, sigma = design_matrix(*sky(5)), np.zeros((4, 5)), np.full((4, 5), MAS)
+    y_bad, design_bad, sigma_bad = y.copy(), design.copy(), sigma.copy()
+    y_bad[1, 4] = design_bad[0, 2, 1] = sigma_bad[3, 1] = bad
+    with pytest.raises(LinkError, match="non-finite difference in dec of object 4"):
+        solve(design, y_bad, sigma)
+    with pytest.raises(LinkError, match="non-finite design matrix in ra of object 2"):
+        solve(design_bad, y, sigma)
+    with pytest.raises(LinkError, match="not positive and finite in pmdec of object 1"):
+        solve(design, y, sigma_bad)
+
+
+@pytest.mark.parametrize("bad", [0.0, -MAS])
+def test_a_standard_error_that_is_not_positive_is_named(bad):
+    sigma = np.full((4, 5), MAS)
+    sigma[2, 3] = bad
+    with pytest.raises(LinkError, match="not positive and finite in pmra of object 3"):
+        solve(design_matrix(*sky(5)), np.zeros((4, 5)), sigma)
+
+
+def test_objects_all_in_one_place_do_not_determine_the_link():
+    one = np.ones(10)
+    design, zero = design_matrix(one, 0.3 * one, 0 * one, 0 * one), np.zeros((4, 10))
+    with pytest.raises(LinkError, match="rank deficient: 4 of 6 unknowns are determined by these 10 objects"):
+        solve(design, zero, zero + MAS)
+    a = design.reshape(-1, 6)
+    with pytest.raises(LinkError, match="do not determine all unknowns"):
+        normal_inverse(a.T @ a)
+
+
+def test_an_unknown_without_any_weight():
+    with pytest.raises(LinkError, match="an unknown has no weight at all"):
+        normal_inverse(np.diag([1.0, 1.0, 0.0]))
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+def test_normal_inverse_equals_the_singular_value_solution(weighting):
+    catalogue, sigma = sky(30), uneven_sigma(30) * np.array([1.0, 1.0, 1e-3, 1e-3])[:, None]
+    a, y = design_matrix(*catalogue).reshape(-1, 6), exact_differences(*catalogue, EPSILON, OMEGA)
+    y = y + sigma * np.random.default_rng(7).standard_normal(y.shape)
+    weighted = a / sigma.reshape(-1, 1) ** 2 if weighting == "inverse-variance" else a
+    estimate = normal_inverse(weighted.T @ a) @ weighted.T @ y.ravel()
+    solution = solve(a.reshape(4, 30, 6), y, sigma, weighting)
+    assert np.all(np.abs(estimate - solution.estimate) < 1e-9 * solution.formal_error)
+
+
+def test_normal_inverse_does_not_mind_units_and_takes_stacks():
+    factors = np.random.default_rng(8).standard_normal((5, 12, 6))
+    unit = 10.0 ** np.arange(-9, 9, 3)
+    plain, scaled = (np.swapaxes(f, 1, 2) @ f for f in (factors, factors * unit))
+    np.testing.assert_allclose(normal_inverse(plain) @ plain, np.broadcast_to(np.eye(6), (5, 6, 6)), atol=1e-12)
+    np.testing.assert_allclose(normal_inverse(scaled) * unit[:, None] * unit, normal_inverse(plain), rtol=1e-9)
+    np.testing.assert_allclose(normal_inverse(plain)[3], normal_inverse(plain[3]), rtol=1e-12)
+
+
+def test_combined_error_adds_in_quadrature():
+    sigma = combined_error(np.full((4, 3), 3.0), np.full((4, 3), 4.0))
+    np.testing.assert_allclose(sigma, 5.0, rtol=1e-15)
+    np.testing.assert_array_equal(combined_error(np.zeros((4, 3)), np.zeros((4, 3))), MAS)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_negative_and_partly_zero_errors_are_named(side):
+    pair = [np.zeros((4, 3)), np.zeros((4, 3))]
+    pair[side][:] = MAS
+    pair[side][1, 2] = -MAS
+    with pytest.raises(LinkError, match="negative standard error in dec of object 2"):
+        combined_error(*pair)
+    pair[side][1, 2] = 0.0
+    with pytest.raises(LinkError, match=r"zero standard error beside non-zero ones, .* in dec of object 2"):
+        combined_error(*pair)
+
+
+vectors = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
+@given(turn=vectors, seed=st.integers(0, 2**32 - 1))
+def test_rotating_catalogue_and_vectors_together_rotates_the_solution(turn, seed):
+    matrix = Rotation.from_rotvec(turn).as_matrix()
+    ra, dec, *_ = sky(12, seed, mean_pm=0.0)
+    p, q, r = triad(ra, dec)
+    ra_turned, dec_turned, *_ = satellite_catalogue(ra, dec, 0 * ra, 0 * ra, -turn, np.zeros(3))
+    p_turned, q_turned, _ = triad(ra_turned, dec_turned)
+    np.testing.assert_allclose(triad(ra_turned, dec_turned).r, matrix @ r, atol=1e-12)
+
+    y = np.random.default_rng(seed).standard_normal((4, 12)) * MAS  # any vectors in the tangent planes
+    shifts = [matrix @ (p * y[k] + q * y[k + 1]) for k in (0, 2)]
+    y_turned = np.stack([np.sum(axis * shift, axis=0) for shift in shifts for axis in (p_turned, q_turned)])
+    sigma = np.repeat(uneven_sigma(12, seed)[::2], 2, axis=0)  # the same in both directions
+    before = solve(design_matrix(ra, dec, 0 * ra, 0 * ra), y, sigma)
+    after = solve(design_matrix(ra_turned, dec_turned, 0 * ra, 0 * ra), y_turned, sigma)
+    both = np.kron(np.eye(2), matrix)
+    np.testing.assert_allclose(after.estimate, both @ before.estimate, atol=1e-6 * MICROARCSEC)
+    np.testing.assert_allclose(after.covariance, both @ before.covariance @ both.T, atol=1e-9 * MAS**2)
+    assert after.chi2 == pytest.approx(before.chi2, rel=1e-9)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, database=None)
+@given(turn=vectors, seed=st.integers(0, 2**32 - 1))
+def test_moving_objects_also_rotate_with_their_vectors(turn, seed):
+    """With motions the errors of ra enter pmra on another triad, so only error-free data are equivariant."""
+    matrix = Rotation.from_rotvec(turn).as_matrix()
+    catalogue = sky(30, seed)
+    turned = satellite_catalogue(*catalogue, -turn, np.zeros(3))
+    sigma = np.full((4, 30), MAS)
+    before, after = (
+        solve(design_matrix(*c), exact_differences(*c, *vectors), sigma).estimate
+        for c, vectors in ((catalogue, (EPSILON, OMEGA)), (turned, (matrix @ EPSILON, matrix @ OMEGA)))
+    )
+    np.testing.assert_allclose(after, np.kron(np.eye(2), matrix) @ before, atol=0.01 * MICROARCSEC)
+
+
+def test_swapping_the_catalogues_flips_the_sign_to_first_order():
+    def sum_of_both_ways(size):
+        catalogue = sky(100)
+        there = exact_differences(*catalogue, size * EPSILON, size * OMEGA)
+        swapped = satellite_catalogue(*catalogue, size * EPSILON, size * OMEGA)
+        back = -there
+        back[0] *= np.cos(swapped[1]) / np.cos(catalogue[1])
+        sigma = np.full((4, 100), MAS)
+        return (
+            solve(design_matrix(*catalogue), there, sigma).estimate
+            + solve(design_matrix(*swapped), back, sigma).estimate
+        )
+
+    assert np.abs(sum_of_both_ways(1.0)).max() < 1e-4 * MICROARCSEC  # epsilon^2 is 1e-5 microarcsec
+    second_order = np.abs(sum_of_both_ways(1e4)).max() / np.abs(sum_of_both_ways(1e3)).max()
+    assert second_order == pytest.approx(100.0, rel=0.05)

@@ -1,0 +1,213 @@
+"""A block of realisations: what it recovers, how large its errors are, and that it is the plain loop made fast."""
+
+import tracemalloc
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from core.catalogue import quasars, synthetic
+from core.constants import MAS
+from core.errors import MagnitudeErrors, NoErrors, NormalErrors
+from core.frames import exact_differences
+from core.link import LinkError, combined_error, design_matrix, solve
+from core.missions import MISSIONS
+from core.simulate import CHUNK, TILE, Scenario, simulate
+
+EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS
+TRUTH_MAS = np.concatenate([EPSILON, OMEGA]) / MAS
+
+
+def scenario(n_obj, mean_pm_mas_yr=0.0, **changes):
+    draw = partial(synthetic, n_obj=n_obj, v_min=5.0, v_max=15.0, mean_pm=mean_pm_mas_yr * MAS)
+    amex = MagnitudeErrors(MISSIONS["amex"])
+    return replace(Scenario(draw, NoErrors(), amex, tuple(EPSILON), tuple(OMEGA)), **changes)
+
+
+def run(scenario, n_sim, seed=1, catalogue_seed=2):
+    return simulate(scenario, n_sim, np.random.default_rng(seed), np.random.default_rng(catalogue_seed))
+
+
+def summed_by_plain_loop(scenario, n_sim, seed=1, catalogue_seed=2):
+    """Solve one realisation after the other with `core.link.solve`, drawing normals in the order of `simulate`."""
+    rng, catalogue = np.random.default_rng(seed), scenario.draw_catalogue(np.random.default_rng(catalogue_seed))
+    true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
+    sigma_ref, sigma_sat = (
+        e.standard_errors(catalogue) for e in (scenario.reference_errors, scenario.satellite_errors)
+    )
+    sigma = combined_error(sigma_ref, sigma_sat)
+    y = exact_differences(*true, EPSILON, OMEGA)
+    noisy_reference = bool(np.any(sigma_ref))
+    draw = both_sides_by_chunk if noisy_reference else satellite_by_tile
+    solutions = []
+    for reference, satellite in draw(rng, n_sim, len(catalogue)):
+        shift = reference * sigma_ref
+        seen = true + shift / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
+        design = design_matrix(*seen, corrections=scenario.corrections)
+        solutions.append(solve(design, y + shift - satellite * sigma_sat, sigma, scenario.weighting))
+    error = np.array([s.estimate for s in solutions]) / MAS - TRUTH_MAS
+    return error.sum(axis=0), error.T @ error, sum(s.chi2 for s in solutions), solutions[0]
+
+
+def satellite_by_tile(rng, n_sim, n_obj):
+    width = min(TILE, 4 * n_obj)
+    rows = CHUNK // width
+    for start in range(0, n_sim, rows):
+        shape = min(rows, n_sim - start), width
+        tiles = [rng.standard_normal((shape[0], min(width, 4 * n_obj - at))) for at in range(0, 4 * n_obj, width)]
+        for normals in np.concatenate(tiles, axis=1):
+            yield np.zeros((4, n_obj)), normals.reshape(4, n_obj)
+
+
+def both_sides_by_chunk(rng, n_sim, n_obj):
+    rows = max(1, CHUNK // (8 * n_obj))
+    for start in range(0, n_sim, rows):
+        shape = min(rows, n_sim - start), 4, n_obj
+        yield from zip(rng.standard_normal(shape), rng.standard_normal(shape), strict=True)
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+@pytest.mark.parametrize("reference_errors", [NoErrors(), NormalErrors(0.4, 0.7)])
+@pytest.mark.parametrize(("n_obj", "n_sim"), [(20, 1000), (1500, 20)])
+@pytest.mark.parametrize("corrections", [True, False])
+def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, corrections):
+    point = scenario(n_obj, 100.0, reference_errors=reference_errors, weighting=weighting, corrections=corrections)
+    assert n_sim > CHUNK // min(TILE, 4 * n_obj)  # several chunks, and for 1500 objects two tiles
+    sums = run(point, n_sim)
+    error, products, chi2, solution = summed_by_plain_loop(point, n_sim)
+    sigma = solution.formal_error / MAS
+    assert np.all(np.abs(sums.error - error) < 1e-9 * sigma * n_sim)
+    assert np.all(np.abs(sums.error_products - products) < 1e-9 * np.outer(sigma, sigma) * n_sim)
+    assert sums.chi2 == pytest.approx(chi2, rel=1e-9)
+    if not np.any(reference_errors.standard_errors(point.draw_catalogue(np.random.default_rng(2)))):
+        np.testing.assert_allclose(sums.predicted_variance, n_sim * sigma**2, rtol=1e-9)
+        np.testing.assert_allclose(sums.predicted_variance_squared, n_sim * sigma**4, rtol=1e-9)
+    assert sums.n_obj == n_sim * n_obj
+
+
+@pytest.mark.parametrize("mean_pm_mas_yr", [0.0, 500.0])
+@pytest.mark.parametrize("n_obj", [2, 50])
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+def test_error_free_data_return_the_truth(mean_pm_mas_yr, n_obj, weighting):
+    sums = run(scenario(n_obj, mean_pm_mas_yr, satellite_errors=NoErrors(), weighting=weighting), 3)
+    assert np.all(np.abs(sums.error / 3) < 1e-6 * np.abs(TRUTH_MAS))  # epsilon^2 mu is 1e-8 of omega
+    np.testing.assert_array_equal(sums.predicted_variance, 0.0)
+
+
+def test_without_corrections_the_spin_is_hundreds_of_times_worse():
+    def spin_error(corrections):
+        point = scenario(300, 500.0, satellite_errors=NoErrors(), corrections=corrections)
+        return np.linalg.norm([run(point, 1, catalogue_seed=k).error[3:] for k in range(10)])
+
+    assert spin_error(corrections=False) > 100 * spin_error(corrections=True)
+
+
+def test_corrections_do_not_matter_for_objects_without_motion():
+    with_terms, without = (run(scenario(20, corrections=c), 100) for c in (True, False))
+    np.testing.assert_array_equal(with_terms.error_products, without.error_products)
+
+
+def test_stored_angles_leave_the_floor_of_double_precision():
+    stored, exact = (
+        np.abs([run(scenario(100, satellite_errors=NoErrors(), arithmetic=a), 1, 1, k).error[:3] for k in range(20)])
+        for a in ("stored", "exact")
+    )
+    tiny = scenario(100, satellite_errors=NoErrors(), epsilon=tuple(1e-3 * EPSILON), omega=tuple(1e-3 * OMEGA))
+    floor = np.abs([run(replace(tiny, arithmetic="stored"), 1, 1, k).error[:3] for k in range(20)])
+    below = np.abs([run(tiny, 1, 1, k).error[:3] for k in range(20)])
+    assert 1e-9 < np.sqrt(np.mean(floor**2)) < 1e-6  # mas; the last bit of an angle is 4e-7 mas at most
+    assert np.sqrt(np.mean(stored**2)) > 1e-9
+    assert below.max() < 1e-3 * np.sqrt(np.mean(floor**2))
+    assert exact.max() < 1e-7  # epsilon^2 is 5e-9 mas
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+@pytest.mark.parametrize(
+    ("reference_errors", "n_sim"), [(NoErrors(), 20_000), (NormalErrors(0.8, 1.2), 5000)], ids=["fixed", "noisy"]
+)
+def test_realised_errors_are_the_predicted_ones(weighting, reference_errors, n_sim):
+    point = scenario(40, 50.0, reference_errors=reference_errors, weighting=weighting)
+    sums = run(point, n_sim)
+    sigma = np.sqrt(np.diag(sums.error_products) / n_sim)
+    predicted = np.sqrt(sums.predicted_variance / n_sim)
+    assert np.all(np.abs(sigma - predicted) < 4 * predicted / np.sqrt(2 * n_sim))
+    assert np.all(np.abs(sums.error / n_sim) < 4 * predicted / np.sqrt(n_sim))
+    dof = 4 * 40 - 6
+    if weighting == "inverse-variance":
+        assert abs(sums.chi2 / n_sim - dof) < 4 * np.sqrt(2 * dof / n_sim)  # the variance of chi2 is 2 dof
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+def test_both_paths_agree_for_a_tiny_noise_of_the_reference(weighting):
+    """With one realisation the noisy path draws the 4 N normals of the reference first, then the same satellite."""
+    point = scenario(30, 100.0, weighting=weighting)
+    for seed in range(20):
+        ahead = np.random.default_rng(seed)
+        ahead.standard_normal(4 * 30)
+        fixed = simulate(point, 1, ahead, np.random.default_rng(2))
+        noisy = run(replace(point, reference_errors=NormalErrors(1e-12, 1e-12)), 1, seed)
+        sigma = np.sqrt(fixed.predicted_variance)
+        assert np.all(np.abs(noisy.error - fixed.error) < 1e-9 * sigma)
+        assert noisy.chi2 == pytest.approx(fixed.chi2, rel=1e-9)
+
+
+def test_blocks_drawn_from_one_generator_add_up():
+    """Realisations follow each other in the stream while one fits in a tile, so chunks do not show."""
+    point = scenario(30)
+    rng = np.random.default_rng(1)
+    parts = [simulate(point, n, rng, np.random.default_rng(2)) for n in (1, 299, 700)]
+    whole = run(point, 1000)
+    for name in ("error", "error_products", "chi2", "predicted_variance", "n_obj"):
+        np.testing.assert_allclose(sum(getattr(p, name) for p in parts), getattr(whole, name), rtol=1e-9, atol=1e-9)
+
+
+def test_the_two_generators_decide_different_things():
+    point = scenario(30)
+    first = run(point, 10)
+    other_errors, other_catalogue = run(point, 10, seed=3), run(point, 10, catalogue_seed=3)
+    np.testing.assert_array_equal(first.predicted_variance, other_errors.predicted_variance)
+    assert np.all(first.error != other_errors.error)
+    assert np.all(first.predicted_variance != other_catalogue.predicted_variance)
+    np.testing.assert_array_equal(first.error, run(point, 10).error)
+
+
+@pytest.mark.parametrize(
+    ("reference_errors", "few", "many"),
+    [(NoErrors(), 200, 20_000), (NormalErrors(1.0, 1.0), 50, 1000)],
+    ids=["fixed", "noisy"],
+)
+def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, few, many):
+    point = scenario(500, reference_errors=reference_errors)
+
+    def peak(n_sim):
+        run(point, 1)
+        tracemalloc.start()
+        run(point, n_sim)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    assert peak(many) < 1.05 * peak(few)
+
+
+def test_prediction_for_quasars_is_near_the_closed_form():
+    point = scenario(1, draw_catalogue=partial(quasars, v_max=17.0))
+    v_mag = quasars(np.random.default_rng(2), 17.0).v_mag
+    closed_form = 1.5 / np.sum(MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** -2.0)
+    # a few bright quasars weigh most, so the variance of one sky scatters by 10 % about that of an isotropic one
+    assert run(point, 1).predicted_variance[3:].mean() == pytest.approx(closed_form, rel=0.3)
+
+
+@pytest.mark.parametrize("bad", [NormalErrors(1.0, 0.0), NormalErrors(0.0, 1.0), NormalErrors(-1.0, 1.0)])
+def test_errors_that_cannot_be_weighed(bad):
+    with pytest.raises(LinkError, match=r"(zero|negative) standard error"):
+        run(scenario(10, satellite_errors=bad), 1)
+
+
+def test_a_sky_that_does_not_determine_the_link():
+    def one_place(rng):
+        return synthetic(rng, 1, 5.0, 15.0).take(np.zeros(10, dtype=np.intp))
+
+    with pytest.raises(LinkError, match="rank deficient"):
+        run(scenario(10, draw_catalogue=one_place), 1)
