@@ -1,55 +1,83 @@
-"""Reference catalogues (step A): synthetic skies and the quasar counts of the paper."""
+"""Reference catalogues (step A): the record, positions on the sky, and what is drawn by simple laws."""
 
-import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
-from core.constants import GALACTIC_AXES
+from core.constants import DEGREE, GALACTIC_AXES, MAS
 from core.frames import position
+from core.radio_stars import RADIO_STARS
 
 Array = NDArray[np.float64]
+PmDistribution = Literal["uniform", "constant", "rayleigh"]
 
-QUASAR_V_MAX = np.arange(14.0, 20.5, 0.5)
-QUASAR_COUNT = np.array([28, 49, 88, 163, 315, 624, 1156, 2056, 3453, 5542, 8095, 11442, 15533])
-"""Quasars brighter than each of `QUASAR_V_MAX`.  Source: Metz & Geffert 2004, Table 1 (from Veron-Cetty & Veron
-2001).
+GALAXY_MEAN_MAG, GALAXY_SCATTER_MAG, GALAXY_FAINT_LIMIT_MAG = 12.5, 0.5, 13.5
+"""V_T of the galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 (mean 12.5); scatter and limit are
+estimates.
 """
-
-QUASAR_BRIGHTEST_MAG = 12.8
-"""Where the counts end; 3C 273 has V = 12.9."""
 
 
 @dataclass(frozen=True)
 class Catalogue:
-    """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude."""
+    """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.
+
+    ``sigma`` (4, N), where the catalogue has its own errors, are those of (ra*, dec, pmra, pmdec) in rad and rad/yr,
+    ``correlation`` (N, 4, 4) the correlations of an object's four errors.
+    """
 
     ra: Array
     dec: Array
     pmra: Array
     pmdec: Array
     v_mag: Array
+    sigma: Array | None = None
+    correlation: Array | None = None
 
     def __len__(self) -> int:
         return len(self.ra)
 
     def take(self, index: NDArray[np.intp]) -> "Catalogue":
         """Return the objects at these indices."""
-        return Catalogue(self.ra[index], self.dec[index], self.pmra[index], self.pmdec[index], self.v_mag[index])
+        return Catalogue(
+            ra=self.ra[index],
+            dec=self.dec[index],
+            pmra=self.pmra[index],
+            pmdec=self.pmdec[index],
+            v_mag=self.v_mag[index],
+            sigma=None if self.sigma is None else self.sigma[:, index],
+            correlation=None if self.correlation is None else self.correlation[index],
+        )
+
+    def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
+        """Return the same objects, with their proper motions along the local triad, at other positions."""
+        return replace(self, ra=ra, dec=dec)
 
 
-def isotropic_positions(rng: np.random.Generator, n_obj: int, zone_of_avoidance: float = 0.0) -> tuple[Array, Array]:
-    """Return ra, dec (rad, shape (n_obj,)) uniform over the sky outside Galactic latitudes |b| < zone_of_avoidance
-    (rad).
+@dataclass(frozen=True)
+class Sky:
+    """Where objects may stand: uniform over the sky but for two things.
+
+    None at Galactic latitudes |b| < ``zone_of_avoidance`` (rad), and (1 + contrast)/(1 - contrast) times as many north
+    of the Galactic plane as south of it (-1 < ``contrast`` < 1).
     """
-    longitude = rng.uniform(0.0, 2.0 * np.pi, n_obj)
-    height = rng.uniform(-1.0, 1.0, n_obj)
-    floor = np.sin(zone_of_avoidance)
-    sin_b = np.sign(height) * (floor + (1.0 - floor) * np.abs(height))
-    cos_b = np.sqrt(1.0 - sin_b**2)
-    galactic = np.stack([cos_b * np.cos(longitude), cos_b * np.sin(longitude), sin_b])
-    return position(GALACTIC_AXES.T @ galactic)
+
+    zone_of_avoidance: float = 0.0
+    contrast: float = 0.0
+
+    def positions(self, rng: np.random.Generator, n_obj: int) -> tuple[Array, Array]:
+        """Return ra, dec (rad) of shape (n_obj,)."""
+        longitude = rng.uniform(0.0, 2.0 * np.pi, n_obj)
+        height = rng.uniform(-1.0, 1.0, n_obj) + self.contrast  # of its sign: uniform on each side, more on one
+        north = height > 0.0
+        fraction = height / np.where(north, 1.0 + self.contrast, 1.0 - self.contrast)
+        floor = np.sin(self.zone_of_avoidance)
+        sin_b = np.where(north, floor, -floor) + (1.0 - floor) * fraction
+        cos_b = np.sqrt(1.0 - sin_b**2)
+        galactic = np.stack([cos_b * np.cos(longitude), cos_b * np.sin(longitude), sin_b])
+        return position(GALACTIC_AXES.T @ galactic)
 
 
 def synthetic(
@@ -57,65 +85,56 @@ def synthetic(
     n_obj: int,
     v_min: float,
     v_max: float,
+    sky: Sky = Sky(),
     mean_pm: float = 0.0,
-    zone_of_avoidance: float = 0.0,
+    pm_distribution: PmDistribution = "uniform",
 ) -> Catalogue:
-    """Return objects with isotropic positions, uniform magnitudes and isotropic proper motions.
+    """Return objects with uniform magnitudes and isotropic proper motions of mean modulus ``mean_pm`` (rad/yr).
 
     The paper has "equally distributed apparent brightnesses and proper motions" (Metz & Geffert 2004, Sect. 4.1); that
-    the modulus of a proper motion is uniform between 0 and twice its mean ``mean_pm`` (rad/yr) is our reading of it.
+    the modulus of a proper motion is uniform between 0 and twice its mean is our reading of it.  "rayleigh" is that of
+    two normal components, "constant" the same for all.
     """
-    ra, dec = isotropic_positions(rng, n_obj, zone_of_avoidance)
+    ra, dec = sky.positions(rng, n_obj)
     v_mag = rng.uniform(v_min, v_max, n_obj)
-    modulus = rng.uniform(0.0, 2.0, n_obj) * mean_pm
+    uniform = rng.random(n_obj)
+    modulus = {
+        "uniform": 2.0 * uniform,
+        "constant": np.ones(n_obj),
+        "rayleigh": np.sqrt(-4.0 / np.pi * np.log1p(-uniform)),
+    }[pm_distribution] * mean_pm
     direction = rng.uniform(0.0, 2.0 * np.pi, n_obj)
     return Catalogue(ra, dec, modulus * np.sin(direction), modulus * np.cos(direction), v_mag)
 
 
-def quasar_count(v_max: float) -> int:
-    """Return how many quasars are brighter than ``v_max``: the paper's number at its half magnitudes, log-linear
-    between.
-
-    Below V = 14 the first slope is extrapolated.  Raises ValueError outside 12.8 <= v_max <= 20.
+def galaxies(rng: np.random.Generator, n_obj: int, faint_limit_mag: float, sky: Sky = Sky()) -> Catalogue:
+    """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint
+    limit.
     """
-    if not QUASAR_BRIGHTEST_MAG <= v_max <= QUASAR_V_MAX[-1]:
-        raise ValueError(
-            f"v_max = {v_max:g} mag is outside the quasar counts: the brightest object has V = {QUASAR_BRIGHTEST_MAG}, "
-            f"the counts end at V = {QUASAR_V_MAX[-1]:g}"
-        )
-    return round(_smooth_count(v_max))
+    ra, dec = sky.positions(rng, n_obj)
+    brighter = ndtr((faint_limit_mag - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
+    v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(brighter * (1.0 - rng.random(n_obj)))
+    return Catalogue(ra, dec, np.zeros(n_obj), np.zeros(n_obj), v_mag)
 
 
-def quasars(rng: np.random.Generator, v_max: float) -> Catalogue:
-    """Return the quasars brighter than ``v_max`` at isotropic positions, without proper motion, brightest bin first.
+def radio_stars() -> Catalogue:
+    """Return the 11 radio stars with their proper motions and VLBI errors; no position errors are given for them."""
+    stars = RADIO_STARS
+    none = np.zeros(len(stars.v_mag))
+    return Catalogue(
+        ra=stars.ra_deg * DEGREE,
+        dec=stars.dec_deg * DEGREE,
+        pmra=stars.pmra * MAS,
+        pmdec=stars.pmdec * MAS,
+        v_mag=stars.v_mag,
+        sigma=np.stack([none, none, stars.pmra_error, stars.pmdec_error]) * MAS,
+    )
 
-    Catalogues drawn from equal generators are nested: that of a brighter limit at a half magnitude is the beginning of
-    that of a fainter one.  Within a half-magnitude bin log N is linear in V; quasars that the extrapolation would put
-    above V = 12.8 stand at 12.8, as in the calibration of the mission curves.  Raises ValueError as `quasar_count`.
+
+def resample(rng: np.random.Generator, catalogue: Catalogue, n_obj: int, sky: Sky | None) -> Catalogue:
+    """Return ``n_obj`` objects drawn with replacement, at their own positions or (with a ``sky``) at random ones.
+
+    Magnitude, proper motion and errors of an object stay together.
     """
-    last = quasar_count(v_max)
-    edges = [0, *(int(n) for n in QUASAR_COUNT if n < last), last]
-    bins = [_quasar_bin(rng, low, high) for low, high in itertools.pairwise(edges)]
-    ra, dec, v_mag = (np.concatenate(column) for column in zip(*bins, strict=True))
-    return Catalogue(ra, dec, np.zeros(last), np.zeros(last), np.minimum(v_mag, v_max))
-
-
-def _quasar_bin(rng: np.random.Generator, low: int, high: int) -> tuple[Array, Array, Array]:
-    ra, dec = isotropic_positions(rng, high - low)
-    rank = high - (high - low) * rng.random(high - low)  # in (low, high]: never log 0
-    return ra, dec, np.maximum(_magnitude_of_rank(rank), QUASAR_BRIGHTEST_MAG)
-
-
-def _smooth_count(v_mag: float) -> float:
-    log_count = np.log(QUASAR_COUNT)
-    slope = (log_count[1] - log_count[0]) / (QUASAR_V_MAX[1] - QUASAR_V_MAX[0])
-    bright = log_count[0] + slope * (v_mag - QUASAR_V_MAX[0])
-    return float(np.exp(bright if v_mag < QUASAR_V_MAX[0] else np.interp(v_mag, QUASAR_V_MAX, log_count)))
-
-
-def _magnitude_of_rank(rank: Array) -> Array:
-    """Return the V at which the smooth count reaches ``rank``: the inverse of `_smooth_count`."""
-    log_count, log_rank = np.log(QUASAR_COUNT), np.log(rank)
-    slope = (log_count[1] - log_count[0]) / (QUASAR_V_MAX[1] - QUASAR_V_MAX[0])
-    bright = QUASAR_V_MAX[0] + (log_rank - log_count[0]) / slope
-    return np.asarray(np.where(rank < QUASAR_COUNT[0], bright, np.interp(log_rank, log_count, QUASAR_V_MAX)))
+    drawn = catalogue.take(rng.integers(0, len(catalogue), n_obj))
+    return drawn if sky is None else drawn.moved_to(*sky.positions(rng, n_obj))

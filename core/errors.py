@@ -1,4 +1,4 @@
-"""Error models (steps C and D): small values with one method, the standard errors of a catalogue's observables."""
+"""Error models (steps C and D): small values with one protocol, the errors of a catalogue's observables."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,15 +14,25 @@ Array = NDArray[np.float64]
 
 
 class ErrorModel(Protocol):
-    """Every single error is normal around zero with these standard errors."""
+    """Every single error is normal around zero; errors of different objects are independent."""
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return the errors of (ra*, dec, pmra, pmdec) of each object in rad and rad/yr; shape (4, N)."""
         ...
 
+    def correlation(self, catalogue: Catalogue) -> Array | None:
+        """Return the correlations of each object's four errors, shape (N, 4, 4), or None where there are none."""
+        ...
+
+
+class _Uncorrelated:
+    def correlation(self, catalogue: Catalogue) -> Array | None:
+        """Return None: the errors of an object are independent."""
+        return None
+
 
 @dataclass(frozen=True)
-class NoErrors:
+class NoErrors(_Uncorrelated):
     """Error-free data."""
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
@@ -31,7 +41,7 @@ class NoErrors:
 
 
 @dataclass(frozen=True)
-class NormalErrors:
+class NormalErrors(_Uncorrelated):
     """The same errors for every object: ``sigma_pos_mas`` per coordinate and ``sigma_pm_mas_yr``, times ``scale``."""
 
     sigma_pos_mas: float
@@ -47,7 +57,7 @@ class NormalErrors:
 
 
 @dataclass(frozen=True)
-class MagnitudeErrors:
+class MagnitudeErrors(_Uncorrelated):
     """A mission's accuracy curve at a mission length (None: its nominal one), times ``scale``."""
 
     mission: Mission
@@ -60,6 +70,26 @@ class MagnitudeErrors:
             self.scale * self.mission.sigma_pos_mas(catalogue.v_mag, self.mission_length_yr),
             self.scale * self.mission.sigma_pm_mas_yr(catalogue.v_mag, self.mission_length_yr),
         )
+
+
+@dataclass(frozen=True)
+class CatalogueErrors:
+    """The errors that the catalogue lists for each object, with their correlations if it has any, times ``scale``.
+
+    Raises ValueError for a catalogue without errors of its own.
+    """
+
+    scale: float = 1.0
+
+    def standard_errors(self, catalogue: Catalogue) -> Array:
+        """Return the catalogue's own errors; shape (4, N)."""
+        if catalogue.sigma is None:
+            raise ValueError("the catalogue has no errors of its own")
+        return self.scale * catalogue.sigma
+
+    def correlation(self, catalogue: Catalogue) -> Array | None:
+        """Return the catalogue's own correlations; shape (N, 4, 4)."""
+        return catalogue.correlation
 
 
 def _four_rows(sigma_pos_mas: Array, sigma_pm_mas_yr: Array) -> Array:

@@ -15,6 +15,9 @@ Weighting = Literal["inverse-variance", "equal"]
 UNKNOWNS = ("epsilon_x", "epsilon_y", "epsilon_z", "omega_x", "omega_y", "omega_z")
 """Order of the unknowns: orientation (rad), spin (rad/yr)."""
 
+GLIDE_UNKNOWNS = ("glide_x", "glide_y", "glide_z")
+"""Further unknowns on request: the glide (rad/yr), reference - satellite like everything else."""
+
 POLE_LIMIT = 1e-8
 """cos(dec) below which ra is degenerate for a link (2 mas from the pole): differences of ra are no longer small
 there.
@@ -25,14 +28,17 @@ class LinkError(ValueError):
     """The link cannot be solved; the message names the object or the cause."""
 
 
-def design_matrix(ra: Array, dec: Array, pmra: Array, pmdec: Array, corrections: bool = True) -> Array:
+def design_matrix(
+    ra: Array, dec: Array, pmra: Array, pmdec: Array, corrections: bool = True, glide: bool = False
+) -> Array:
     """Return the derivatives of the observables by the unknowns, shape (4, ..., 6): observable, object, unknown.
 
     Positions (rad) and proper motions (rad/yr, pmra = mu_alpha*) are those of the reference catalogue, of one shape
     ``(...)``.  Rows: ``d alpha* = q.eps``, ``d dec = -p.eps``, ``d pmra = -pmdec eta.eps + q.omega`` and
     ``d pmdec = pmra eta.eps - p.omega`` with ``eta = (cos ra, sin ra, 0)/cos dec``: the triad turns by eta.eps about
     the line of sight, which is what the paper's A21 says for mu_alpha* (see `paper_design_matrix`).
-    ``corrections=False`` drops these terms.
+    ``corrections=False`` drops these terms; ``glide=True`` adds three unknowns g with ``d pmra = p.g`` and
+    ``d pmdec = q.g``.
     Raises LinkError for a source at a pole, where ra is undefined.
     """
     cos_dec = np.cos(dec)
@@ -44,9 +50,11 @@ def design_matrix(ra: Array, dec: Array, pmra: Array, pmdec: Array, corrections:
         )
     p, q, _ = triad(ra, dec)
     p, q = np.moveaxis(p, 0, -1), np.moveaxis(q, 0, -1)
-    design = np.zeros((4, *np.shape(ra), 6))
-    design[0, ..., :3] = design[2, ..., 3:] = q
-    design[1, ..., :3] = design[3, ..., 3:] = -p
+    design = np.zeros((4, *np.shape(ra), 9 if glide else 6))
+    design[0, ..., :3] = design[2, ..., 3:6] = q
+    design[1, ..., :3] = design[3, ..., 3:6] = -p
+    if glide:
+        design[2, ..., 6:], design[3, ..., 6:] = p, q
     if corrections:
         eta_x, eta_y = np.cos(ra) / cos_dec, np.sin(ra) / cos_dec
         design[2, ..., 0], design[2, ..., 1] = -pmdec * eta_x, -pmdec * eta_y

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from core.catalogue import Catalogue
 from core.constants import MAS
 from core.errors import ErrorModel
-from core.frames import exact_differences, stored_differences
-from core.link import UNKNOWNS, Weighting, combined_error, design_matrix, normal_inverse
+from core.frames import exact_differences, stored_differences, triad
+from core.link import Weighting, combined_error, design_matrix, normal_inverse
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
 Arithmetic = Literal["exact", "stored"]
 
 CHUNK = 65536
@@ -24,16 +25,35 @@ TILE = 4096
 
 
 @dataclass(frozen=True)
+class TrueVector:
+    """A true rotation or spin: one vector for all catalogues, or one of its length in a random direction for each."""
+
+    vector: Vector
+    random_direction: bool = False
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return the vector of one catalogue; shape (3,)."""
+        fixed = np.array(self.vector)
+        if not self.random_direction:
+            return fixed
+        direction = rng.standard_normal(3)
+        return np.asarray(np.linalg.norm(fixed) * direction / np.linalg.norm(direction))
+
+
+@dataclass(frozen=True)
 class Scenario:
-    """One point's physics: how a catalogue is drawn, its errors, the true rotation (rad) and spin (rad/yr), the
-    solution.
+    """One point's physics: how a catalogue is drawn, its errors, the truth (rad, rad/yr) and how the link is solved.
+
+    ``aberration`` is a glide (rad/yr) added to the satellite's proper motions; ``solve_glide`` adds it to the unknowns.
     """
 
     draw_catalogue: Callable[[np.random.Generator], Catalogue]
     reference_errors: ErrorModel
     satellite_errors: ErrorModel
-    epsilon: tuple[float, float, float]
-    omega: tuple[float, float, float]
+    epsilon: TrueVector
+    omega: TrueVector
+    aberration: Vector = (0.0, 0.0, 0.0)
+    solve_glide: bool = False
     corrections: bool = True
     weighting: Weighting = "inverse-variance"
     arithmetic: Arithmetic = "exact"
@@ -41,10 +61,11 @@ class Scenario:
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Sums over realisations; errors (estimate - truth) in mas and mas/yr, unknowns in the order of `UNKNOWNS`.
+    """Sums over realisations; errors (estimate - truth) in mas and mas/yr, K = 6 unknowns or 9 with a glide.
 
-    ``error`` (6,), ``error_products`` (6, 6), ``chi2``; and, counted once per realisation of the catalogue,
-    ``predicted_variance`` (6,) from the closed form, its square, and the number of objects.
+    ``error`` (K,), ``error_products`` (K, K), ``chi2``; and, counted once per realisation of the catalogue, the closed
+    form's ``predicted_variance`` (K,), the squares of its elements and of its mean over orientation and over spin, and
+    the number of objects.
     """
 
     error: Array
@@ -56,96 +77,135 @@ class BlockSums:
 
 
 @dataclass(frozen=True)
+class _Noise:
+    """Errors of one side: standard errors (4, N) and, where they are correlated, Cholesky factors (N, 4, 4)."""
+
+    sigma: Array
+    correlation: Array | None
+
+    def __bool__(self) -> bool:
+        return bool(np.any(self.sigma))
+
+    def draw(self, rng: np.random.Generator, rows: int) -> Array:
+        """Return errors of ``rows`` realisations; shape (rows, 4, N)."""
+        unit = rng.standard_normal((rows, *self.sigma.shape))
+        if self.correlation is not None:
+            unit = np.einsum("nij,rjn->rin", np.linalg.cholesky(self.correlation), unit)
+        return np.asarray(unit * self.sigma)
+
+    def variance_through(self, gain: Array) -> Array:
+        """Return the variance of each unknown from these errors; ``gain`` (4, N, K), result (K,)."""
+        scaled = self.sigma[..., None] * gain
+        if self.correlation is None:
+            return np.asarray(np.sum(scaled**2, axis=(0, 1)))
+        return np.asarray(np.einsum("ink,nij,jnk->k", scaled, self.correlation, scaled))
+
+
+@dataclass(frozen=True)
 class _Setup:
     """What all realisations of one catalogue share; observables in the order (4, N), in rad and rad/yr."""
 
+    scenario: Scenario
     catalogue: Catalogue
-    truth: Array  # (6,)
+    truth: Array  # (K,)
     differences: Array  # (4, N) without errors
-    design: Array  # (4, N, 6) at the true reference catalogue
-    sigma_reference: Array  # (4, N)
-    sigma_satellite: Array  # (4, N)
+    design: Array  # (4, N, K) at the true reference catalogue
+    reference: _Noise
+    satellite: _Noise
     sigma: Array  # (4, N), as the link weighs the differences
-    gain: Array  # (4N, 6): estimate - truth = misclosure @ gain
+    gain: Array  # (4N, K): estimate - truth = misclosure @ gain
 
 
 def simulate(scenario: Scenario, n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator) -> BlockSums:
     """Draw a catalogue, then link ``n_sim`` error realisations of it and add up what came out.
 
-    ``catalogue_rng`` decides the catalogue (step A), ``rng`` its errors (steps C and D).  Memory does not grow with
-    ``n_sim``. Raises LinkError where the catalogue does not determine the link.
+    ``catalogue_rng`` decides the catalogue (step A) and the truth, ``rng`` the errors (steps C and D).  Memory does
+    not grow with ``n_sim``.  Raises LinkError where the catalogue does not determine the link.
     """
     setup = _prepare(scenario, catalogue_rng)
-    errors = np.zeros(6)
-    products = np.zeros((6, 6))
+    unknowns = len(setup.truth)
+    errors = np.zeros(unknowns)
+    products = np.zeros((unknowns, unknowns))
     chi2 = 0.0
-    for error, chi2_sum in _linked_chunks(setup, scenario, n_sim, rng):
+    for error, chi2_sum in _linked_chunks(setup, n_sim, rng):
         errors += error.sum(axis=0)
         products += error.T @ error
         chi2 += chi2_sum
-    noise = np.hypot(setup.sigma_reference, setup.sigma_satellite).reshape(-1, 1) * setup.gain
-    predicted = np.sum((noise / MAS) ** 2, axis=0)
+    gain = setup.gain.reshape(setup.design.shape)
+    predicted = (setup.reference.variance_through(gain) + setup.satellite.variance_through(gain)) / MAS**2
+    means = (predicted[:3].mean(), predicted[3:6].mean())
     return BlockSums(
         error=errors / MAS,
         error_products=products / MAS**2,
         chi2=chi2,
         predicted_variance=n_sim * predicted,
-        predicted_variance_squared=n_sim * predicted**2,
+        predicted_variance_squared=n_sim * np.square([*predicted, *means]),
         n_obj=float(n_sim * len(setup.catalogue)),
     )
 
 
+def sample(scenario: Scenario, n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator) -> Array:
+    """Return the estimates (mas, mas/yr) of the realisations that `simulate` adds up from equal generators; (n_sim,
+    K).
+    """
+    setup = _prepare(scenario, catalogue_rng)
+    errors = [error for error, _ in _linked_chunks(setup, n_sim, rng)]
+    return (np.concatenate(errors) + setup.truth) / MAS
+
+
 def _prepare(scenario: Scenario, catalogue_rng: np.random.Generator) -> _Setup:
     catalogue = scenario.draw_catalogue(catalogue_rng)
+    epsilon, omega = scenario.epsilon.draw(catalogue_rng), scenario.omega.draw(catalogue_rng)
+    glide = np.array(scenario.aberration)
     columns = (catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec)
-    epsilon, omega = np.array(scenario.epsilon), np.array(scenario.omega)
     subtract = exact_differences if scenario.arithmetic == "exact" else stored_differences
-    sigma_reference = scenario.reference_errors.standard_errors(catalogue)
-    sigma_satellite = scenario.satellite_errors.standard_errors(catalogue)
-    sigma = combined_error(sigma_reference, sigma_satellite)
-    design = design_matrix(*columns, corrections=scenario.corrections)
+    differences = subtract(*columns, epsilon, omega)
+    if np.any(glide):
+        p, q, _ = triad(catalogue.ra, catalogue.dec)
+        differences[2:] -= np.stack([glide @ p, glide @ q])  # it is in the satellite's motions
+    sides = (scenario.reference_errors, scenario.satellite_errors)
+    reference, satellite = (_Noise(m.standard_errors(catalogue), m.correlation(catalogue)) for m in sides)
+    sigma = combined_error(reference.sigma, satellite.sigma)
+    design = design_matrix(*columns, corrections=scenario.corrections, glide=scenario.solve_glide)
     return _Setup(
+        scenario=scenario,
         catalogue=catalogue,
-        truth=np.concatenate([epsilon, omega]),
-        differences=subtract(*columns, epsilon, omega),
+        truth=np.concatenate([epsilon, omega, -glide] if scenario.solve_glide else [epsilon, omega]),
+        differences=differences,
         design=design,
-        sigma_reference=sigma_reference,
-        sigma_satellite=sigma_satellite,
+        reference=reference,
+        satellite=satellite,
         sigma=sigma,
         gain=_gain(design, sigma, scenario.weighting),
     )
 
 
 def _gain(design: Array, sigma: Array, weighting: Weighting) -> Array:
-    """Return (A^T W A)^-1 A^T W, transposed; shape (4N, 6)."""
+    """Return (A^T W A)^-1 A^T W, transposed; shape (4N, K)."""
     a = design.reshape(-1, design.shape[-1])
     weighted = a / np.square(sigma).reshape(-1, 1) if weighting == "inverse-variance" else a
     gain: Array = weighted @ normal_inverse(weighted.T @ a)
     return gain
 
 
-def _linked_chunks(
-    setup: _Setup, scenario: Scenario, n_sim: int, rng: np.random.Generator
-) -> Iterator[tuple[Array, float]]:
-    """Yield (estimate - truth of each realisation, shape (rows, 6); sum of chi2) until ``n_sim`` are done."""
-    if np.any(setup.sigma_reference):
-        yield from _noisy_reference(setup, scenario, n_sim, rng)
-    else:
-        yield from _fixed_reference(setup, scenario, n_sim, rng)
+def _linked_chunks(setup: _Setup, n_sim: int, rng: np.random.Generator) -> Iterator[tuple[Array, float]]:
+    """Yield (estimate - truth of each realisation, shape (rows, K); sum of chi2) until ``n_sim`` are done."""
+    if setup.reference or setup.satellite.correlation is not None:
+        return _design_by_realisation(setup, n_sim, rng)
+    return _fixed_design(setup, n_sim, rng)
 
 
-def _fixed_reference(
-    setup: _Setup, scenario: Scenario, n_sim: int, rng: np.random.Generator
-) -> Iterator[tuple[Array, float]]:
-    """The design is the same in every realisation: matrix products turn unit normals into estimates, tile by tile."""
+def _fixed_design(setup: _Setup, n_sim: int, rng: np.random.Generator) -> Iterator[tuple[Array, float]]:
+    """The reference has no errors: matrix products turn unit normals into estimates, tile by tile."""
     sigma = setup.sigma.reshape(-1)
     design = setup.design.reshape(len(sigma), -1)
+    unknowns = design.shape[1]
     whitened = design / sigma[:, None]
     normal = whitened.T @ whitened
     inverse = normal_inverse(normal)
     misclosure = (setup.differences.reshape(-1) - design @ setup.truth) / sigma
-    noisy = bool(np.any(setup.sigma_satellite))
-    optimal = scenario.weighting == "inverse-variance"
+    noisy = bool(setup.satellite)
+    optimal = setup.scenario.weighting == "inverse-variance"
     projector = np.asfortranarray(whitened if optimal else np.hstack([whitened, setup.gain * sigma[:, None]]))
 
     width = min(TILE, len(sigma))
@@ -165,34 +225,33 @@ def _fixed_reference(
             projected += observed @ projector[part]
             flat = observed.reshape(-1)
             squares += float(flat @ flat)
-        whitened_sum = projected[:, :6]
-        error = whitened_sum @ inverse if optimal else projected[:, 6:]
+        whitened_sum = projected[:, :unknowns]
+        error = whitened_sum @ inverse if optimal else projected[:, unknowns:]
         yield error, squares + float(np.sum(error * (error @ normal - 2.0 * whitened_sum)))
 
 
-def _noisy_reference(
-    setup: _Setup, scenario: Scenario, n_sim: int, rng: np.random.Generator
-) -> Iterator[tuple[Array, float]]:
+def _design_by_realisation(setup: _Setup, n_sim: int, rng: np.random.Generator) -> Iterator[tuple[Array, float]]:
     """The reference has errors too: the design matrix is built anew from the noisy reference of each realisation."""
-    true = setup.catalogue
+    true, scenario = setup.catalogue, setup.scenario
     cos_dec = np.cos(true.dec)
-    sigma = setup.sigma
+    sigma = setup.sigma.reshape(-1, 1)
+    weight = sigma**-2 if scenario.weighting == "inverse-variance" else np.ones_like(sigma)
     for rows in _chunks(n_sim, max(1, CHUNK // (8 * len(true)))):
-        reference = rng.standard_normal((rows, 4, len(true))) * setup.sigma_reference
-        satellite = rng.standard_normal((rows, 4, len(true))) * setup.sigma_satellite
+        reference = setup.reference.draw(rng, rows) if setup.reference else np.zeros((rows, 4, len(true)))
+        satellite = setup.satellite.draw(rng, rows) if setup.satellite else 0.0
         design = design_matrix(
             true.ra + reference[:, 0] / cos_dec,
             true.dec + reference[:, 1],
             true.pmra + reference[:, 2],
             true.pmdec + reference[:, 3],
             corrections=scenario.corrections,
+            glide=scenario.solve_glide,
         )
-        a = np.moveaxis(design, 0, 1).reshape(rows, -1, len(UNKNOWNS))
+        a = np.moveaxis(design, 0, 1).reshape(rows, len(sigma), -1)
         misclosure = (setup.differences + reference - satellite).reshape(rows, -1, 1) - a @ setup.truth[:, None]
-        weight = (sigma**-2 if scenario.weighting == "inverse-variance" else np.ones_like(sigma)).reshape(-1, 1)
         weighted = np.swapaxes(a * weight, 1, 2)
         error = normal_inverse(weighted @ a) @ (weighted @ misclosure)
-        residual = (misclosure - a @ error) / sigma.reshape(-1, 1)
+        residual = (misclosure - a @ error) / sigma
         yield error[..., 0], float(np.sum(residual**2))
 
 

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Value = bool | int | float | str | tuple[float, ...] | None
+Value = Any  # of a parameter: bool, int, float, str, a tuple, a table file, or None
 Point = Mapping[str, Any]
 """A point's parameters by name, every declared one with a value."""
 HUGE = 1e300
 """No parameter is as large: beyond it arithmetic overflows."""
 
-Kind = Literal["float", "int", "str", "bool", "vector"]
+Kind = Literal["float", "int", "str", "bool", "vector", "map", "file"]
 
 
 class SweepError(Exception):
@@ -62,7 +62,8 @@ class Parameter:
     """One parameter: its kind, unit (as astropy writes it), default, allowed values and a one-line meaning.
 
     A default of None means that the experiment decides (the meaning says how).  ``minimum`` and ``maximum`` are
-    inclusive, ``above`` is not; a "vector" has three components.
+    inclusive, ``above`` is not.  A "vector" has three components, a "map" is a table of strings, and of a "file" the
+    experiment gets an object that gives the columns of the table in it.
     """
 
     name: str
@@ -87,6 +88,14 @@ class Parameter:
         if self.kind == "bool":
             if not isinstance(raw, bool):
                 raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")
+            return raw
+        if self.kind == "map":
+            if not isinstance(raw, dict) or not all(isinstance(text, str) for text in raw.values()):
+                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+            return tuple(sorted(raw.items()))
+        if self.kind == "file":
+            if not isinstance(raw, str):
+                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
             return raw
         if self.kind == "vector":
             if not isinstance(raw, (list, tuple)) or len(raw) != 3:
@@ -115,6 +124,8 @@ class Parameter:
             "str": "a string",
             "bool": "true or false",
             "vector": "a list of three finite numbers",
+            "map": 'a table of strings, { quantity = "column" }',
+            "file": "the path of a table",
         }[self.kind]
         bounds = [
             f"{symbol} {bound:g}"

@@ -53,7 +53,7 @@ def dask_local(study: Study, workers: int, pool: Pool) -> Iterator[Executor]:
     """Give an executor on a Dask cluster of this machine, in worker processes or in threads of this process."""
     from distributed import LocalCluster
 
-    options: dict[str, Any] = {"dashboard_address": None, "silence_logs": logging.CRITICAL}
+    options: dict[str, Any] = {"dashboard_address": f"{LOOPBACK}:0", "silence_logs": logging.CRITICAL}
     if pool == "processes":
         options |= {"n_workers": workers, "threads_per_worker": 1, "processes": True, "host": LOOPBACK}
     else:

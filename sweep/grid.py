@@ -12,6 +12,7 @@ from typing import Any
 
 from sweep.contract import SweepError, Value
 from sweep.study import Study
+from sweep.tablefile import content_digest
 
 MAX_POINTS = 10_000_000
 MAX_PROBLEMS = 20
@@ -132,4 +133,4 @@ def point_digest(parameters: dict[str, Value], defaults: dict[str, Value]) -> by
     they were.
     """
     own = {name: value for name, value in parameters.items() if value != defaults[name]}
-    return hashlib.blake2b(json.dumps(own, sort_keys=True).encode(), digest_size=16).digest()
+    return hashlib.blake2b(json.dumps(own, sort_keys=True, default=content_digest).encode(), digest_size=16).digest()

@@ -16,6 +16,7 @@ from sweep.axes import axis_values, is_number, override
 from sweep.contract import Experiment, Parameter, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, load_experiment
 from sweep.study import Condition, Published, Sampling, Section, Study
+from sweep.tablefile import table_file
 
 MAX_FILE_BYTES = 1_000_000
 MAX_PROBLEMS = 50
@@ -230,17 +231,22 @@ class _Reader:
 
     def _value(self, experiment: Experiment, where: tuple[str | int, ...], name: str, raw: object) -> Value:
         try:
-            return experiment.parameter(name).parse(raw)
+            parameter = experiment.parameter(name)
+            value = parameter.parse(raw)
+            folder = Path.cwd() if where[:2] in self.overridden else self.path.parent
+            return table_file(folder / value) if parameter.kind == "file" else value
         except ValueError as error:
             self._problem(where, str(error))
-            return None
+        except SweepError as error:
+            self._problem(where, f"{shown(raw)}: {error}")
+        return None
 
     def _axis(self, experiment: Experiment, name: str, spec: object) -> tuple[Value, ...] | None:
         where = ("axes", name)
         try:
             parameter = experiment.parameter(name)
-            if parameter.kind == "vector":
-                raise ValueError("a vector cannot be an axis")
+            if parameter.kind in ("vector", "map", "file"):
+                raise ValueError(f"a {parameter.kind} cannot be an axis")
             raw_values = axis_values(spec, whole=parameter.kind == "int")
         except ValueError as error:
             self._problem(where, str(error))

@@ -21,6 +21,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from sweep.contract import SweepError
 from sweep.study import Study
+from sweep.tablefile import content_digest
 
 FORMAT = 1
 KEY_BYTES = 32
@@ -218,13 +219,13 @@ def open_dataset(path: Path) -> xr.Dataset:
 def _identity(study: Study) -> dict[str, Any]:
     return {
         "linksweep_format": FORMAT,
-        "study_meaning": json.dumps(study.meaning()),
+        "study_meaning": json.dumps(study.meaning(), default=content_digest),
         "study_axes": json.dumps(list(study.axes)),
     }
 
 
 def _json(value: dict[str, Any]) -> dict[str, Any]:
-    return cast(dict[str, Any], json.loads(json.dumps(value)))
+    return cast(dict[str, Any], json.loads(json.dumps(value, default=content_digest)))
 
 
 def _kind(array: "zarr.Array[Any]") -> str:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from sweep.contract import Experiment, Value
+from sweep.tablefile import content_digest
 
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -94,4 +95,4 @@ class Study:
             "zip": self.zipped,
             "exclude": [[vars(c) for c in clause] for clause in self.excluded],
         }
-        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(whole, sort_keys=True, default=content_digest).encode()).hexdigest()

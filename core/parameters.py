@@ -1,0 +1,236 @@
+"""What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
+
+from core.missions import MISSIONS
+from sweep.contract import Output, Parameter
+
+PARAMETERS = (
+    # step A: the reference catalogue
+    Parameter(
+        "catalogue",
+        "str",
+        "synthetic",
+        "reference catalogue (step A)",
+        choices=("synthetic", "quasars", "galaxies", "radio-stars", "file"),
+    ),
+    Parameter(
+        "n_obj",
+        "int",
+        None,
+        "number of objects; default: all quasars or rows brighter than v_max, 116 galaxies, 11 radio stars",
+        minimum=2,
+        maximum=10_000_000,
+    ),
+    Parameter(
+        "v_max",
+        "float",
+        None,
+        "limiting magnitude V; default: synthetic 15, quasars 20, galaxies 13.5, else none",
+        unit="mag",
+        minimum=-5.0,
+        maximum=30.0,
+    ),
+    Parameter(
+        "v_min", "float", 5.0, "brightest magnitude V, synthetic catalogue", unit="mag", minimum=-5.0, maximum=30.0
+    ),
+    Parameter(
+        "counts",
+        "str",
+        "catalogue",
+        "number of quasars: of the paper's catalogue, or completed to the full sky",
+        choices=("catalogue", "completed"),
+    ),
+    Parameter(
+        "mean_pm", "float", 0.0, "mean modulus of the proper motions, synthetic catalogue", unit="mas / yr", minimum=0.0
+    ),
+    Parameter(
+        "pm_distribution",
+        "str",
+        "uniform",
+        "distribution of that modulus about its mean",
+        choices=("uniform", "constant", "rayleigh"),
+    ),
+    Parameter(
+        "positions",
+        "str",
+        None,
+        "radio stars, file: own positions or random ones; default: radio stars random, file own",
+        choices=("own", "isotropic"),
+    ),
+    Parameter(
+        "zone_of_avoidance",
+        "float",
+        0.0,
+        "no random positions at Galactic latitudes |b| below this",
+        unit="deg",
+        minimum=0.0,
+        maximum=89.0,
+    ),
+    Parameter(
+        "sky_contrast",
+        "float",
+        0.0,
+        "(north - south)/(north + south) of the numbers on both sides of the Galactic plane, random positions",
+        minimum=-0.99,
+        maximum=0.99,
+    ),
+    Parameter("file", "file", None, "table of objects for catalogue = 'file' (Gaia column names by default)"),
+    Parameter("columns", "map", (), "names of the table's columns where they are not Gaia's"),
+    Parameter(
+        "pmra_cos_dec", "bool", None, "whether pmra of the file includes cos(dec); needed unless the file is Gaia's"
+    ),
+    # steps C and D: errors
+    Parameter(
+        "satellite_errors",
+        "str",
+        "magnitude",
+        "error model of the satellite (step D)",
+        choices=("none", "normal", "magnitude", "catalogue"),
+    ),
+    Parameter(
+        "reference_errors",
+        "str",
+        "none",
+        "error model of the reference (step C)",
+        choices=("none", "normal", "catalogue"),
+    ),
+    Parameter(
+        "model", "str", "amex", "mission whose accuracy curve gives the 'magnitude' errors", choices=tuple(MISSIONS)
+    ),
+    Parameter(
+        "mission_length",
+        "float",
+        None,
+        "mission length; default: the model's own (amex 2, gaia 5)",
+        unit="yr",
+        above=0.0,
+    ),
+    Parameter(
+        "satellite_sigma_pos", "float", 1.0, "satellite position error, 'normal' errors", unit="mas", minimum=0.0
+    ),
+    Parameter(
+        "satellite_sigma_pm",
+        "float",
+        1.0,
+        "satellite proper-motion error, 'normal' errors",
+        unit="mas / yr",
+        minimum=0.0,
+    ),
+    Parameter(
+        "reference_sigma_pos", "float", 1.0, "reference position error, 'normal' errors", unit="mas", minimum=0.0
+    ),
+    Parameter(
+        "reference_sigma_pm",
+        "float",
+        1.0,
+        "reference proper-motion error, 'normal' errors",
+        unit="mas / yr",
+        minimum=0.0,
+    ),
+    Parameter("error_scale", "float", 1.0, "factor on all errors", minimum=0.0, maximum=1e6),
+    Parameter(
+        "satellite_error_scale", "float", 1.0, "further factor on the satellite's errors", minimum=0.0, maximum=1e6
+    ),
+    Parameter(
+        "reference_error_scale", "float", 1.0, "further factor on the reference's errors", minimum=0.0, maximum=1e6
+    ),
+    # the truth (step B)
+    Parameter(
+        "epsilon",
+        "vector",
+        (1.0, 1.0, 1.0),
+        "true orientation, reference - satellite",
+        unit="mas",
+        minimum=-1e8,
+        maximum=1e8,
+    ),
+    Parameter(
+        "omega",
+        "vector",
+        (1.0, 1.0, 1.0),
+        "true spin, reference - satellite",
+        unit="mas / yr",
+        minimum=-1e8,
+        maximum=1e8,
+    ),
+    Parameter(
+        "epsilon_size",
+        "float",
+        None,
+        "length of epsilon, which then gives the direction only",
+        unit="mas",
+        minimum=0.0,
+        maximum=1e8,
+    ),
+    Parameter(
+        "omega_size",
+        "float",
+        None,
+        "length of omega, which then gives the direction only",
+        unit="mas / yr",
+        minimum=0.0,
+        maximum=1e8,
+    ),
+    Parameter(
+        "directions",
+        "str",
+        "fixed",
+        "directions of epsilon and omega: as given, or random for each catalogue",
+        choices=("fixed", "random"),
+    ),
+    Parameter("aberration", "bool", False, "add a glide to the satellite's proper motions (Galactic aberration)"),
+    Parameter("glide", "vector", None, "that glide; default: 4 uas/yr towards the Galactic centre", unit="uas / yr"),
+    # step E: the solution
+    Parameter("solve_glide", "bool", False, "solve for a glide too"),
+    Parameter("corrections", "bool", True, "keep the A21 terms in the design matrix"),
+    Parameter(
+        "weighting",
+        "str",
+        "inverse-variance",
+        "weights of the solution: 1/(sigma_ref^2 + sigma_sat^2), or all equal",
+        choices=("inverse-variance", "equal"),
+    ),
+    Parameter(
+        "arithmetic",
+        "str",
+        "exact",
+        "differences of catalogues: exact, or by subtracting stored angles as in the paper",
+        choices=("exact", "stored"),
+    ),
+)
+
+UNITS = ("mas",) * 3 + ("mas / yr",) * 3
+# Without slashes: astropy warns of several in one string.
+_EACH = "mas, mas, mas, mas yr-1, mas yr-1, mas yr-1"
+_TOP = "(mas2, mas2, mas2, mas2 yr-1, mas2 yr-1, mas2 yr-1)"
+_BOTTOM = "(mas2 yr-1, mas2 yr-1, mas2 yr-1, mas2 yr-2, mas2 yr-2, mas2 yr-2)"
+_PRODUCTS = ", ".join([_TOP] * 3 + [_BOTTOM] * 3)
+
+
+def _with_errors(
+    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), headline: bool = False
+) -> list[Output]:
+    return [
+        Output(name, unit, meaning, dims, headline),
+        Output(f"{name}_mc_error", unit, f"Monte-Carlo error of {name}, sigma/sqrt(2 n)", dims),
+        Output(f"{name}_predicted", unit, f"closed-form prediction of {name} for the same catalogues", dims),
+        Output(
+            f"{name}_catalogue_error",
+            unit,
+            f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; NaN for one",
+            dims,
+        ),
+    ]
+
+
+OUTPUTS = (
+    Output("n_obj", "", "number of objects in the catalogue (mean over catalogues)", headline=True),
+    *_with_errors("sigma_spin", "mas / yr", "RMS error of the spin, over its three components", headline=True),
+    *_with_errors("sigma_orientation", "mas", "RMS error of the orientation, over its three components"),
+    *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
+    Output("bias", _EACH, "mean of estimate - truth", ("component",)),
+    Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),
+    Output("chi2", "", "mean chi2 of the solution; dof is its expectation for inverse-variance weights"),
+    Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
+    Output("glide_sigma", "mas / yr", "RMS of estimate - truth of a glide that was solved for", ("glide_component",)),
+    Output("glide_bias", "mas / yr", "mean of estimate - truth of a glide that was solved for", ("glide_component",)),
+)

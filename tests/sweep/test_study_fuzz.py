@@ -1,0 +1,164 @@
+"""A mutilated study document gives a valid study or a SweepError, never anything else."""
+
+import copy
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sweep.contract import SweepError
+from sweep.grid import make_grid
+from sweep.reader import load_study, study_from_dict
+
+GOOD: dict[str, Any] = {
+    "title": "A good study",
+    "experiment": "core.experiment:link",
+    "axes": {"v_max": {"start": 14.0, "stop": 16.0, "step": 0.5}, "n_obj": [10, 11, 12, 13, 14], "model": ["amex"]},
+    "fixed": {"catalogue": "quasars", "omega": [1.0, 2.0, 3.0], "corrections": False, "error_scale": 2.0},
+    "sampling": {"n_sim": 10, "n_cat": 2, "seed": 3},
+    "grid": {"zip": [["v_max", "n_obj"]]},
+    "exclude": [{"model": "gaia", "v_max": {"above": 15.0}}, {"n_obj": {"in": [10, 11]}}],
+    "published": {"file": "table.csv", "source": "A paper"},
+}
+
+WORDS = """
+    title experiment axes fixed sampling grid exclude published v_max n_obj model catalogue omega corrections n_sim
+    seed zip file source start stop step num spacing log linear values above below equal in amex gaia synthetic quasars
+    mission_length satellite_errors normal none table.csv core.experiment:link math:tau : x.py:y . 10**5000
+""".split()  # noqa: SIM905
+
+keys = st.one_of(st.sampled_from(WORDS), st.sampled_from(["", "a.b", "\x1b[31m", "\0", "\n", "ä", "\u202e", "😀" * 50]))
+numbers = st.one_of(
+    st.floats(allow_nan=True, allow_infinity=True),
+    st.integers(-3, 30),
+    st.integers(),
+    st.sampled_from([10**310, 2**64, 1e299, -1e299, 5e-324, -0.0, 14.0, 1e-200]),
+)
+scalars = st.one_of(numbers, st.booleans(), keys, st.text(max_size=5), st.dates(), st.just([]), st.just({}))
+values = st.recursive(
+    scalars,
+    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(keys, inner, max_size=4)),
+    max_leaves=8,
+)
+
+
+def places(node: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Every place of a document, its containers included."""
+    items = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    return [here, *(place for key, child in items for place in places(child, (*here, key)))]
+
+
+@st.composite
+def documents(draw: st.DrawFn) -> dict[str, Any]:
+    """The good study after one to four mutations: a value replaced, deleted or added somewhere."""
+    document = copy.deepcopy(GOOD)
+    for _ in range(draw(st.integers(1, 4))):
+        *inner, last = draw(st.sampled_from(places(document)[1:] or [("title",)]))
+        parent: Any = document
+        for key in inner:
+            parent = parent[key]
+        what = draw(st.sampled_from(["replace", "replace", "delete", "add"]))
+        if what == "replace":
+            parent[last] = draw(values)
+        elif what == "delete":
+            del parent[last]
+        elif isinstance(parent, dict):
+            parent[draw(keys)] = draw(values)
+        else:
+            parent.insert(draw(st.integers(0, len(parent))), draw(values))
+    return document
+
+
+def toml(node: Any) -> str:
+    """Write a value as TOML with inline tables."""
+    if isinstance(node, bool):
+        return str(node).lower()
+    if isinstance(node, str):
+        return '"' + "".join(f"\\U{ord(c):08x}" if ord(c) < 32 or c in '"\\\x7f' else c for c in node) + '"'
+    if isinstance(node, int):
+        return str(node) if abs(node) < 10**4000 else f"0x{abs(node):x}"
+    if isinstance(node, list):
+        return f"[{', '.join(map(toml, node))}]"
+    if isinstance(node, dict):
+        return f"{{{', '.join(f'{toml(key)} = {toml(value)}' for key, value in node.items())}}}"
+    return str(node)
+
+
+def outcome(call: Any) -> list[str]:
+    """Return the problems that a call reports, none if it gives a study with a grid."""
+    try:
+        grid = make_grid(call())
+    except SweepError as error:
+        problems = error.problems
+    else:
+        assert len(grid) > 0
+        assert len(grid.study.digest()) == 64
+        return []
+    assert problems
+    assert all(isinstance(p, str) and 0 < len(p) < 2000 and "\x1b" not in p for p in problems)
+    return problems
+
+
+def enlarged(node: Any) -> Any:
+    """Put an integer that Python refuses to print (so that hypothesis cannot draw it) where the word for it stands."""
+    if isinstance(node, dict):
+        return {key: enlarged(value) for key, value in node.items()}
+    if isinstance(node, list):
+        return [enlarged(value) for value in node]
+    return 10**5000 if isinstance(node, str) and node == "10**5000" else node
+
+
+fuzz = settings(
+    max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck), database=None
+)
+
+
+def test_the_study_to_mutilate_is_good() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "table.csv").write_text("v_max,sigma_spin\n14,0.6\n")
+        path = Path(folder) / "study.toml"
+        path.write_text("".join(f"{toml(key)} = {toml(value)}\n" for key, value in GOOD.items()))
+        assert outcome(lambda: load_study(str(path))) == []
+
+
+@fuzz
+@given(document=documents())
+def test_mutilated_documents(document: dict[str, Any]) -> None:
+    document = enlarged(document)
+    untouched = copy.deepcopy(document)
+    problems = outcome(lambda: study_from_dict(document))
+    assert repr_of(document) == repr_of(untouched)
+    assert isinstance(problems, list)
+
+
+@fuzz
+@given(document=documents(), options=st.lists(st.tuples(keys, values), max_size=2), axes=st.lists(keys, max_size=1))
+def test_mutilated_files(document: dict[str, Any], options: list[tuple[str, Any]], axes: list[str]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "table.csv").write_text("v_max,sigma_spin\n14,0.6\n")
+        path = Path(folder) / "study.toml"
+        lines = [f"{toml(key)} = {toml(value)}\n" for key, value in enlarged(document).items()]
+        path.write_text("".join(lines), encoding="utf-8")
+        settings = [f"{key}={toml(value)}" for key, value in options]
+        outcome(lambda: load_study(str(path), settings, [f"v_max={axis}:20:0.5" for axis in axes]))
+
+
+@fuzz
+@given(text=st.text(max_size=60), at=st.integers(0, 400))
+def test_mutilated_text(text: str, at: int) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "study.toml"
+        good = "\n".join(f"{toml(key)} = {toml(value)}" for key, value in GOOD.items() if key != "published")
+        path.write_bytes((good[:at] + text + good[at + len(text) :]).encode("utf-8", "surrogatepass"))
+        outcome(lambda: load_study(str(path)))
+
+
+def repr_of(node: Any) -> Any:
+    """A comparable form in which NaN equals itself and no integer is too long."""
+    if isinstance(node, dict):
+        return {key: repr_of(value) for key, value in node.items()}
+    if isinstance(node, list):
+        return [repr_of(value) for value in node]
+    return hex(node) if isinstance(node, int) else repr(node)
