@@ -42,6 +42,12 @@ store_argument = click.argument("store", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a script.")
 
 
+def _store_path(_context: click.Context, _parameter: click.Parameter, value: str | None) -> Path | None:
+    if value == "":
+        raise click.BadParameter("is empty; give the path of a store")
+    return None if value is None else Path(value)
+
+
 def study_options(command: Command) -> Command:
     """Add the options that name a study's overrides and its store."""
     options = (
@@ -59,9 +65,7 @@ def study_options(command: Command) -> Command:
             metavar="NAME=SPEC",
             help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
         ),
-        click.option(
-            "-o", "--output", "store", type=click.Path(path_type=Path), help="The store.  [default: results/NAME.zarr]"
-        ),
+        click.option("-o", "--output", "store", callback=_store_path, help="The store.  [default: results/NAME.zarr]"),
     )
     for option in reversed(options):
         command = option(command)

@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 Value = Any  # of a parameter: bool, int, float, str, a tuple, a table file, or None
 Point = Mapping[str, Any]
 """A point's parameters by name, every declared one with a value."""
+FEW = 20
+"""As many names as a message may list."""
+
 HUGE = 1e300
 """No parameter is as large: beyond it arithmetic overflows."""
 
@@ -52,9 +55,10 @@ def shown(value: object) -> str:
 
 
 def suggest(word: str, known: Sequence[str]) -> str:
-    """Return '; did you mean ...?' for a misspelt word, or the list of what is known."""
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    return f"; did you mean {close[0]!r}?" if close else f"; known are {', '.join(sorted(known))}"
+    """Return '; did you mean ...?' for a misspelt word, or the list of what is known if it is short."""
+    if close := difflib.get_close_matches(word, known, n=1, cutoff=0.65):
+        return f"; did you mean {close[0]!r}?"
+    return f"; known are {', '.join(sorted(known))}" if len(known) <= FEW else ""
 
 
 @dataclass(frozen=True)

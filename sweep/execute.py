@@ -74,8 +74,10 @@ def dask_scheduler(study: Study, address: str) -> Iterator[Executor]:
     or they cannot import linksweep.
     """
     from distributed import Client
+    from distributed.comm.addressing import get_address_host_port
 
     try:
+        get_address_host_port(address)  # a client of a malformed address would hang at its end
         client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise SweepError(f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}") from error

@@ -80,7 +80,7 @@ def make_grid(study: Study) -> Grid:
     if len(grid) > MAX_POINTS:
         sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
         message = f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed"
-        raise SweepError(message, study.name)
+        raise SweepError(message, study.source)
     sentences = _repeated(grid)
     reasons: dict[str, int] = {}
     empty = True
@@ -93,10 +93,10 @@ def make_grid(study: Study) -> Grid:
             break
         reasons[reason] = reasons.get(reason, 0) + 1
     if empty:
-        raise SweepError("every point of the grid is excluded", study.name)
+        raise SweepError("every point of the grid is excluded", study.source)
     sentences += [f"{reason} ({n} point{'s' if n > 1 else ''})" if n else reason for reason, n in reasons.items()]
     if sentences:
-        raise SweepError(sentences, study.name)
+        raise SweepError(sentences, study.source)
     return grid
 
 

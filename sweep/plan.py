@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sweep.contract import SweepError
 from sweep.grid import Grid, GridPoint
 
 TARGET = 2**24
@@ -15,6 +16,8 @@ TARGET = 2**24
 
 OVERHEAD = 20_000
 """What one evaluation costs beside its random numbers, counted in random numbers."""
+
+MAX_BLOCKS = 10_000_000
 
 MAX_SIMS = 512
 MAX_CATALOGUES = 16
@@ -69,51 +72,67 @@ class Plan:
     def work(self) -> Iterator[Work]:
         """Yield every block of every point, in the order of the grid."""
         for point in self.grid.points():
-            cost = max(1.0, self.grid.study.experiment.cost(point.parameters))
-            for block in self.blocks(cost):
-                yield Work(point, block, block.realisations * cost + block.n_cat * OVERHEAD)
+            yield from self._work_of(point)
 
     def pending(self, done: Collection[bytes]) -> Iterator[Work]:
         """Yield the blocks that the store does not hold."""
         return (work for work in self.work() if work.key not in done)
 
-    def blocks(self, cost: float) -> list[Block]:
-        """Return the blocks of a point whose realisations cost this many random numbers each.
+    def blocks(self, cost: float) -> Iterator[Block]:
+        """Yield the blocks of a point whose realisations cost this many random numbers each.
 
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
         they are; only a last, partial block is computed again.
         """
         sampling = self.grid.study.sampling
-        sims = _power_of_two(TARGET / cost, MAX_SIMS)
-        catalogues = _power_of_two(TARGET / (cost * sims + OVERHEAD), MAX_CATALOGUES)
-        return [
-            Block(group, part, first, min(catalogues, sampling.n_cat - first), min(sims, sampling.n_sim - start))
-            for group, first in enumerate(range(0, sampling.n_cat, catalogues))
-            for part, start in enumerate(range(0, sampling.n_sim, sims))
-        ]
+        sims, catalogues = _block_shape(cost)
+        for group, first in enumerate(range(0, sampling.n_cat, catalogues)):
+            for part, start in enumerate(range(0, sampling.n_sim, sims)):
+                yield Block(
+                    group, part, first, min(catalogues, sampling.n_cat - first), min(sims, sampling.n_sim - start)
+                )
 
     def survey(self, done: Collection[bytes] = ()) -> "Survey":
-        """Return how large the plan is and how much of it is pending beside the blocks that are ``done``."""
+        """Return how large the plan is and how much of it is pending beside the blocks that are ``done``.
+
+        Raises SweepError for more than `MAX_BLOCKS` blocks: a study of that size would not end, and its ledger not fit.
+        """
+        total = pending = PlanSize(0, 0, 0, 0.0)
         remaining = np.zeros(len(self.grid), dtype=np.int32)
-        points = blocks = realisations = pending_blocks = pending_realisations = 0
-        cost = pending_cost = 0.0
-        last = -1
-        for work in self.work():
-            points += work.point.index != last
-            last = work.point.index
-            blocks += 1
-            realisations += work.block.realisations
-            cost += work.cost
-            if work.key not in done:
-                remaining[last] += 1
-                pending_blocks += 1
-                pending_realisations += work.block.realisations
-                pending_cost += work.cost
-        return Survey(
-            total=PlanSize(points, blocks, realisations, cost),
-            pending=PlanSize(int(np.count_nonzero(remaining)), pending_blocks, pending_realisations, pending_cost),
-            remaining=remaining,
-        )
+        for point in self.grid.points():
+            whole = self._size_of(point)
+            total += whole
+            if total.blocks > MAX_BLOCKS:
+                sampling = self.grid.study.sampling
+                message = (
+                    f"n_cat = {sampling.n_cat:,} and n_sim = {sampling.n_sim:,} make more than {MAX_BLOCKS:,} blocks"
+                )
+                raise SweepError(message, self.grid.study.source)
+            left = whole
+            if done:
+                works = [work for work in self._work_of(point) if work.key not in done]
+                realisations = sum(w.block.realisations for w in works)
+                left = PlanSize(int(len(works) > 0), len(works), realisations, sum(w.cost for w in works))
+            pending += left
+            remaining[point.index] = left.blocks
+        return Survey(total, pending, remaining)
+
+    def _work_of(self, point: GridPoint) -> Iterator[Work]:
+        cost = self._cost(point)
+        for block in self.blocks(cost):
+            yield Work(point, block, block.realisations * cost + block.n_cat * OVERHEAD)
+
+    def _size_of(self, point: GridPoint) -> "PlanSize":
+        """Return the counts of `_work_of` by arithmetic."""
+        sampling, cost = self.grid.study.sampling, self._cost(point)
+        sims, catalogues = _block_shape(cost)
+        parts = -(-sampling.n_sim // sims)
+        realisations = sampling.n_cat * sampling.n_sim
+        work = realisations * cost + sampling.n_cat * parts * OVERHEAD
+        return PlanSize(1, parts * -(-sampling.n_cat // catalogues), realisations, work)
+
+    def _cost(self, point: GridPoint) -> float:
+        return max(1.0, self.grid.study.experiment.cost(point.parameters))
 
 
 @dataclass(frozen=True)
@@ -124,6 +143,14 @@ class PlanSize:
     blocks: int
     realisations: int
     cost: float
+
+    def __add__(self, other: "PlanSize") -> "PlanSize":
+        return PlanSize(
+            self.points + other.points,
+            self.blocks + other.blocks,
+            self.realisations + other.realisations,
+            self.cost + other.cost,
+        )
 
 
 @dataclass(frozen=True)
@@ -170,6 +197,12 @@ def generators(seed: int, digest: bytes, catalogue: int, part: int) -> tuple[np.
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(*words, *name))))
 
     return stream(catalogue, 1, part), stream(catalogue, 0)
+
+
+def _block_shape(cost: float) -> tuple[int, int]:
+    """Return how many realisations of how many catalogues a whole block holds."""
+    sims = _power_of_two(TARGET / cost, MAX_SIMS)
+    return sims, _power_of_two(TARGET / (cost * sims + OVERHEAD), MAX_CATALOGUES)
 
 
 def _power_of_two(ratio: float, most: int) -> int:

@@ -175,6 +175,7 @@ class _Reader:
             zipped=zipped,
             excluded=excluded,
             published=published,
+            source=str(self.path),
             text=self.text,
             overrides=self.overrides,
         )

@@ -1,6 +1,7 @@
 """What a store holds and what a plan would do, as plain mappings for people and scripts."""
 
 import json
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweep.execute import available_cores
-from sweep.plan import TARGET, tasks
+from sweep.plan import TARGET
 from sweep.results import STATUS_WORDS
 from sweep.run import plan_study
 from sweep.store import open_dataset
@@ -58,9 +59,7 @@ def plan_report(study: Study, store: Path) -> dict[str, Any]:
         "realisations": survey.total.realisations,
         "realisations_pending": survey.pending.realisations,
         "blocks_pending": survey.pending.blocks,
-        "tasks": sum(1 for _ in tasks(plan.pending(frozenset())))
-        if survey.pending.blocks == survey.total.blocks
-        else round(survey.pending.cost / TARGET),
+        "tasks_about": math.ceil(survey.pending.cost / TARGET),
         "result_mb": round(8e-6 * floats * len(grid), 3),
         "ledger_mb": round(8e-6 * study.experiment.sums_width * survey.total.blocks, 3),
         "seconds": round(survey.pending.cost / (_normals_per_second() * available_cores()), 1),

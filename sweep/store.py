@@ -27,6 +27,8 @@ FORMAT = 1
 KEY_BYTES = 32
 CHUNK_BYTES = 2**20
 
+REWRITE = "`sweep run` the study again to write them anew from the ledger"
+
 
 class Store:
     """An open store of one study: what is done, appending to it, and writing the dataset."""
@@ -105,18 +107,21 @@ class Store:
             zarr.consolidate_metadata(self.path)
 
     def _array(self, name: str, width: int, dtype: str, fill: float) -> zarr.Array[Any]:
-        root = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-        blocks = root.require_group("blocks")
-        if name not in blocks:
-            blocks.create_array(
-                name,
-                shape=(0, width),
-                chunks=(self._rows_per_chunk, width),
-                dtype=dtype,
-                fill_value=fill,
-                compressors=[ZstdCodec(level=1), Crc32cCodec()],
-            )
-        array = blocks[name]
+        try:
+            root = zarr.open_group(self.path, mode="r+", use_consolidated=False)
+            blocks = root.require_group("blocks")
+            if name not in blocks:
+                blocks.create_array(
+                    name,
+                    shape=(0, width),
+                    chunks=(self._rows_per_chunk, width),
+                    dtype=dtype,
+                    fill_value=fill,
+                    compressors=[ZstdCodec(level=1), Crc32cCodec()],
+                )
+            array = blocks[name]
+        except (OSError, ValueError, TypeError) as error:
+            raise SweepError(f"blocks/{name} is damaged: {error}", str(self.path)) from error
         if not isinstance(array, zarr.Array) or array.shape[1:] != (width,):
             raise SweepError(
                 f"the ledger's {name!r} does not have rows of {width} numbers; the store was made by another version",
@@ -161,24 +166,12 @@ def done_rows(path: Path, study: Study) -> Mapping[bytes, int]:
 
 def check_store(path: Path, study: Study) -> None:
     """Raise SweepError unless ``path`` is free or holds results that this study can be mixed with."""
-    if not path.exists() or (path.is_dir() and _only_leftovers(path)):
+    if _is_free(path):
         parent = next(p for p in path.absolute().parents if p.exists())
         if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
             raise SweepError(f"cannot make a store there: {parent} is not a directory that can be written", str(path))
         return
-    attributes = read_attributes(path)
-    old, new = json.loads(attributes["study_meaning"]), _json(study.meaning())
-    old_axes, fixed = set(json.loads(attributes["study_axes"])), "fixed"
-    differences = [
-        f"{key}: {old.get(key)!r} in the store, {new.get(key)!r} in the study"
-        for key in sorted({*old, *new} - {fixed})
-        if old.get(key) != new.get(key)
-    ]
-    for name in sorted({*old[fixed], *new[fixed]} - old_axes - set(study.axes)):
-        if old[fixed].get(name) != new[fixed].get(name):
-            default = study.experiment.defaults().get(name)
-            was, now = old[fixed].get(name, default), new[fixed].get(name, default)
-            differences.append(f"fixed.{name}: {was!r} in the store, {now!r} in the study")
+    differences = _differences(read_attributes(path), study)
     if differences:
         raise SweepError(
             ["holds results of a different study, which would be mixed up; give another store with -o", *differences],
@@ -186,33 +179,53 @@ def check_store(path: Path, study: Study) -> None:
         )
 
 
+def _differences(attributes: Mapping[str, Any], study: Study) -> list[str]:
+    """Say in what the meaning of stored results differs from a study's; values of what is an axis in either do not."""
+    old, new = json.loads(attributes["study_meaning"]), json.loads(_identity(study)["study_meaning"])
+    axes = {*json.loads(attributes["study_axes"]), *study.axes}
+    defaults = study.experiment.defaults()
+    pairs = [(key, old.get(key), new.get(key)) for key in sorted({*old, *new} - {"fixed"})]
+    pairs += [
+        (f"fixed.{name}", old["fixed"].get(name, defaults.get(name)), new["fixed"].get(name, defaults.get(name)))
+        for name in sorted({*old["fixed"], *new["fixed"]} - axes)
+    ]
+    return [f"{key}: {was!r} in the store, {now!r} in the study" for key, was, now in pairs if was != now]
+
+
 def read_attributes(path: Path) -> dict[str, Any]:
     """Return the attributes of a store; raises SweepError unless a linksweep store of this format is there."""
     where = str(path)
-    if not path.exists():
+    if _is_free(path):
         raise SweepError("no store there", where)
     if not path.is_dir():
         raise SweepError("is a file, not a Zarr store", where)
     try:
-        attributes = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
+        attributes: dict[str, Any] = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
         version = attributes["linksweep_format"]
+        if version == FORMAT:
+            json.loads(attributes["study_meaning"])["fixed"], json.loads(attributes["study_axes"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise SweepError("is not a store of linksweep (foreign or half-made); nothing was changed", where) from error
     if version != FORMAT:
         raise SweepError(f"has store format {version}; this version of linksweep reads format {FORMAT}", where)
-    return cast(dict[str, Any], attributes)
+    return attributes
 
 
 def open_dataset(path: Path) -> xr.Dataset:
-    """Return the labelled dataset of a store, in memory; raises SweepError as `read_attributes`, or if there is none
-    yet.
+    """Return the labelled dataset of a store, in memory; raises SweepError as `read_attributes`, if there is none yet
+    or if it is damaged.
     """
     read_attributes(path)
-    with warnings.catch_warnings():  # no consolidated metadata while a run has not written any results
-        warnings.filterwarnings("ignore", message="Failed to open Zarr store with consolidated metadata")
-        dataset: xr.Dataset = xr.open_zarr(path).load()
+    try:
+        with warnings.catch_warnings():  # no consolidated metadata while a run has not written any results
+            warnings.filterwarnings("ignore", message="Failed to open Zarr store with consolidated metadata")
+            dataset: xr.Dataset = xr.open_zarr(path).load()
+    except (OSError, ValueError, RuntimeError, KeyError) as error:
+        raise SweepError(f"the results are damaged ({error}); {REWRITE}", str(path)) from error
     if not dataset.data_vars:
         raise SweepError("has no results yet; `sweep run` the study to go on", str(path))
+    if "status" not in dataset:
+        raise SweepError(f"the results are damaged (no status); {REWRITE}", str(path))
     return dataset
 
 
@@ -224,14 +237,15 @@ def _identity(study: Study) -> dict[str, Any]:
     }
 
 
-def _json(value: dict[str, Any]) -> dict[str, Any]:
-    return cast(dict[str, Any], json.loads(json.dumps(value, default=content_digest)))
-
-
 def _kind(array: "zarr.Array[Any]") -> str:
     return np.dtype(array.dtype).kind if array.dtype.kind != "T" else "O"
 
 
-def _only_leftovers(path: Path) -> bool:
-    """An empty directory, or one in which a killed process left nothing but a temporary file of its first write."""
-    return all(item.name.startswith("zarr.json.") and item.is_file() for item in path.iterdir())
+def _is_free(path: Path) -> bool:
+    """Nothing is there, or a directory in which a killed process left at most a temporary file of its first write."""
+    try:
+        if not path.exists():
+            return not path.is_symlink()
+        return path.is_dir() and all(p.name.startswith("zarr.json.") and p.is_file() for p in path.iterdir())
+    except OSError as error:  # a name that is too long, a directory closed to us
+        raise SweepError(f"cannot be a store: {error.strerror}", str(path)) from error

@@ -71,6 +71,7 @@ class Study:
     zipped: tuple[tuple[str, ...], ...] = ()
     excluded: tuple[tuple[Condition, ...], ...] = ()
     published: Published | None = None
+    source: str = ""
     text: str = ""
     overrides: tuple[str, ...] = ()
 

@@ -34,8 +34,8 @@ def test_the_blocks_of_a_point_tile_its_realisations_exactly_once(n_sim, n_cat, 
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(st.integers(1, 2000), st.integers(1, 40), st.integers(0, 2000), st.integers(0, 40), st.floats(1.0, 1e8))
 def test_more_realisations_leave_whole_blocks_as_they_were(n_sim, n_cat, more_sim, more_cat, cost):
-    before = one_point(n_sim, n_cat).blocks(cost)
-    after = one_point(n_sim + more_sim, n_cat + more_cat).blocks(cost)
+    before = list(one_point(n_sim, n_cat).blocks(cost))
+    after = list(one_point(n_sim + more_sim, n_cat + more_cat).blocks(cost))
     largest = max(after, key=lambda b: (b.n_sim, b.n_cat))
     whole = {b for b in before if b.n_sim == largest.n_sim and b.n_cat == largest.n_cat}
     assert whole <= set(after)
@@ -94,7 +94,7 @@ def test_small_points_share_a_task(coins):
 
 
 def test_a_block_is_bounded(coins):
-    blocks = one_point(10**6, 100).blocks(cost=1.0)
+    blocks = list(one_point(10**6, 100).blocks(cost=1.0))
     assert max(b.n_sim for b in blocks) == MAX_SIMS
     assert max(b.n_cat for b in blocks) == MAX_CATALOGUES
     assert all(b.n_sim == b.n_cat == 1 for b in one_point(10, 10).blocks(cost=1e9))
