@@ -11,7 +11,7 @@ from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import CatalogueErrors, ErrorModel, MagnitudeErrors, NoErrors, NormalErrors
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.missions import MISSIONS
-from core.parameters import OUTPUTS, PARAMETERS, UNITS
+from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, UNITS
 from core.quasars import V_MAX, quasar_count, quasars
 from core.simulate import BlockSums, Scenario, TrueVector, Vector, sample, simulate
 from core.table_catalogue import catalogue_from_table
@@ -330,6 +330,8 @@ link = Experiment(
     component_units={"component": UNITS, "component_other": UNITS},
     evaluate=evaluate,
     summarise=summarise,
+    samples=samples,
+    sample_outputs=SAMPLE_OUTPUTS,
     check=check,
     cost=cost,
 )

@@ -234,3 +234,5 @@ OUTPUTS = (
     Output("glide_sigma", "mas / yr", "RMS of estimate - truth of a glide that was solved for", ("glide_component",)),
     Output("glide_bias", "mas / yr", "mean of estimate - truth of a glide that was solved for", ("glide_component",)),
 )
+
+SAMPLE_OUTPUTS = (Output("estimate", _EACH, "estimate of each realisation, where a study keeps them", ("component",)),)

@@ -211,6 +211,8 @@ class Experiment:
     summarise: Summarise
     coordinates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     component_units: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    samples: Evaluate | None = None
+    sample_outputs: tuple[Output, ...] = ()
     check: Callable[[Point], str | None] = _no_problem
     cost: Callable[[Point], float] = _one
 
@@ -224,6 +226,15 @@ class Experiment:
     def defaults(self) -> dict[str, Value]:
         """Return the default of every parameter."""
         return {p.name: p.default for p in self.parameters}
+
+    @property
+    def samples_width(self) -> int:
+        """Number of floats of one kept realisation."""
+        return sum(self.size_of(output) for output in self.sample_outputs)
+
+    def size_of(self, output: Output) -> int:
+        """Return the number of floats of one value of an output."""
+        return math.prod(len(self.coordinates[dim]) for dim in output.dims)
 
     @property
     def sums_width(self) -> int:

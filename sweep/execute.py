@@ -38,7 +38,7 @@ back to the system each time costs a fifth of the run."""
 def make_task(study: Study, works: list[Work]) -> Task:
     """Return what a worker must know to do this work."""
     items = tuple((work.point.parameters, work.point.digest, work.block) for work in works)
-    return Task(study.experiment_reference, study.sampling.seed, items)
+    return Task(study.experiment_reference, study.sampling.seed, items, study.sampling.keep_samples)
 
 
 @contextmanager
@@ -135,4 +135,4 @@ def _lost(study: Study, works: list[Work], failure: BaseException) -> TaskResult
     """
     message = f"{type(failure).__name__}: {failure}"
     width = study.experiment.sums_width
-    return TaskResult(np.full((len(works), width), np.nan), dict.fromkeys(range(len(works)), message))
+    return TaskResult(np.full((len(works), width), np.nan), dict.fromkeys(range(len(works)), message), {})

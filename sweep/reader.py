@@ -162,6 +162,8 @@ class _Reader:
         zipped = self._zip(form, axes)
         excluded = tuple(self._exclusion(experiment, form, i, clause) for i, clause in enumerate(form.exclude))
         published = self._published(experiment, form, axes)
+        if form.sampling.keep_samples and experiment.samples is None:
+            self._problem(("sampling", "keep_samples"), f"the experiment {experiment.name!r} has no samples to keep")
         if self.problems:
             raise SweepError(self.problems, str(self.path))
         return Study(

@@ -1,6 +1,6 @@
 """The labelled dataset of a study, assembled from the sums in its ledger."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -64,6 +64,38 @@ def assemble(plan: Plan, rows: Mapping[bytes, int], sums: Array, failures: Mappi
     variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
     variables |= _published(grid)
     return xr.Dataset(variables, coords=_coordinates(grid))
+
+
+def assemble_samples(
+    plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]
+) -> dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]]:
+    """Return the kept samples of the points that are done, with dimension ``sample``: catalogue by catalogue.
+
+    ``samples`` gives those of a block by its key, (realisations, width).
+    """
+    grid = plan.grid
+    experiment, sampling = grid.study.experiment, grid.study.sampling
+    kept = np.full((len(grid), sampling.n_cat, sampling.n_sim, experiment.samples_width), np.nan)
+    flat_status = status.reshape(-1)
+    start: dict[tuple[int, int], int] = {}
+    for work in plan.work():
+        if flat_status[work.point.index] == DONE:
+            block, place = work.block, (work.point.index, work.block.group)
+            first = start.get(place, 0)
+            catalogues = slice(block.first_catalogue, block.first_catalogue + block.n_cat)
+            drawn = samples(work.key).reshape(block.n_cat, block.n_sim, -1)
+            kept[work.point.index, catalogues, first : first + block.n_sim] = drawn
+            start[place] = first + block.n_sim
+    variables: dict[str, Any] = {}
+    column = 0
+    for output in experiment.sample_outputs:
+        size = experiment.size_of(output)
+        shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *(len(experiment.coordinates[d]) for d in output.dims))
+        values = kept[..., column : column + size].reshape(shape)
+        attributes = {"units": output.unit, "long_name": output.meaning}
+        variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, attributes)
+        column += size
+    return variables
 
 
 def _split(shapes: Mapping[str, tuple[int, ...]], flat: Array) -> dict[str, Array]:

@@ -41,8 +41,11 @@ class Store:
         self._rows_per_chunk = max(64, 2 ** int(np.log2(CHUNK_BYTES / (8 * max(width, 1)))))
         self._index = self._array("index", KEY_BYTES, "uint8", 0)
         self._sums = self._array("sums", width, "float64", np.nan)
+        self._samples = self._sample_array() if study.sampling.keep_samples else None
         self.rows = self._read_index()
         self._next = 1 + max(self.rows.values(), default=-1)
+        self._sample_ends = _ends_of_samples(np.asarray(self._index[: self._next]))
+        self._unwritten_samples: list[NDArray[np.float64]] = []
         self._tail_index = np.zeros((self._rows_per_chunk, KEY_BYTES), dtype=np.uint8)
         self._tail_sums = np.full((self._rows_per_chunk, width), np.nan)
         self._unwritten = 0
@@ -57,9 +60,20 @@ class Store:
         self.flush()
         return cast(NDArray[np.float64], self._sums[: self._next])
 
-    def append(self, keys: Sequence[bytes], sums: NDArray[np.float64]) -> None:
-        """Add finished blocks; they are durable after the next `flush`."""
-        for key, row in zip(keys, sums, strict=True):
+    def samples(self, key: bytes) -> NDArray[np.float64]:
+        """Return the kept samples of a finished block, (realisations, width)."""
+        assert self._samples is not None, "only a study that keeps samples asks for them"
+        row = self.rows[key]
+        return np.asarray(self._samples[self._sample_ends[row] : self._sample_ends[row + 1]])
+
+    def append(
+        self, keys: Sequence[bytes], sums: NDArray[np.float64], samples: Sequence[NDArray[np.float64]] = ()
+    ) -> None:
+        """Add finished blocks, with their samples if the study keeps them; they are durable after the next `flush`."""
+        for number, (key, row) in enumerate(zip(keys, sums, strict=True)):
+            if self._samples is not None:
+                self._unwritten_samples.append(samples[number])
+                self._sample_ends.append(self._sample_ends[-1] + len(samples[number]))
             at = self._next % self._rows_per_chunk
             self._tail_index[at] = np.frombuffer(key, dtype=np.uint8)
             self._tail_sums[at] = row
@@ -73,6 +87,7 @@ class Store:
         """Make everything appended so far durable."""
         if not self._unwritten:
             return
+        self._flush_samples()
         start = (self._next - 1) // self._rows_per_chunk * self._rows_per_chunk
         stop = start + self._rows_per_chunk
         for array, tail, empty in ((self._sums, self._tail_sums, np.nan), (self._index, self._tail_index, 0)):
@@ -82,6 +97,15 @@ class Store:
             if self._next == stop:
                 tail[:] = empty
         self._unwritten = 0
+
+    def _flush_samples(self) -> None:
+        if self._samples is not None:
+            stop = self._sample_ends[-1]
+            new = np.concatenate(self._unwritten_samples)
+            if self._samples.shape[0] < stop:
+                self._samples.resize((stop, self._samples.shape[1]))
+            self._samples[stop - len(new) : stop] = new
+            self._unwritten_samples = []
 
     def write(self, dataset: xr.Dataset) -> None:
         """Replace the labelled dataset; until its last step the store says that it is incomplete."""
@@ -105,6 +129,9 @@ class Store:
         with warnings.catch_warnings():  # zarr-python#3709: consolidated metadata is not in the v3 specification yet
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             zarr.consolidate_metadata(self.path)
+
+    def _sample_array(self) -> zarr.Array[Any]:
+        return self._array("samples", self.study.experiment.samples_width, "float64", np.nan)
 
     def _array(self, name: str, width: int, dtype: str, fill: float) -> zarr.Array[Any]:
         try:
@@ -143,6 +170,13 @@ def _read(array: "zarr.Array[Any]", rows: int, path: Path) -> NDArray[Any]:
         return np.asarray(array[:rows])
     except (ValueError, RuntimeError) as error:
         raise SweepError(f"{array.name.strip('/')} is damaged: {error}", str(path)) from error
+
+
+def _ends_of_samples(index: NDArray[np.uint8]) -> list[int]:
+    """Return where the samples of each row of the index end, and 0 before the first: rows follow one another."""
+    numbers = np.frombuffer(index.tobytes(), dtype="<u4").reshape(-1, KEY_BYTES // 4)
+    realisations = numbers[:, -2].astype(np.int64) * numbers[:, -1]
+    return cast(list[int], np.concatenate([[0], np.cumsum(realisations)]).tolist())
 
 
 def create_or_resume(path: Path, study: Study, attributes: Mapping[str, Any]) -> Store:

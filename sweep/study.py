@@ -27,6 +27,7 @@ class Sampling(Section):
     n_sim: Count = 1000
     n_cat: Count = 1
     seed: Seed = 0
+    keep_samples: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,7 @@ class Study:
             "experiment": self.experiment.name,
             "experiment_version": self.experiment.version,
             "seed": self.sampling.seed,
+            **({"keep_samples": True} if self.sampling.keep_samples else {}),
             "fixed": {k: v for k, v in sorted(self.fixed.items()) if v != defaults[k]},
         }
 

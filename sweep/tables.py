@@ -13,6 +13,8 @@ from sweep.results import STATUS_WORDS
 if TYPE_CHECKING:
     from rich.table import Table
 
+MOST_DECIMALS = 9
+
 FORMATS = ("text", "csv", "ecsv", "json")
 
 
@@ -92,7 +94,8 @@ def as_text(dataset: xr.Dataset) -> "Table":
         unit, values = columns[name]
         errors = columns[f"{name}_mc_error"][1] if f"{name}_mc_error" in columns else [0.0] * len(values)
         shown = [
-            _rounded(v, e) + (f" ± {_rounded(e, e)}" if e > 0.0 else "") for v, e in zip(values, errors, strict=True)
+            _rounded(v, e) + (f" ± {_rounded(e, e) if e > 1e-8 else format(e, '.1g')}" if e > 0.0 else "")
+            for v, e in zip(values, errors, strict=True)
         ]
         _add(table, cells, name, unit, shown)
         if (predicted := columns.get(f"{name}_predicted")) is not None:
@@ -133,7 +136,8 @@ def _rounded(value: float, error: float) -> str:
     if _is_missing(value):
         return ""
     if error > 0.0:
-        return f"{value:.{max(0, 1 - math.floor(math.log10(error)))}f}"
+        decimals = max(0, 1 - math.floor(math.log10(error)))
+        return f"{value:.{decimals}f}" if decimals <= MOST_DECIMALS else f"{value:.3g}"
     return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
 
 

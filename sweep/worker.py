@@ -21,17 +21,18 @@ class Task:
     experiment_reference: str
     seed: int
     items: tuple[tuple[dict[str, Any], bytes, Block], ...]
+    keep_samples: bool = False
 
 
 @dataclass(frozen=True)
 class TaskResult:
     """Sums of a task's blocks, (blocks, width), in its order; ``errors`` maps the number of a block that failed to
-    its message.
+    its message, ``samples`` that of one whose samples are kept to these, (realisations, width).
     """
 
     sums: NDArray[np.float64]
     errors: dict[int, str]
-    seconds: float = 0.0
+    samples: dict[int, NDArray[np.float64]]
 
 
 def run_task(task: Task) -> TaskResult:
@@ -39,12 +40,15 @@ def run_task(task: Task) -> TaskResult:
     experiment = load_experiment(task.experiment_reference)
     sums = np.full((len(task.items), experiment.sums_width), np.nan)
     errors: dict[int, str] = {}
+    samples: dict[int, NDArray[np.float64]] = {}
     for number, (parameters, digest, block) in enumerate(task.items):
         try:
             sums[number] = run_block(experiment, parameters, digest, block, task.seed)
+            if task.keep_samples:
+                samples[number] = sample_block(experiment, parameters, digest, block, task.seed)
         except Exception as error:  # a point that fails must not take others with it
             errors[number] = f"{type(error).__name__}: {error}"
-    return TaskResult(sums, errors)
+    return TaskResult(sums, errors, samples)
 
 
 def run_block(
@@ -57,3 +61,16 @@ def run_block(
         sums = experiment.evaluate([parameters], block.n_sim, rng, catalogue_rng)
         total += np.concatenate([np.reshape(sums[name], -1) for name in experiment.sums], dtype=np.float64)
     return total
+
+
+def sample_block(
+    experiment: Experiment, parameters: dict[str, Any], digest: bytes, block: Block, seed: int
+) -> NDArray[np.float64]:
+    """Return the realisations of one block themselves, catalogue by catalogue, flat in the order of the outputs."""
+    assert experiment.samples is not None, "a study that keeps samples was validated"
+    rows = []
+    for catalogue in range(block.first_catalogue, block.first_catalogue + block.n_cat):
+        rng, catalogue_rng = generators(seed, digest, catalogue, block.part)
+        drawn = experiment.samples([parameters], block.n_sim, rng, catalogue_rng)
+        rows.append(np.hstack([np.reshape(drawn[o.name], (block.n_sim, -1)) for o in experiment.sample_outputs]))
+    return np.concatenate(rows)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sweep.grid import describe
 from sweep.plan import Plan, PlanSize, Work
 from sweep.provenance import now, provenance
-from sweep.results import DONE, EXCLUDED, assemble
+from sweep.results import DONE, EXCLUDED, assemble, assemble_samples
 from sweep.store import Store
 from sweep.worker import TaskResult
 
@@ -42,7 +42,9 @@ class Writer:
     def take(self, works: Sequence[Work], result: TaskResult) -> PlanSize:
         """Add a task's results, and return how much that was."""
         good = [i for i in range(len(works)) if i not in result.errors]
-        self.store.append([works[i].key for i in good], result.sums[good])
+        self.store.append(
+            [works[i].key for i in good], result.sums[good], [result.samples[i] for i in good if result.samples]
+        )
         for i, message in result.errors.items():
             self.failures.setdefault(works[i].point.index, message)
         points = 0
@@ -60,10 +62,13 @@ class Writer:
     def write(self) -> xr.Dataset:
         """Write the labelled dataset of everything taken so far, and return it."""
         begun = time.monotonic()
+        study = self.plan.grid.study
+        self.store.flush()
         dataset = assemble(self.plan, self.store.rows, self.store.sums(), self.failures)
+        if study.sampling.keep_samples:
+            dataset = dataset.assign(assemble_samples(self.plan, dataset["status"].values, self.store.samples))
         status = dataset["status"].values
         points, done = int(np.sum(status != EXCLUDED)), int(np.sum(status == DONE))
-        study = self.plan.grid.study
         dataset.attrs = provenance(study) | {
             "started": self._started,
             "finished": now(),

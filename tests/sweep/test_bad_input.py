@@ -101,7 +101,7 @@ STUDIES = {
     "unknown key in published": (after(f"{PUBLISHED}\nyear = 2004"), "published.year (line 17): unknown key"),
     "missing key in published": (after('[published]\nfile = "x"'), "published.source (line 14): is required"),
     "missing title": (edited('title = "A good study"\n', ""), "title: is required"),
-    "unknown parameter": (fixed("altitude = 3"), "fixed.altitude (line 9): unknown parameter 'altitude'; `sweep params` lists"),
+    "unknown parameter": (fixed("altitude = 3"), "fixed.altitude (line 9): unknown parameter 'altitude'"),
     "misspelt parameter": (
         fixed("missin_length = 3"),
         "fixed.missin_length (line 9)",
