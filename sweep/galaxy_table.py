@@ -1,0 +1,142 @@
+"""The 46-byte table of galaxies in a star catalogue, as the paper's tables at CDS.
+
+====== ====== =====================================
+Bytes  Format What
+====== ====== =====================================
+ 1-  4 I4     TYC1 of the Tycho identifier
+ 6- 10 I5     TYC2
+12     I1     TYC3
+14- 18 I5     PGC number
+20- 31 F12.8  RAdeg, right ascension of the star (deg)
+33- 44 F12.8  DEdeg, declination of the star (deg)
+46     A1     class: G certain, U uncertain, S supplement
+====== ====== =====================================
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweep.contract import SweepError
+
+Indices = NDArray[np.int64]
+
+LETTERS = "GUS"
+"""The class letters in order of the codes certain, uncertain, supplement."""
+
+LENGTH = 46
+FIELDS = {
+    "TYC1": slice(0, 4),
+    "TYC2": slice(5, 10),
+    "TYC3": slice(11, 12),
+    "PGC": slice(13, 18),
+    "RAdeg": slice(19, 31),
+    "DEdeg": slice(32, 44),
+    "class": slice(45, 46),
+}
+BLANKS = (4, 10, 12, 18, 31, 44)
+LARGEST = {"TYC1": 9999, "TYC2": 99999, "TYC3": 9, "PGC": 99999}
+PROBLEMS_NAMED = 10
+
+
+@dataclass(frozen=True)
+class GalaxyTable:
+    """N galaxies: ``tyc`` (N, 3), ``pgc`` (N,), ``ra`` and ``dec`` in deg and the class code (N,) as in `LETTERS`."""
+
+    tyc: Indices
+    pgc: Indices
+    ra: NDArray[np.float64]
+    dec: NDArray[np.float64]
+    code: Indices
+
+    def __len__(self) -> int:
+        return len(self.pgc)
+
+
+def format_galaxy_table(table: GalaxyTable) -> str:
+    r"""Return one line of 46 bytes and a ``\n`` for each galaxy.
+
+    A right ascension that rounds to 360 is written as 0.  Raises SweepError that names each galaxy without a PGC
+    number or with a number that does not fit its field.
+    """
+    problems: list[str] = []
+    lines: list[str] = []
+    for tyc, pgc, ra, dec, code in zip(
+        table.tyc.tolist(), table.pgc.tolist(), table.ra.tolist(), table.dec.tolist(), table.code.tolist(), strict=True
+    ):
+        star = f"TYC {tyc[0]}-{tyc[1]}-{tyc[2]}"
+        if pgc == 0:
+            problems.append(f"{star} has no PGC number")
+        for (name, largest), number in zip(LARGEST.items(), (*tyc, pgc), strict=True):
+            if not 0 <= number <= largest:
+                field = FIELDS[name]
+                problems.append(
+                    f"{star}: {name} = {number} does not fit bytes {field.start + 1}-{field.stop}, at most {largest}"
+                )
+        wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
+        lines.append(f"{tyc[0]:4d} {tyc[1]:5d} {tyc[2]:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[code]}\n")
+    if problems:
+        raise SweepError(_shortened(problems))
+    return "".join(lines)
+
+
+def read_galaxy_table(path: Path) -> GalaxyTable:
+    """Return the galaxies of a 46-byte table; raises SweepError that names each bad line, byte and value."""
+    try:
+        lines = path.read_bytes().decode("ascii").split("\n")
+    except OSError as error:
+        raise SweepError(f"cannot be read: {error.strerror}", str(path)) from error
+    except UnicodeDecodeError as error:
+        raise SweepError(f"byte {error.start} is not ASCII; this is no 46-byte table", str(path)) from error
+    if lines[-1] == "":
+        lines.pop()
+    problems: list[str] = []
+    rows = [_parse(line.removesuffix("\r"), number, problems) for number, line in enumerate(lines, start=1)]
+    if problems:
+        raise SweepError(_shortened(problems), str(path))
+    columns = np.array(rows, dtype=np.float64).reshape(len(rows), 7).T  # integers of five digits are exact
+    return GalaxyTable(
+        tyc=columns[:3].T.astype(np.int64),
+        pgc=columns[3].astype(np.int64),
+        ra=columns[4],
+        dec=columns[5],
+        code=columns[6].astype(np.int64),
+    )
+
+
+def _parse(line: str, number: int, problems: list[str]) -> tuple[float, ...]:
+    """Return the seven numbers of a line, the class as its code; what is wrong goes to ``problems``."""
+    if len(line) != LENGTH:
+        problems.append(f"line {number} has {len(line)} bytes, not {LENGTH}")
+        return (0.0,) * 7
+    stray = [byte + 1 for byte in BLANKS if line[byte] != " "]
+    if stray:
+        problems.append(f"line {number}: byte {stray[0]} is {line[stray[0] - 1]!r}, not a blank")
+        return (0.0,) * 7
+    values: list[float] = []
+    for name, field in FIELDS.items():
+        text = line[field]
+        value = LETTERS.find(text) if name == "class" else _number(text, whole=name in LARGEST)
+        low, high = {"RAdeg": (0.0, 360.0), "DEdeg": (-90.0, 90.0)}.get(name, (0.0 if name == "class" else 1.0, 1e5))
+        if value is None or not low <= value <= high:
+            allowed = f"one of {', '.join(LETTERS)}" if name == "class" else f"a number {low:g}..{high:g}"
+            if name in LARGEST:
+                allowed = f"an integer 1..{LARGEST[name]}"
+            problems.append(
+                f"line {number}: {name} (bytes {field.start + 1}-{field.stop}) is {text!r}, must be {allowed}"
+            )
+        values.append(0.0 if value is None else float(value))
+    return tuple(values)
+
+
+def _number(text: str, whole: bool) -> float | None:
+    form = r" *-?\d+" if whole else r" *-?\d+\.\d+"
+    return float(text) if re.fullmatch(form, text) else None
+
+
+def _shortened(problems: list[str]) -> list[str]:
+    more = len(problems) - PROBLEMS_NAMED
+    return [*problems[:PROBLEMS_NAMED], f"and {more} more"] if more > 0 else problems
