@@ -154,10 +154,14 @@ def plan_search(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
-    for name, value in (
-        ("k_sigma", (rules or Rules()).k_sigma),
-        ("epoch_difference_yr", epoch_difference_yr),
-    ):
+    rules = rules or Rules()
+    positive = {
+        "k_sigma": rules.k_sigma,
+        "crowding_radius": rules.crowding_radius,
+        "merge_radius": 1.0 if rules.merge_radius is None else rules.merge_radius,
+        "epoch_difference_yr": epoch_difference_yr,
+    }
+    for name, value in positive.items():
         if not 0.0 < value < math.inf:
             raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
     if not 0.0 <= second_epoch_error_mas < math.inf:
@@ -190,7 +194,7 @@ def plan_search(
         values["--radius"],
         readings,
         epoch,
-        rules or Rules(),
+        rules,
         epoch_difference_yr,
         second_epoch_error_mas,
     )
@@ -311,7 +315,9 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
 
 
 def matches_table(result: Result) -> Any:
-    """Return the matches as an astropy Table with units and descriptions, missing values masked, the summary as meta."""
+    """Return the matches as an astropy Table with units and descriptions; missing values are masked, ``meta`` is the
+    summary.
+    """
     from astropy.table import MaskedColumn, Table
 
     table = Table(meta={"linksweep": version("linksweep"), **summarise(result)})

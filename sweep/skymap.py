@@ -1,7 +1,7 @@
 """The all-sky map of a galaxy search; matplotlib only, arrays in and a figure out."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ STYLES = {
 """Marker and colour of each class, from the colour-blind safe palette of Okabe & Ito (2008)."""
 
 BACKGROUND = "#b0b0b0"
+MINUS = "\N{MINUS SIGN}"
 MAX_BACKGROUND = 30_000
 """More background points than this fill the map; beyond it an even share of them is drawn, and the legend says so."""
 
@@ -32,13 +33,13 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
     from matplotlib.figure import Figure
     from matplotlib.patheffects import withStroke
 
-    figure = Figure(figsize=(8.0, 5.0), layout="constrained")
-    axes = figure.add_subplot(projection="mollweide")
+    figure = Figure(figsize=(8.0, 4.7), layout="constrained")
+    axes: Any = figure.add_subplot(projection="mollweide")  # a GeoAxes, which matplotlib does not declare
     step = -(-len(background[0]) // MAX_BACKGROUND)
     if step:
         share = f", 1 in {step} drawn" if step > 1 else ""
         # rows of a catalogue often run along the sky, so a random choice and not every step-th
-        chosen = np.random.default_rng(0).permutation(len(background[0]))[: MAX_BACKGROUND if step > 1 else None]
+        chosen = np.random.default_rng(0).permutation(len(background[0]))[: len(background[0]) // step]
         axes.plot(
             *_on_map(background[0][chosen], background[1][chosen]),
             linestyle="none",
@@ -48,6 +49,16 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
             color=BACKGROUND,
             rasterized=True,
             zorder=1,
+        )
+        # a point of the map is too small to be seen in the legend
+        axes.plot(
+            [],
+            [],
+            linestyle="none",
+            marker=".",
+            markersize=4.0,
+            markeredgewidth=0.0,
+            color=BACKGROUND,
             label=f"galaxy catalogues ({_count(len(background[0]))}{share})",
         )
     axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
@@ -61,16 +72,20 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
             markerfacecolor=colour,
             markeredgecolor="white",
             markeredgewidth=0.5,
+            clip_on=False,  # an object at the edge of the map is shown whole
             zorder=4,
             label=f"{name} ({_count(len(longitude))})",
         )
     axes.grid(color="0.75", linewidth=0.4, zorder=0)
     axes.set_axisbelow(True)
     halo = [withStroke(linewidth=2.5, foreground="white")]
-    ticks = np.arange(-150.0, 151.0, 60.0)
+    axes.set_longitude_grid_ends(90.0)
+    ticks = np.arange(-120.0, 121.0, 60.0)
     axes.set_xticks(np.deg2rad(ticks), [f"{-t % 360:.0f}°" for t in ticks], fontsize=8, path_effects=halo)
     latitudes = np.arange(-60.0, 61.0, 30.0)
-    axes.set_yticks(np.deg2rad(latitudes), [f"{b:+.0f}°" if b else "0°" for b in latitudes], fontsize=8)
+    axes.set_yticks(
+        np.deg2rad(latitudes), [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes], fontsize=8
+    )
     for label in axes.get_xticklabels():
         label.set_zorder(5)
     axes.set_xlabel("Galactic longitude $l$", fontsize=9)
