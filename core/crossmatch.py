@@ -35,8 +35,8 @@ REASON_NAMES = {CROWDED: "crowded", OFFSET: "offset", RIVAL: "rival"}
 """Names of the bits in `Matches.reason`."""
 
 MAX_RADIUS = 1.0 * DEGREE
-MAX_PAIRS = 2e7
-"""More pairs than this within a radius (1 GB) are not a search for counterparts."""
+MAX_PAIRS = 2e6
+"""More chance pairs than this within a radius, half a minute of work, are not a search for counterparts."""
 
 RING = (5.0, 10.0)
 """Chance pairs are counted in a ring between these multiples of the radius, where no true counterpart is left."""
@@ -104,7 +104,7 @@ class Chance:
 
 @dataclass(frozen=True)
 class Matches:
-    """M star-galaxy matches in order of the star's ra and dec; no star and no galaxy occurs twice.
+    """M star-galaxy matches in order of the star's ra and dec at the epoch of the search; no star and no galaxy occurs twice.
 
     ``star`` indexes the stars, ``catalogue`` and ``entry`` the closest galaxy entry, ``galaxy`` the merged galaxies.
     ``offset`` (rad) and its components ``d_ra`` (with cos dec) and ``d_dec`` are galaxy - star, ``n_sigma`` is the
@@ -234,7 +234,7 @@ def merge_galaxies(
             )
         ]
         if links:
-            galaxy, entry = _closest_links(links, catalogue)
+            galaxy, entry = _closest_links(links, catalogue, known)
             label[entry] = galaxy
             known = known.copy()
             known[galaxy] = np.maximum(known[galaxy], catalogue.identifier[entry])
@@ -251,7 +251,7 @@ def cross_match(
 
     All positions are for one epoch.  ``supplement`` (N,) marks stars of the supplement, which match like the others.
     The result does not depend on the order of rows: pairs at equal offset go by the catalogue's place, then by
-    position.  Raises ValueError as `pairs_within`.
+    position and identifier.  Raises ValueError as `pairs_within`.
     """
     rules = rules or Rules()
     star_tree, trees = sky_tree(stars), [sky_tree(c.positions) for c in catalogues]
@@ -266,7 +266,7 @@ def cross_match(
     there = _gather([c.positions for c in catalogues], which, entry)
 
     ra, dec = stars.ra[star], stars.dec[star]
-    best_first = np.lexsort((there.ra, there.dec, ra, dec, supplement[star], which, offset))
+    best_first = np.lexsort((identifiers[galaxy], there.ra, there.dec, ra, dec, supplement[star], which, offset))
     _, first, inverse = np.unique(
         (star * len(identifiers) + galaxy)[best_first], return_index=True, return_inverse=True
     )
@@ -436,11 +436,12 @@ def _free_links(
     return _Links(galaxy[free], entry[free], pairs.offset[free], earlier.positions.ra[at], earlier.positions.dec[at])
 
 
-def _closest_links(links: Sequence[_Links], catalogue: GalaxyCatalogue) -> tuple[Indices, Indices]:
+def _closest_links(links: Sequence[_Links], catalogue: GalaxyCatalogue, known: Indices) -> tuple[Indices, Indices]:
     """Return galaxies and their entries, one to one, closest first; entries of one identifier count as one."""
     galaxy, entry, offset, ra, dec = (np.concatenate(column) for column in zip(*links, strict=True))
     where, identifier = catalogue.positions, catalogue.identifier
-    order = np.lexsort((where.ra[entry], where.dec[entry], ra, dec, offset))
+    ties = (known[galaxy], identifier[entry], where.ra[entry], where.dec[entry], ra, dec)
+    order = np.lexsort((*ties, offset))
     galaxy, entry = galaxy[order], entry[order]
     object_of_entry = np.where(identifier > 0, identifier, -1 - np.arange(len(identifier)))[entry]
     _, number = np.unique(object_of_entry, return_inverse=True)

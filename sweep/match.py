@@ -64,7 +64,7 @@ MATCH_UNITS: Mapping[str, str] = {
 }
 MATCH_COLUMNS = {
     "class": "certain, uncertain or supplement",
-    "reason": "why it is in doubt: crowded, offset, rival",
+    "reason": "why it is in doubt: crowded, offset, rival; or none",
     "offset": "angle between star and galaxy at the epoch of the search",
     "offset_ra": "galaxy - star along ra, with cos(dec)",
     "offset_dec": "galaxy - star along dec",
@@ -296,7 +296,7 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
     return columns | {
         "class": np.array(CLASS_NAMES)[matches.code],
         "reason": np.array(
-            [",".join(n for bit, n in REASON_NAMES.items() if r & bit) for r in matches.reason], dtype=str
+            [",".join(n for bit, n in REASON_NAMES.items() if r & bit) or "none" for r in matches.reason], dtype=str
         ),
         "offset": matches.offset / ARCSEC,
         "offset_ra": matches.d_ra / ARCSEC,

@@ -1,0 +1,456 @@
+"""The cross-match: against astropy, at poles and wrap, one-to-one, merging, chance matches and every class rule."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord, search_around_sky
+from astropy.time import Time
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.constants import DEGREE, MAS, MICROARCSEC
+from core.crossmatch import (
+    ARCSEC,
+    CERTAIN,
+    CROWDED,
+    OFFSET,
+    RIVAL,
+    SUPPLEMENT,
+    UNCERTAIN,
+    GalaxyCatalogue,
+    Matches,
+    Positions,
+    Rules,
+    at_epoch,
+    classify,
+    count_near,
+    cross_match,
+    displacement,
+    galactic,
+    merge_galaxies,
+    one_to_one,
+    pairs_within,
+    second_epoch_pm_error,
+    sky_tree,
+    uniform_pairs,
+)
+
+
+def positions(ra_deg, dec_deg, error_arcsec=1.0):
+    ra, dec = np.asarray(ra_deg, dtype=float) * DEGREE, np.asarray(dec_deg, dtype=float) * DEGREE
+    error = np.full(len(ra), error_arcsec * ARCSEC)
+    return Positions(ra, dec, error, error)
+
+
+def sky(rng, n, error_arcsec=1.0):
+    return positions(rng.uniform(0, 360, n), np.degrees(np.arcsin(rng.uniform(-1, 1, n))), error_arcsec)
+
+
+def near(rng, where, sigma_arcsec):
+    """The same objects as seen with errors, by rotating each along its own triad (safe at poles)."""
+    none, n = np.zeros(len(where)), len(where)
+    east, north = (rng.normal(0.0, sigma_arcsec * ARCSEC, n) for _ in "en")
+    return at_epoch(where, east, north, none, none, np.ones(n))
+
+
+def catalogue(where, radius_arcsec, identifier=None):
+    names = np.zeros(len(where), dtype=np.int64) if identifier is None else np.asarray(identifier, dtype=np.int64)
+    return GalaxyCatalogue(where, names, radius_arcsec * ARCSEC)
+
+
+def coordinates(where):
+    return SkyCoord(where.ra * u.rad, where.dec * u.rad)
+
+
+def no_supplement(stars):
+    return np.zeros(len(stars), dtype=bool)
+
+
+def concatenated(*parts):
+    return Positions(*(np.concatenate([getattr(p, f) for p in parts]) for f in ("ra", "dec", "ra_error", "dec_error")))
+
+
+def take(where, index):
+    return Positions(where.ra[index], where.dec[index], where.ra_error[index], where.dec_error[index])
+
+
+# ---- pairs
+
+
+@pytest.mark.parametrize("radius_arcsec", [0.5, 60.0, 3600.0])
+def test_pairs_are_those_of_astropy(radius_arcsec):
+    rng = np.random.default_rng(1)
+    first = sky(rng, 4000)
+    second = concatenated(near(rng, take(first, slice(0, 1500)), 40.0), sky(rng, 3000))
+    found = pairs_within(sky_tree(first), sky_tree(second), radius_arcsec * ARCSEC)
+    i, j, separation, _ = search_around_sky(coordinates(first), coordinates(second), radius_arcsec * u.arcsec)
+    order, expected = np.lexsort((found.second, found.first)), np.lexsort((j, i))
+    np.testing.assert_array_equal(found.first[order], i[expected])
+    np.testing.assert_array_equal(found.second[order], j[expected])
+    # unit vectors hold an angle to 2e-16 rad = 0.05 microarcsec; astropy's haversine is no better
+    np.testing.assert_allclose(found.offset[order], separation.rad[expected], atol=0.5 * MICROARCSEC, rtol=1e-12)
+
+
+def test_coincident_positions_are_a_pair():
+    same = positions([10.0], [20.0])
+    found = pairs_within(sky_tree(same), sky_tree(same), ARCSEC)
+    assert (found.first.tolist(), found.second.tolist(), found.offset.tolist()) == ([0], [0], [0.0])
+
+
+def test_pairs_across_ra_zero_and_the_poles():
+    first = positions([0.0001, 10.0, 77.0], [0.0, 89.9999, -90.0])
+    second = positions([359.9999, 190.0, 257.0], [0.0, 89.9999, -89.9999])
+    found = pairs_within(sky_tree(first), sky_tree(second), 1.0 * ARCSEC)
+    assert sorted(zip(found.first.tolist(), found.second.tolist(), strict=True)) == [(0, 0), (1, 1), (2, 2)]
+    np.testing.assert_allclose(np.sort(found.offset) / ARCSEC, [0.36, 0.72, 0.72], atol=1e-6)
+
+
+@pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, 2.0 * DEGREE])
+def test_a_strange_radius_is_refused(radius):
+    tree = sky_tree(positions([0.0], [0.0]))
+    with pytest.raises(ValueError, match=r"radius = .* arcsec: must be above 0 and at most 3600"):
+        pairs_within(tree, tree, radius)
+
+
+def test_a_radius_that_pairs_everything_is_refused():
+    tree = sky_tree(sky(np.random.default_rng(2), 200_000))
+    with pytest.raises(ValueError, match="chance pairs of 200000 and 200000 objects"):
+        pairs_within(tree, tree, 0.9 * DEGREE)
+
+
+def test_nearest_match_is_that_of_astropy():
+    """One catalogue without doubt: every star has at most one galaxy and the other way round."""
+    rng = np.random.default_rng(3)
+    stars = sky(rng, 3000)
+    galaxies = near(rng, take(stars, np.arange(0, 3000, 3)), 0.5)
+    matches = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 3.0)])
+    index, separation, _ = coordinates(galaxies).match_to_catalog_sky(coordinates(stars))
+    inside = separation < 3.0 * u.arcsec
+    assert dict(zip(matches.entry.tolist(), matches.star.tolist(), strict=True)) == {
+        int(g): int(index[g]) for g in np.flatnonzero(inside)
+    }
+
+
+# ---- proper motion
+
+
+def test_positions_at_another_epoch_are_those_of_astropy():
+    rng = np.random.default_rng(4)
+    n = 500
+    where = sky(rng, n)
+    pmra, pmdec = rng.normal(0, 300, (2, n))
+    pmra[0], pmdec[0] = 801.551, 10362.394  # Barnard's star
+    here = at_epoch(where, pmra * MAS, pmdec * MAS, 0 * pmra, 0 * pmra, np.full(n, 8.75))
+    coords = SkyCoord(
+        where.ra * u.rad,
+        where.dec * u.rad,
+        distance=np.full(n, 0.1) * u.pc,  # so near that the change of light time along the way is nothing
+        radial_velocity=np.zeros(n) * u.km / u.s,
+        pm_ra_cosdec=pmra * u.mas / u.yr,
+        pm_dec=pmdec * u.mas / u.yr,
+        obstime=Time(1991.25, format="jyear", scale="tdb"),
+    )
+    moved = coords.apply_space_motion(Time(2000.0, format="jyear", scale="tdb"))
+    assert coordinates(here).separation(moved).uas.max() < 1.0
+
+
+def test_errors_grow_with_time_and_stay_without_proper_motion():
+    where = positions([10.0], [60.0], 0.1)
+    pm, pm_error = np.array([5.0 * MAS]), np.array([3.0 * MAS])
+    later = at_epoch(where, pm, pm, pm_error, 0 * pm_error, np.array([-20.0]))
+    np.testing.assert_allclose(later.ra_error / MAS, np.hypot(100.0, 60.0))
+    np.testing.assert_allclose(later.dec_error / MAS, 100.0)
+
+
+def test_a_start_from_the_pole_is_finite():
+    later = at_epoch(positions([30.0], [90.0]), np.zeros(1), np.array([MAS]), np.zeros(1), np.zeros(1), np.ones(1))
+    assert np.isfinite(later.ra).all()
+    np.testing.assert_allclose(90.0 * DEGREE - later.dec, MAS, rtol=1e-6)
+
+
+def test_the_match_is_made_at_the_common_epoch():
+    galaxies = positions([10.0], [45.0])
+    start = at_epoch(galaxies, *(np.array([x * MAS]) for x in (-1000.0, 700.0, 0.0, 0.0)), np.array([-20.0]))
+    none = no_supplement(start)
+    assert len(cross_match(start, none, [catalogue(galaxies, 2.0)])) == 0
+    moved = at_epoch(start, *(np.array([x * MAS]) for x in (-1000.0, 700.0, 0.0, 0.0)), np.array([20.0]))
+    matches = cross_match(moved, none, [catalogue(galaxies, 2.0)])
+    # a great circle turns against the parallels: 24" x 20" x tan(dec) = 2.4 mas on the way there and back
+    assert matches.offset[0] < 3.0 * MAS
+
+
+# ---- one to one
+
+
+def greedy(first, second):
+    """The definition, as a loop."""
+    taken_first, taken_second, kept = set(), set(), []
+    for a, b in zip(first, second, strict=True):
+        kept.append(a not in taken_first and b not in taken_second)
+        if kept[-1]:
+            taken_first.add(a)
+            taken_second.add(b)
+    return kept
+
+
+pair_lists = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), unique=True, max_size=40)
+
+
+@settings(deadline=None, derandomize=True)
+@given(pair_lists)
+def test_one_to_one_is_the_greedy_loop(pairs):
+    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    assert one_to_one(first, second).tolist() == greedy(first.tolist(), second.tolist())
+
+
+grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
+
+
+def on_grid(points, identified):
+    """Positions a multiple of an arcsecond apart about ra = 0, many at equal distances, and identifiers of some."""
+    ra = np.array([(x - 6) / 3600.0 % 360.0 for x, _, _ in points])
+    dec = np.array([y / 3600.0 for _, y, _ in points])
+    names = np.array([n if identified else 0 for _, _, n in points], dtype=np.int64)
+    return positions(ra, dec), names
+
+
+def placed(matches: Matches, stars, catalogues):
+    """The matches as positions, which do not depend on the order of rows."""
+    rows = []
+    for m in range(len(matches)):
+        there = catalogues[matches.catalogue[m]].positions
+        star, entry = matches.star[m], matches.entry[m]
+        rows.append((stars.ra[star], stars.dec[star], there.ra[entry], there.dec[entry], matches.code[m]))
+    return sorted(rows)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True)
+@given(grid_sky, grid_sky, grid_sky, st.booleans(), st.randoms(use_true_random=False))
+def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, identified, random):
+    stars, _ = on_grid(list({point[:2]: point for point in a}.values()), False)
+    catalogues = [
+        catalogue(*[on_grid(p, identified)[0], r, on_grid(p, identified)[1]]) for p, r in ((b, 2.5), (c, 1.2))
+    ]
+    matches = cross_match(stars, no_supplement(stars), catalogues)
+    assert len(set(matches.star.tolist())) == len(matches)
+    assert len(set(matches.galaxy.tolist())) == len(matches)
+    named = matches.identifier[matches.identifier > 0]
+    assert len(set(named.tolist())) == len(named)
+    assert (matches.found_in.sum(axis=1) >= 1).all()
+    assert matches.found_in[np.arange(len(matches)), matches.catalogue].all()
+
+    def shuffled(n):
+        order = list(range(n))
+        random.shuffle(order)
+        return np.array(order)
+
+    star_order = shuffled(len(stars))
+    other_stars = take(stars, star_order)
+    others = []
+    for c_ in catalogues:
+        order = shuffled(len(c_.positions))
+        others.append(GalaxyCatalogue(take(c_.positions, order), c_.identifier[order], c_.radius))
+    again = cross_match(other_stars, no_supplement(other_stars), others)
+    assert placed(again, other_stars, others) == placed(matches, stars, catalogues)
+
+
+def test_of_two_stars_the_closer_one_is_taken_and_the_other_galaxy_gets_what_is_left():
+    stars = positions([0.0, 2.0 / 3600.0], [0.0, 0.0])
+    galaxies = positions([1.5 / 3600.0, 4.0 / 3600.0], [0.0, 0.0])  # offsets: s0-g0 1.5", s1-g0 0.5", s1-g1 2"
+    matches = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 5.0)])
+    assert (matches.star.tolist(), matches.entry.tolist()) == ([0, 1], [1, 0])
+    assert (matches.reason & RIVAL).all()
+
+
+# ---- merging of catalogues
+
+
+def labels_of(*catalogues, merge_radius=None):
+    trees = [sky_tree(c.positions) for c in catalogues]
+    labels, identifiers = merge_galaxies(catalogues, trees, merge_radius)
+    return [label.tolist() for label in labels], identifiers.tolist()
+
+
+def test_entries_close_together_are_one_galaxy_and_share_the_identifier():
+    first = catalogue(positions([10.0, 50.0], [0.0, 0.0]), 3.0)
+    second = catalogue(positions([50.0 + 4.0 / 3600.0, 90.0], [0.0, 0.0]), 2.0, [7, 8])
+    labels, identifiers = labels_of(first, second)  # within 3" + 2"
+    assert labels == [[0, 1], [1, 2]]
+    assert identifiers == [0, 7, 8]
+    labels, _ = labels_of(first, second, merge_radius=3.9 * ARCSEC)
+    assert labels[0][1] != labels[1][0]
+
+
+def test_an_identifier_decides_before_the_position():
+    first = catalogue(positions([10.0, 10.001], [0.0, 0.0]), 3.0, [5, 6])
+    second = catalogue(positions([10.001, 70.0], [0.0, 0.0]), 3.0, [5, 6])
+    labels, identifiers = labels_of(first, second)
+    assert labels == [[0, 1], [0, 1]]
+    assert identifiers == [5, 6]
+
+
+def test_different_identifiers_are_never_merged():
+    labels, _ = labels_of(*(catalogue(positions([10.0], [0.0]), 3.0, [name]) for name in (5, 6)))
+    assert labels == [[0], [1]]
+
+
+def test_an_entry_without_identifier_links_the_third_catalogue_too():
+    nameless = catalogue(positions([10.0], [0.0]), 1.0)
+    sharp = catalogue(positions([10.0 + 1.5 / 3600.0], [0.0]), 1.0)
+    named = catalogue(positions([10.0 + 3.0 / 3600.0], [0.0]), 1.0, [9])
+    labels, identifiers = labels_of(nameless, sharp, named)
+    assert labels == [[0], [0], [0]]
+    assert identifiers == [9]
+
+
+def test_a_repeated_identifier_in_one_catalogue_is_one_galaxy():
+    first = catalogue(positions([10.0, 10.0 + 9.0 / 3600.0], [0.0, 0.0]), 2.0)
+    second = catalogue(positions([10.0, 10.0 + 9.0 / 3600.0], [0.0, 0.0]), 2.0, [9, 9])
+    labels, identifiers = labels_of(first, second)
+    assert labels[1][0] == labels[1][1]
+    assert sorted(identifiers) == [0, 9]
+
+
+def test_a_galaxy_in_two_catalogues_is_found_once_in_both():
+    stars = positions([10.0], [20.0], 0.1)
+    wide = catalogue(positions([10.0 + 4.0 / 3600.0], [20.0], 3.0), 10.0, [123])
+    sharp = catalogue(positions([10.0], [20.0 + 0.5 / 3600.0], 0.5), 2.0)
+    far = catalogue(positions([200.0], [20.0]), 2.0)
+    matches = cross_match(stars, no_supplement(stars), [wide, sharp, far])
+    assert len(matches) == 1
+    assert (matches.catalogue[0], matches.identifier[0], matches.n_rival[0]) == (1, 123, 0)
+    assert matches.found_in.tolist() == [[True, True, False]]
+    assert matches.n_galaxies == 2
+
+
+# ---- classes
+
+
+def test_offsets_are_galaxy_minus_star_in_units_of_the_combined_error():
+    star, galaxy = positions([10.0], [60.0], 0.3), positions([10.0 + 8.0 / 3600.0], [60.0 + 3.0 / 3600.0], 0.4)
+    d_ra, d_dec, n_sigma = displacement(star, galaxy)
+    expected = coordinates(star).spherical_offsets_to(coordinates(galaxy))
+    np.testing.assert_allclose(d_ra, expected[0].rad, atol=MICROARCSEC)
+    np.testing.assert_allclose(d_dec, expected[1].rad, atol=MICROARCSEC)
+    np.testing.assert_allclose(n_sigma, np.hypot(d_ra, d_dec) / (0.5 * ARCSEC))
+
+
+@pytest.mark.parametrize(
+    ("supplement", "n_sigma", "n_near", "n_rival", "code", "reason"),
+    [
+        (False, 3.0, 2, 0, CERTAIN, 0),
+        (False, 3.001, 0, 0, UNCERTAIN, OFFSET),
+        (False, 0.0, 3, 0, UNCERTAIN, CROWDED),
+        (False, 0.0, 0, 1, UNCERTAIN, RIVAL),
+        (False, 9.0, 9, 9, UNCERTAIN, OFFSET | CROWDED | RIVAL),
+        (True, 0.0, 0, 0, SUPPLEMENT, 0),
+        (True, 9.0, 9, 0, SUPPLEMENT, OFFSET | CROWDED),
+    ],
+)
+def test_each_rule_of_the_classes(supplement, n_sigma, n_near, n_rival, code, reason):
+    found = classify(np.array([supplement]), np.array([n_sigma]), np.array([n_near]), np.array([n_rival]), Rules())
+    assert (found[0].tolist(), found[1].tolist()) == ([code], [reason])
+
+
+def test_each_rule_of_the_classes_in_a_search():
+    """Five stars far apart: alone, with three others within 120", 4 sigma off, with a second star, supplement."""
+    ra = np.array([10.0, 50.0, 90.0, 130.0, 170.0])
+    crowd = positions(np.array([50.0, 50.0, 50.0]), np.array([60.0, 90.0, -110.0]) / 3600.0, 0.1)
+    second = positions([130.0], [4.0 / 3600.0], 0.1)
+    stars = concatenated(positions(ra, np.zeros(5), 0.3), crowd, second)
+    galaxies = positions(ra, np.array([0.0, 0.0, 2.0, 0.0, 0.0]) / 3600.0, 0.4)
+    supplement = np.arange(len(stars)) == 4
+    matches = cross_match(stars, supplement, [catalogue(galaxies, 5.0)])
+    assert matches.star.tolist() == [0, 1, 2, 3, 4]
+    assert matches.code.tolist() == [CERTAIN, UNCERTAIN, UNCERTAIN, UNCERTAIN, SUPPLEMENT]
+    assert matches.reason.tolist() == [0, CROWDED, OFFSET, RIVAL, 0]
+    assert matches.n_near.tolist() == [0, 3, 0, 1, 0]
+    np.testing.assert_allclose(matches.n_sigma, [0, 0, 4, 0, 0], atol=1e-6)
+    kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], Rules(4.5, 100.0 * ARCSEC, 3))
+    assert kinder.reason.tolist() == [0, 0, 0, RIVAL, 0]
+
+
+def test_three_sigma_is_exceeded_as_often_as_normal_errors_do():
+    rng = np.random.default_rng(5)
+    n = 20_000
+    stars = sky(rng, n, 0.12)
+    seen, galaxies = near(rng, stars, 0.12), near(rng, stars, 1.0)
+    error = np.full(n, ARCSEC)
+    _, _, n_sigma = displacement(seen, Positions(galaxies.ra, galaxies.dec, error, error))
+    expected = n * np.exp(-4.5)  # Rayleigh
+    assert abs(int((n_sigma > 3.0).sum()) - expected) < 4.0 * np.sqrt(expected)
+
+
+def test_neighbours_are_counted_without_the_star_itself():
+    stars = positions([0.0, 0.001, 359.999, 90.0], [0.0, 0.0, 0.0, 0.0])
+    assert count_near(sky_tree(stars), stars, 5.0 * ARCSEC).tolist() == [2, 1, 1, 0]
+
+
+# ---- chance
+
+
+def test_uniform_chance_pairs_agree_with_counts():
+    rng = np.random.default_rng(6)
+    stars, galaxies, radius = sky(rng, 20_000), sky(rng, 20_000), 200.0 * ARCSEC
+    found = len(pairs_within(sky_tree(stars), sky_tree(galaxies), radius).first)
+    expected = uniform_pairs(20_000, 20_000, radius)  # about 94
+    assert abs(found - expected) < 4.0 * np.sqrt(expected)
+
+
+def test_local_chance_pairs_follow_the_crowding():
+    """Stars and galaxies both in one tenth of the sky: ten times the uniform expectation."""
+    rng = np.random.default_rng(7)
+
+    def strip(n):
+        return positions(rng.uniform(0, 360, n), np.degrees(np.arcsin(rng.uniform(0.0, 0.2, n))))
+
+    stars, galaxies = strip(20_000), strip(20_000)
+    chance = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 30.0)]).chance[0]
+    np.testing.assert_allclose(chance.uniform, 4e8 * np.sin(15.0 * ARCSEC) ** 2)
+    assert abs(chance.local - 10.0 * chance.uniform) < 5.0 * chance.local_error
+    assert abs(chance.pairs - chance.local) < 4.0 * np.sqrt(chance.local)
+
+
+def test_true_counterparts_are_not_taken_for_chance():
+    rng = np.random.default_rng(8)
+    stars = sky(rng, 2000)
+    chance = cross_match(stars, no_supplement(stars), [catalogue(near(rng, stars, 1.0), 5.0)]).chance[0]
+    assert chance.pairs > 1990
+    assert chance.local < 1.0
+
+
+# ---- the rest
+
+
+def test_no_match_is_no_error():
+    matches = cross_match(positions([10.0], [0.0]), np.zeros(1, dtype=bool), [catalogue(positions([50.0], [0.0]), 5.0)])
+    assert len(matches) == 0
+    assert matches.found_in.shape == (0, 1)
+
+
+def test_second_epoch_error_of_the_paper():
+    """117 and 127 mas, 20 yr and a perfect second epoch: about 6 mas/yr."""
+    assert second_epoch_pm_error(117.0, 0.0, 20.0) == pytest.approx(5.85)
+    assert second_epoch_pm_error(127.0, 0.0, 20.0) == pytest.approx(6.35)
+    assert second_epoch_pm_error(3.0, 4.0, 5.0) == pytest.approx(1.0)
+    for years in (0.0, -1.0, np.nan):
+        with pytest.raises(ValueError, match="some time apart"):
+            second_epoch_pm_error(1.0, 1.0, years)
+
+
+def test_galactic_coordinates_are_those_of_astropy():
+    where = sky(np.random.default_rng(9), 200)
+    expected = coordinates(where).galactic
+    longitude, latitude = galactic(where.ra, where.dec)
+    found = SkyCoord(longitude * u.rad, latitude * u.rad, frame="galactic")
+    assert found.separation(expected).arcsec.max() < 0.1  # astropy's pole is that of FK5; 1997 values agree to 0.04"
+
+
+def test_arguments_are_not_changed():
+    rng = np.random.default_rng(10)
+    stars = sky(rng, 50)
+    galaxies = [catalogue(near(rng, stars, 1.0), 5.0, np.arange(50)), catalogue(near(rng, stars, 1.0), 5.0)]
+    before = [stars.ra.copy(), galaxies[0].identifier.copy(), galaxies[1].identifier.copy()]
+    cross_match(stars, no_supplement(stars), galaxies)
+    for old, new in zip(before, [stars.ra, galaxies[0].identifier, galaxies[1].identifier], strict=True):
+        np.testing.assert_array_equal(old, new)

@@ -1,0 +1,628 @@
+"""The galaxy search from files to files: tables, options, both formats, summary, map, and every bad table."""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, Table
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.crossmatch import CLASS_NAMES
+from sweep.cli import main
+from sweep.contract import SweepError
+from sweep.galaxy_table import GalaxyTable, format_galaxy_table, read_galaxy_table
+from sweep.match import (
+    Outputs,
+    find_galaxies,
+    match_columns,
+    plan_search,
+    read_matches,
+    sky_map_of,
+    summarise,
+)
+from sweep.sky_tables import Reading, read_galaxies, read_stars
+
+ARCSEC = 1.0 / 3600.0
+
+
+def star_table(**changes):
+    """Four stars: a plain galaxy, one 4 sigma off, a star alone, and one that moves onto its galaxy in 8.75 yr."""
+    columns = {
+        "TYC1": [1, 1234, 9537, 4012],
+        "TYC2": [13, 567, 12121, 1],
+        "TYC3": [1, 2, 3, 1],
+        "ra": [10.0, 50.0, 90.0, 359.99999],
+        "dec": [20.0, -30.0, 0.0, 0.0],
+        "ra_error": [100.0, 120.0, 50.0, 140.0],
+        "dec_error": [110.0, 130.0, 60.0, 150.0],
+        "pmra": [0.0, 0.0, 0.0, 6000.0],
+        "pmdec": [0.0, 0.0, 0.0, 0.0],
+        "vt_mag": [12.0, 12.5, 9.0, 13.0],
+        "ref_epoch": [1991.25] * 4,
+    }
+    columns |= changes
+    return Table({name: values for name, values in columns.items() if values is not None})
+
+
+def galaxy_tables():
+    wide = Table(
+        {
+            "ra": [10.0, 50.0, 359.99999 + 52.5 * ARCSEC - 360.0, 200.0],
+            "dec": [20.0 + ARCSEC, -30.0 + 4.1 * ARCSEC, 0.0, 0.0],
+            "PGC": [7223, 11404, 65866, 99999],
+        }
+    )
+    sharp = Table({"ra": [10.0], "dec": [20.0 + 0.2 * ARCSEC]})
+    return wide, sharp
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    star_table().write("stars.fits")
+    supplement = {"TYC1": [5], "TYC2": [6], "TYC3": [1], "ra": [200.0], "dec": [0.0]}
+    supplement |= {"ra_error": [200.0], "dec_error": [210.0], "vt_mag": [13.5]}
+    Table(supplement).write("extra.ecsv")
+    wide, sharp = galaxy_tables()
+    wide.write("wide.csv")
+    sharp.write("sharp.ecsv")
+    return tmp_path
+
+
+ARGUMENTS = ["stars.fits", "wide.csv", "sharp.ecsv", "--error", "wide=1", "--error", "sharp=0.3"]
+WITH_SUPPLEMENT = [*ARGUMENTS, "--supplement", "extra.ecsv"]
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, ["match", *arguments])
+
+
+def search(**options):
+    options.setdefault("error", ("wide=1", "sharp=0.3"))
+    from pathlib import Path
+
+    return plan_search(Path("stars.fits"), [Path("wide.csv"), Path("sharp.ecsv")], Path("extra.ecsv"), **options)
+
+
+# ---- the whole way
+
+
+def test_the_search_from_files_to_files(folder):
+    result = run(*WITH_SUPPLEMENT, "-o", "out.ecsv", "--table", "out.dat", "--map", "out.png")
+    assert result.exit_code == 0, result.output
+    table = read_matches(folder / "out.ecsv")
+    assert table["PGC"].tolist() == [65866, 7223, 11404, 99999]  # in order of the star's ra at the epoch
+    assert table["class"].tolist() == ["certain", "certain", "uncertain", "supplement"]
+    assert table["reason"].tolist() == ["none", "none", "offset", "none"]
+    assert table["found_in"].tolist() == ["wide", "wide,sharp", "wide", "wide"]
+    assert table["galaxy_table"].tolist() == ["wide", "sharp", "wide", "wide"]
+    assert table["galaxy_row"].tolist() == [3, 1, 2, 4]
+    assert table["star_table"].tolist() == ["stars", "stars", "stars", "extra"]
+    assert table["star_row"].tolist() == [4, 1, 2, 1]
+    np.testing.assert_allclose(table["offset"], [0.0, 0.2, 4.1, 0.0], atol=1e-5)
+    assert table["ra"][0] == 359.99999  # the star's own row, at its own epoch
+    assert table["pmra"].mask.tolist() == [False, False, False, True]  # the supplement has none
+    assert str(table["offset"].unit) == "arcsec"
+    assert table.meta["classes"]["certain"]["n"] == 2
+    galaxies = read_galaxy_table(folder / "out.dat")
+    assert galaxies.pgc.tolist() == table["PGC"].tolist()
+    assert [CLASS_NAMES[code] for code in galaxies.code] == table["class"].tolist()
+    assert galaxies.tyc.tolist() == [[4012, 1, 1], [1, 13, 1], [1234, 567, 2], [5, 6, 1]]
+    assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in folder.iterdir() if path.name.startswith(("out", "."))) == [
+        "out.dat",
+        "out.ecsv",
+        "out.png",
+    ]
+
+
+def test_json_is_the_summary(folder):
+    report = json.loads(run(*WITH_SUPPLEMENT, "--json").stdout)
+    assert report == summarise(find_galaxies(search()))
+    assert {name: row["n"] for name, row in report["classes"].items()} == {
+        "certain": 2,
+        "uncertain": 1,
+        "supplement": 1,
+        "all": 4,
+    }
+    certain = report["classes"]["certain"]
+    assert certain["ra_error_mas"]["mean"] == pytest.approx(120.0)
+    assert certain["ra_error_mas"]["scatter"] == pytest.approx(np.std([100, 140], ddof=1))
+    assert certain["pm_error_mas_yr"] == {"ra": pytest.approx(6.0), "dec": pytest.approx(6.5)}
+    assert certain["magnitude"]["mean"] == pytest.approx(12.5)
+    assert report["catalogues"]["wide"]["matches"] == 4
+    assert report["catalogues"]["sharp"]["matches"] == 1
+    assert report["catalogues"]["wide"]["chance_pairs_uniform"] == pytest.approx(
+        5 * 4 * np.sin(np.radians(2.5 * ARCSEC)) ** 2
+    )
+    assert report["galaxies"] == 4
+    assert report["notes"] == ["extra has no proper motions: its positions were taken as they are"]
+
+
+def test_text_shows_means_with_scatter_and_the_proper_motion_error(folder):
+    text = run(*WITH_SUPPLEMENT).stdout
+    assert re.search(r"certain +2 +120 ± 28 +130 ± 28 +12\.5 ± 0\.7 +6, 6\.5", text)
+    assert re.search(r"uncertain +1 +120 +130 +12\.5 +6, 6\.5", text)
+
+
+def test_second_epoch_of_the_summary(folder):
+    report = json.loads(run(*ARGUMENTS, "--json", "--epoch-difference", "10", "--second-epoch-error", "50").stdout)
+    assert report["classes"]["certain"]["pm_error_mas_yr"]["ra"] == pytest.approx(13.0)
+
+
+def test_proper_motions_bring_stars_to_the_epoch(folder):
+    report = json.loads(run(*ARGUMENTS, "--json", "--epoch", "1991.25").stdout)
+    assert report["classes"]["all"]["n"] == 2
+
+
+def test_radius_by_name_and_for_all(folder):
+    def n(*radii):
+        return json.loads(run(*ARGUMENTS, *radii, "--json", "--overwrite").stdout)["classes"]["all"]["n"]
+
+    assert n("--radius", "4") == 2
+    assert n("--radius", "0.1", "--radius", "wide=5") == 3
+
+
+def test_rules_are_options(folder):
+    report = json.loads(run(*ARGUMENTS, "--k-sigma", "5", "--json").stdout)
+    assert report["classes"]["uncertain"]["n"] == 0
+
+
+def test_no_match_still_makes_every_output(folder):
+    result = run(
+        *ARGUMENTS[:2],
+        "--error",
+        "1",
+        "--radius",
+        "0.00001",
+        "--epoch",
+        "1800",
+        "-o",
+        "a.ecsv",
+        "--table",
+        "a.dat",
+        "--map",
+        "a.svg",
+    )
+    assert result.exit_code == 0, result.output
+    assert len(read_matches(folder / "a.ecsv")) == 0
+    assert len(read_galaxy_table(folder / "a.dat")) == 0
+
+
+def test_columns_by_other_names_and_units(folder):
+    table = star_table()
+    table.rename_columns(["ra", "dec", "ref_epoch"], ["RAmdeg", "DEmdeg", "epoch"])
+    table["ra_error"].unit, table["pmra"].unit = "arcsec", "arcsec / yr"
+    table["ra_error"] /= 1000.0
+    table["pmra"] /= 1000.0
+    table["TYC"] = [
+        f"{a}-{b}-{c}" for a, b, c in zip(*(table.columns[k] for k in ("TYC1", "TYC2", "TYC3")), strict=True)
+    ]
+    table.remove_columns(["TYC1", "TYC2", "TYC3"])
+    table.write("odd.ecsv")
+    names = {"ra": "RAmdeg", "dec": "DEmdeg", "ref_epoch": "epoch"}
+    columns = ["--column", "ra=RAmdeg", "--column", "odd:dec=DEmdeg", "--column", "ref_epoch=epoch"]
+    assert run("odd.ecsv", *ARGUMENTS[1:], *columns, "-o", "odd_out.ecsv").exit_code == 0
+    assert run(*ARGUMENTS, "-o", "out.ecsv").exit_code == 0
+    odd, plain = read_matches(folder / "odd_out.ecsv"), read_matches(folder / "out.ecsv")
+    for name in set(plain.colnames) - {"star_table", "class", "reason", "found_in", "galaxy_table"}:
+        np.testing.assert_allclose(odd[name], plain[name], rtol=1e-12, atol=1e-9, err_msg=name)
+    assert (
+        read_stars(folder / "odd.ecsv", Reading(names)).tyc.tolist() == read_stars(folder / "stars.fits").tyc.tolist()
+    )
+
+
+@pytest.mark.parametrize("suffix", ["ecsv", "csv", "fits", "vot", "fits.gz"])
+def test_every_format_is_read_alike(folder, suffix):
+    kind = {"vot": "votable", "fits.gz": "fits", "csv": "ascii.csv", "ecsv": "ascii.ecsv"}.get(suffix, suffix)
+    star_table(vt_mag=MaskedColumn([1.0, 2.0, 3.0, 4.0], mask=[0, 1, 0, 0])).write(f"t.{suffix}", format=kind)
+    table = read_stars(folder / f"t.{suffix}")
+    assert table.name == "t"
+    assert table.numbers["pmra"].tolist() == [0.0, 0.0, 0.0, 6000.0]
+    assert np.isnan(table.numbers["vt_mag"]).tolist() == [False, True, False, False]
+    assert table.tyc.tolist()[1] == [1234, 567, 2]
+
+
+def test_missing_proper_motions_may_be_zero(folder):
+    pm = MaskedColumn([0.0, 0.0, 0.0, 6000.0], mask=[1, 0, 0, 0])
+    star_table(pmra=pm).write("stars.fits", overwrite=True)
+    assert "row 1 has no proper motion" in run(*ARGUMENTS).output
+    result = run(*ARGUMENTS, "--missing-pm", "zero", "--json")
+    assert json.loads(result.stdout)["notes"] == ["1 stars of stars have no proper motion; it was taken as zero"]
+    assert read_matches(folder / "results" / "matches.ecsv")["pmra"].mask.tolist() == [False, True, False]
+
+
+def test_gaia_identifiers_are_carried(folder):
+    ids = np.array([2**62 + k for k in range(4)])
+    table = star_table(
+        source_id=ids, phot_g_mean_mag=[1.0, 2.0, 3.0, 4.0], vt_mag=None, TYC1=None, TYC2=None, TYC3=None
+    )
+    table.write("stars.fits", overwrite=True)
+    assert run(*ARGUMENTS).exit_code == 0
+    found = read_matches(folder / "results" / "matches.ecsv")
+    assert found["source_id"].tolist() == [ids[3], ids[0], ids[1]]
+    assert "phot_g_mean_mag" in found.colnames
+
+
+# ---- the map
+
+
+def test_the_map_shows_every_class_with_longitude_to_the_left(folder):
+    figure = sky_map_of(find_galaxies(search()))
+    axes = figure.axes[0]
+    lines = {line.get_label(): line for line in axes.lines}
+    assert {"certain (2)", "uncertain (1)", "supplement (1)", "galaxy catalogues (5)"} <= set(lines)
+    styles = {
+        (lines[k].get_marker(), lines[k].get_markerfacecolor()) for k in lines if k.startswith(("cert", "unc", "supp"))
+    }
+    assert len(styles) == len({marker for marker, _ in styles}) == len({colour for _, colour in styles}) == 3
+    x = lines["supplement (1)"].get_xdata()  # ra 200 dec 0: l = 314 deg, right of the centre
+    assert 0.0 < x[0] < np.pi / 2
+    tick = {text.get_text(): at for text, at in zip(axes.get_xticklabels(), axes.get_xticks(), strict=True)}
+    assert tick["60°"] < tick["0°"] < tick["300°"]
+    assert len(figure.legends) == 1
+
+
+def test_a_big_background_is_thinned_and_says_so():
+    from sweep.skymap import MAX_BACKGROUND, sky_map
+
+    n = 2 * MAX_BACKGROUND + 1
+    figure = sky_map({}, (np.linspace(0, 360, n), np.zeros(n)))
+    drawn = figure.axes[0].lines[0]
+    assert len(drawn.get_xdata()) == n // 3
+    assert any("1 in 3 drawn" in text.get_text() for text in figure.legends[0].get_texts())
+
+
+# ---- the 46-byte table
+
+
+def test_the_byte_positions_of_the_table():
+    table = GalaxyTable(
+        tyc=np.array([[1, 13, 1], [9537, 12121, 3]]),
+        pgc=np.array([7, 65866]),
+        ra=np.array([0.5, 359.999999999]),
+        dec=np.array([-89.12345678, 4.25]),
+        code=np.array([0, 2]),
+    )
+    text = format_galaxy_table(table)
+    #                   1234567890123456789012345678901234567890123456
+    assert text == ("   1    13 1     7   0.50000000 -89.12345678 G\n9537 12121 3 65866   0.00000000   4.25000000 S\n")
+    line = text.splitlines()[1]
+    assert (line[0:4], line[5:10], line[11:12], line[13:18]) == ("9537", "12121", "3", "65866")
+    assert (line[19:31], line[32:44], line[45:46], len(line)) == ("  0.00000000", "  4.25000000", "S", 46)
+
+
+numbers = st.tuples(
+    st.integers(1, 9537),
+    st.integers(1, 12121),
+    st.integers(1, 3),
+    st.integers(1, 99999),
+    st.integers(0, 36_000_000_000 - 1),
+    st.integers(-9_000_000_000, 9_000_000_000),
+    st.integers(0, 2),
+)
+
+
+@settings(deadline=None, derandomize=True)
+@given(st.lists(numbers, max_size=20))
+def test_the_table_is_read_back_as_it_was_written(tmp_path_factory, rows):
+    columns = np.array(rows, dtype=np.int64).reshape(-1, 7)
+    table = GalaxyTable(columns[:, :3], columns[:, 3], columns[:, 4] / 1e8, columns[:, 5] / 1e8, columns[:, 6])
+    path = tmp_path_factory.mktemp("t") / "t.dat"
+    path.write_text(format_galaxy_table(table))
+    back = read_galaxy_table(path)
+    for name in ("tyc", "pgc", "ra", "dec", "code"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(table, name))
+
+
+GOOD = "9537 12121 3 65866   0.00000000   4.25000000 S"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (GOOD + " ", "line 2 has 47 bytes, not 46"),
+        (GOOD[:-1], "line 2 has 45 bytes, not 46"),
+        ("", "line 2 has 0 bytes, not 46"),
+        ("9537x12121 3 65866   0.00000000   4.25000000 S", "line 2: byte 5 is 'x', not a blank"),
+        (
+            "9537 12121 3 65866   0.00000000   4.25000000 X",
+            "line 2: class (bytes 46-46) is 'X', must be one of G, U, S",
+        ),
+        ("9537 12121 3 65866   0.00000000   4.25000000  ", "line 2: class (bytes 46-46) is ' '"),
+        ("   a 12121 3 65866   0.00000000   4.25000000 S", "TYC1 (bytes 1-4) is '   a', must be an integer 1..9999"),
+        ("   0 12121 3 65866   0.00000000   4.25000000 S", "TYC1 (bytes 1-4) is '   0'"),
+        ("9537 12121 3       " + GOOD[19:], "PGC (bytes 14-18) is '     ', must be an integer 1..99999"),
+        (
+            "9537 12121 3 65866 360.00000001   4.25000000 S",
+            "RAdeg (bytes 20-31) is '360.00000001', must be a number 0..360",
+        ),
+        (
+            "9537 12121 3 65866   0.00000000 -90.00000001 S",
+            "DEdeg (bytes 33-44) is '-90.00000001', must be a number -90..90",
+        ),
+        ("9537 12121 3 65866          nan   4.25000000 S", "RAdeg (bytes 20-31)"),
+        ("9537 12121 3 65866   0.0000 000   4.25000000 S", "RAdeg (bytes 20-31)"),
+    ],
+)
+def test_a_bad_line_of_the_table_is_named(tmp_path, line, message):
+    path = tmp_path / "t.dat"
+    path.write_text(f"{GOOD}\n{line}\n{GOOD}\n")
+    with pytest.raises(SweepError, match=re.escape(message)) as error:
+        read_galaxy_table(path)
+    assert error.value.where == str(path)
+
+
+def test_a_table_that_is_no_text_or_not_there(tmp_path):
+    (tmp_path / "b.dat").write_bytes(b"\xff\xfe" * 30)
+    with pytest.raises(SweepError, match="byte 0 is not ASCII"):
+        read_galaxy_table(tmp_path / "b.dat")
+    with pytest.raises(SweepError, match="No such file"):
+        read_galaxy_table(tmp_path / "c.dat")
+
+
+def test_windows_line_ends_are_read(tmp_path):
+    (tmp_path / "t.dat").write_bytes(f"{GOOD}\r\n{GOOD}\r\n".encode())
+    assert len(read_galaxy_table(tmp_path / "t.dat")) == 2
+
+
+def test_a_galaxy_without_pgc_number_or_with_a_long_one_does_not_fit():
+    table = GalaxyTable(
+        np.array([[1, 13, 1], [1, 14, 1]]), np.array([0, 100_000]), np.zeros(2), np.zeros(2), np.zeros(2, dtype=int)
+    )
+    with pytest.raises(SweepError) as error:
+        format_galaxy_table(table)
+    assert error.value.problems == [
+        "TYC 1-13-1 has no PGC number",
+        "TYC 1-14-1: PGC = 100000 does not fit bytes 14-18, at most 99999",
+    ]
+
+
+def test_without_numbers_for_the_table_nothing_is_written(folder):
+    star_table(TYC1=None).write("stars.fits", overwrite=True)
+    assert "no column 'TYC1'" in run(*ARGUMENTS, "--table", "t.dat").output
+    star_table(TYC1=None, TYC2=None, TYC3=None).write("stars.fits", overwrite=True)
+    result = run(*ARGUMENTS, "--table", "t.dat")
+    assert result.exit_code == 2
+    assert "stars.fits: the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings" in result.output
+    star_table().write("stars.fits", overwrite=True)
+    wide, _ = galaxy_tables()
+    wide.remove_column("PGC")
+    wide.write("wide.csv", overwrite=True)
+    result = run(*ARGUMENTS, "--table", "t.dat")
+    assert result.exit_code == 2
+    assert "TYC 1-13-1 has no PGC number" in result.output
+    assert not (folder / "results").exists()
+    assert not (folder / "t.dat").exists()
+
+
+# ---- ECSV
+
+
+def test_the_ecsv_holds_every_column_bit_for_bit(folder):
+    result = find_galaxies(search(), Outputs(folder / "m.ecsv"))
+    back = read_matches(folder / "m.ecsv")
+    for name, values in match_columns(result).items():
+        read = np.ma.filled(back[name], np.nan if values.dtype.kind == "f" else "" if values.dtype.kind == "U" else 0)
+        np.testing.assert_array_equal(read, values, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.remove_column("offset_sigma"), "no column 'offset_sigma'"),
+        (lambda t: t.replace_column("class", ["galaxy"] * len(t)), "class 'galaxy' is not one of certain, uncertain"),
+        (lambda t: setattr(t["offset"], "unit", "deg"), "column 'offset' is in 'deg', not in 'arcsec'"),
+    ],
+)
+def test_a_bad_ecsv_is_refused(folder, change, message):
+    find_galaxies(search(), Outputs(folder / "m.ecsv"))
+    table = Table.read(folder / "m.ecsv", format="ascii.ecsv")
+    change(table)
+    table.write(folder / "n.ecsv", format="ascii.ecsv")
+    with pytest.raises(SweepError, match=re.escape(message)):
+        read_matches(folder / "n.ecsv")
+
+
+def test_an_existing_file_is_kept_without_overwrite(folder):
+    (folder / "out.ecsv").write_text("mine")
+    result = run(*ARGUMENTS, "-o", "out.ecsv")
+    assert (result.exit_code, result.output) == (2, "error: out.ecsv exists; --overwrite replaces it\n")
+    assert (folder / "out.ecsv").read_text() == "mine"
+    assert run(*ARGUMENTS, "-o", "out.ecsv", "--overwrite").exit_code == 0
+    assert len(read_matches(folder / "out.ecsv")) == 3
+
+
+def test_a_file_that_comes_up_during_the_search_is_kept(folder):
+    from sweep.match import _publish
+
+    def write(path):
+        path.write_text("ours")
+        (folder / "x.dat").write_text("theirs")
+
+    with pytest.raises(SweepError, match="exists; --overwrite replaces it"):
+        _publish(folder / "x.dat", write, overwrite=False)
+    assert (folder / "x.dat").read_text() == "theirs"
+    assert not list(folder.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-o", "wide.csv"], "wide.csv is one of the tables that are read"),
+        (["-o", "m.txt"], "m.txt must end in .ecsv"),
+        (["--map", "m.gif"], "m.gif must end in .png or .svg or .pdf"),
+        (["-o", "m.ecsv", "--table", "m.ecsv"], "m.ecsv is named for two outputs"),
+        (["--table", "."], ". is a directory"),
+        (["--table", "wide.csv/t.dat"], "is not a directory that can be written"),
+    ],
+)
+def test_bad_outputs_are_refused_before_the_search(folder, arguments, message):
+    result = run(*ARGUMENTS, *arguments, "--overwrite")
+    assert result.exit_code == 2
+    assert message in result.output
+
+
+# ---- bad tables and options
+
+BAD_STARS = {
+    "no ra": ({"ra": None}, "no column 'ra'"),
+    "misspelt": ({"dec": None, "decl": [0.0] * 4}, "no column 'dec'; did you mean 'decl'?"),
+    "NaN": ({"ra": [np.nan, 1.0, np.nan, 1.0]}, "rows 1, 3 have no ra"),
+    "masked": ({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, "row 3 has no dec"),
+    "infinite": ({"ra": [1.0, np.inf, 1.0, 1.0]}, "row 2 has an infinite ra"),
+    "ra range": ({"ra": [-0.1, 1.0, 1.0, 360.1]}, "rows 1, 4 have an ra outside 0..360 deg"),
+    "dec range": ({"dec": [0.0, 90.1, 0.0, 0.0]}, "row 2 has a dec outside -90..90 deg"),
+    "text": ({"ra": ["00 01 02"] * 4}, "ra is not a column of numbers"),
+    "vectors": ({"ra": [[1.0, 2.0]] * 4}, "2-dimensional"),
+    "no error": ({"ra_error": None}, "give its error in arcsec with --error"),
+    "zero error": ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, "row 1 has a ra_error that is not above 0"),
+    "missing error": ({"dec_error": [1.0, np.nan, 1.0, 1.0]}, "row 2 has no dec_error"),
+    "half a motion": ({"pmdec": None}, "no column 'pmdec'"),
+    "missing motion": ({"pmdec": [np.nan] * 4}, "rows 1, 2, 3, 4 have no proper motion (--missing-pm zero"),
+    "infinite motion": ({"pmra": [np.inf, 0.0, 0.0, 0.0]}, "row 1 has an infinite pmra"),
+    "negative pm error": ({"pmra_error": [-1.0, 1.0, 1.0, 1.0]}, "row 1 has a negative pmra_error"),
+    "missing pm error": ({"pmra_error": [np.nan, 1.0, 1.0, 1.0]}, "row 1 has no pmra_error"),
+    "no epoch": ({"ref_epoch": None}, "proper motions need the epoch of the positions"),
+    "epoch in days": ({"ref_epoch": [2448349.0] * 4}, "a ref_epoch that is no Julian year (1700..2300)"),
+    "missing epoch": ({"ref_epoch": [2000.0, np.nan, 2000.0, 2000.0]}, "row 2 has no ref_epoch"),
+    "TYC range": ({"TYC3": [1, 4, 1, 0]}, "rows 2, 4 have a TYC3 outside 1..3"),
+    "TYC fraction": ({"TYC1": [1.5, 2.0, 3.0, 4.0]}, "row 1 has a TYC1 that is no integer"),
+    "TYC missing": ({"TYC1": MaskedColumn([1, 2, 3, 4], mask=[0, 1, 0, 0])}, "row 2 has no TYC1"),
+    "TYC twice": (
+        {"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]},
+        "row 3 has a Tycho identifier that stands",
+    ),
+    "TYC text": (
+        {"TYC1": None, "TYC2": None, "TYC3": None, "TYC": ["1-13-1", "1-13", "TYC 1-14-1", ""]},
+        "rows 2, 4 have a TYC that is no Tycho identifier like '1-13-1'",
+    ),
+    "source_id": ({"source_id": [1.5, 2.0, 3.0, 4.0]}, "row 1 has a source_id that is no integer"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_STARS)
+def test_every_bad_star_table_is_a_clear_error(folder, case):
+    changes, message = BAD_STARS[case]
+    star_table(**changes).write("stars.fits", overwrite=True)
+    result = run(*ARGUMENTS)
+    assert result.exit_code == 2
+    assert message in result.output
+    assert "stars.fits" in result.output
+    assert not (folder / "results").exists()
+
+
+BAD_GALAXIES = {
+    "no rows": (Table({"ra": [], "dec": []}, dtype=[float, float]), "has no rows"),
+    "no error": (Table({"ra": [1.0], "dec": [2.0]}), None),
+    "PGC negative": (Table({"ra": [1.0], "dec": [2.0], "PGC": [-1]}), "row 1 has a negative PGC number"),
+    "PGC text": (Table({"ra": [1.0], "dec": [2.0], "PGC": ["N224"]}), "PGC is not a column of numbers"),
+    "missing": (Table({"ra": [1.0] * 9, "dec": [np.nan] * 8 + [2.0]}), "rows 1, 2, 3, 4, 5 and 3 more have no dec"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_GALAXIES)
+def test_every_bad_galaxy_table_is_a_clear_error(folder, case):
+    table, message = BAD_GALAXIES[case]
+    table.write("bad.ecsv")
+    if message is None:
+        result = run("stars.fits", "bad.ecsv")
+        assert "no column 'ra_error'" in result.output
+    else:
+        result = run("stars.fits", "bad.ecsv", "--error", "1")
+        assert message in result.output
+    assert result.exit_code == 2
+    assert "bad.ecsv" in result.output
+
+
+def test_units_that_do_not_fit_are_refused(folder):
+    table = star_table()
+    table["ra"].unit, table["pmra"].unit = "mas / yr", "arcsec"
+    table.write("stars.ecsv")
+    with pytest.raises(SweepError) as error:
+        read_stars(folder / "stars.ecsv")
+    assert len(error.value.problems) == 2
+    assert "ra is in 'mas / yr', which is no 'deg'" in error.value.problems[0]
+
+
+def test_problems_of_all_tables_come_at_once(folder):
+    star_table(ra=[np.nan] * 4, TYC1=[0] * 4).write("stars.fits", overwrite=True)
+    output = run(*ARGUMENTS, "--supplement", "none.fits").output
+    for message in ("have no ra", "a TYC1 outside 1..9537", "none.fits: no such file"):
+        assert message in output
+
+
+def test_files_that_are_no_tables(folder):
+    (folder / "a.fits").write_text("no fits")
+    (folder / "b.dat").write_text("1 2 3")
+    (folder / "c.vot").write_text("<html>")
+    for name, message in (
+        ("a.fits", "cannot be read as fits"),
+        ("b.dat", "cannot tell its format"),
+        ("c.vot", "cannot be read as votable"),
+    ):
+        with pytest.raises(SweepError, match=message) as error:
+            read_galaxies(folder / name)
+        assert error.value.where.endswith(name)
+
+
+def test_a_star_in_both_star_tables_is_refused(folder):
+    star_table().write("extra.ecsv", overwrite=True)
+    result = run(*WITH_SUPPLEMENT)
+    assert (
+        "TYC 1-13-1, 1234-567-2, 9537-12121-3, 4012-1-1: in the star table and again in the supplement" in result.output
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--radius", "wied=3"], "--radius wied=3: no table 'wied'; did you mean 'wide'?"),
+        (["--radius", "0"], "--radius 0: must be a number above 0 and at most 3600 [arcsec]"),
+        (["--radius", "nan"], "--radius nan: must be a number"),
+        (["--radius", "wide=3", "--radius", "wide=4"], "--radius wide=4: given twice for 'wide'"),
+        (["--radius", "stars=3"], "--radius stars=3: no table 'stars'"),
+        (["--error", "wide=x"], "--error wide=x: must be a number"),
+        (["--ref-epoch", "3000"], "--ref-epoch 3000: must be a number above 1700"),
+        (["--epoch", "2448349"], "epoch 2.44835e+06: must be a Julian year"),
+        (["--k-sigma", "nan"], "k_sigma = nan: must be a finite number above 0"),
+        (["--second-epoch-error", "nan"], "second_epoch_error_mas = nan"),
+        (["--column", "ra"], "--column ra: write KEY=COLUMN or NAME:KEY=COLUMN"),
+        (["--column", "rs=RAmdeg"], "--column rs=RAmdeg: there is no quantity 'rs'"),
+        (["--column", "wied:ra=RA"], "--column wied:ra=RA: no table 'wied'"),
+        (["--column", "ra=RAmdeg"], "column map ra=RAmdeg: no column 'RAmdeg'"),
+        (["sub/wide.fits"], "two tables are called 'wide'"),
+        (["--k-sigma", "-1"], "Invalid value for '--k-sigma'"),
+    ],
+)
+def test_bad_options_are_clear_errors(folder, arguments, message):
+    result = run(*ARGUMENTS[:3], *arguments)
+    assert result.exit_code == 2
+    assert message in result.output
+
+
+def test_a_radius_that_pairs_everything_is_bad_input(folder):
+    rng = np.random.default_rng(1)
+    n = 200_000
+    for name in ("many", "more"):
+        Table({"ra": rng.uniform(0, 360, n), "dec": rng.uniform(-90, 90, n)}).write(f"{name}.fits")
+    result = run("many.fits", "more.fits", "--error", "many=1", "--error", "1", "--radius", "3600")
+    assert result.exit_code == 2
+    assert "chance pairs of 200000 and 200000 objects, more than 2e+06; take a smaller one" in result.output
+
+
+def test_help_has_an_example():
+    result = run("--help")
+    assert result.exit_code == 0
+    assert "sweep match tycho2.fits pgc.fits uzc.csv" in result.output
+
+
+def test_help_imports_nothing_heavy():
+    heavy = "{'numpy', 'scipy', 'astropy', 'matplotlib'}"
+    code = f"import sys, sweep.cli; sys.exit(len({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
