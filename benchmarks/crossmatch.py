@@ -144,6 +144,8 @@ def make(rng: np.random.Generator, scale: float, folder: Path) -> dict[str, Any]
             vt_mag[order],
             np.arange(n)[order] < len(ra),
         )
+        number = np.arange(n) + (N_STARS if name == "supplement" else 0)
+        table["TYC1"], table["TYC2"], table["TYC3"] = number // 1000 + 1, number % 1000 + 1, np.ones(n, dtype=int)
         table.write(folder / f"{name}.fits")
         truth[name] = np.concatenate([np.full(len(ra), -1), mine])[order]
     findable = np.zeros(len(galaxy_ra), dtype=bool)
@@ -203,7 +205,7 @@ def judge(folder: Path, truth: dict[str, Any]) -> dict[str, Any]:
         "classes": result,
         "completeness": int(right.sum()) / truth["counterparts"],
         "completeness_without_blunders": int(right.sum()) / truth["in_a_catalogue_at_the_right_place"],
-        "matched_stars_twice": len(found) - len(np.unique(star[right])) - int((~right).sum()),
+        "counterparts_found_twice": len(found) - len(np.unique(star[right])) - int((~right).sum()),
     }
 
 

@@ -51,7 +51,7 @@ FORMATS = {
 
 ROWS_NAMED = 5
 EPOCHS = (1700.0, 2300.0)
-_TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d+)-(\d+)-(\d+)\s*", re.ASCII)
+_TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -332,16 +332,12 @@ def _tyc(reader: _Reader) -> Indices | None:
     if parts:
         columns = [reader.integer(key) for key in TYC if reader.require(key)]
     elif reader.has("TYC") and (texts := reader.text("TYC")) is not None:
-        matches = [_TYC_TEXT.fullmatch(text) for text in texts]
-        reader.check(
-            np.array([m is None for m in matches], dtype=bool),
-            f"a {reader.label('TYC')} that is no Tycho identifier like '1-13-1'",
-        )
-        columns = [
-            np.array([int(m[k]) if m and len(m[k]) < 10 else 0 for m in matches], dtype=np.int64) for k in (1, 2, 3)
-        ]
-        if any(m is None for m in matches):
+        parsed = np.array([_parse_tyc(text) for text in texts], dtype=np.int64)
+        bad = parsed[:, 0] < 0
+        reader.check(bad, f"a {reader.label('TYC')} that is no Tycho identifier like '1-13-1'")
+        if bad.any():
             return None
+        columns = list(parsed.T)
     else:
         return None
     good = [column for column in columns if column is not None]
@@ -355,6 +351,12 @@ def _tyc(reader: _Reader) -> Indices | None:
     if len(reader.problems) == n_problems:
         reader.check(_repeated(tyc), "a Tycho identifier that stands in the table before")
     return tyc
+
+
+def _parse_tyc(text: str) -> tuple[int, int, int]:
+    """Return the three numbers of '1-13-1' or 'TYC 1-13-1', negative ones if it is nothing like that."""
+    match = _TYC_TEXT.fullmatch(text)
+    return (int(match[1]), int(match[2]), int(match[3])) if match else (-1, -1, -1)
 
 
 def _repeated(tyc: Indices) -> Flags:
