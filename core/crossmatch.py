@@ -104,7 +104,7 @@ class Chance:
 
 @dataclass(frozen=True)
 class Matches:
-    """M star-galaxy matches in order of the star's ra and dec at the epoch of the search; no star and no galaxy occurs twice.
+    """M star-galaxy matches in order of the star's ra and dec at the epoch of the search; none occurs twice.
 
     ``star`` indexes the stars, ``catalogue`` and ``entry`` the closest galaxy entry, ``galaxy`` the merged galaxies.
     ``offset`` (rad) and its components ``d_ra`` (with cos dec) and ``d_dec`` are galaxy - star, ``n_sigma`` is the

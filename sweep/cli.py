@@ -393,7 +393,6 @@ def match(
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
         -o galaxies.ecsv --table galaxies.dat --map galaxies.png
     """
-    from core.crossmatch import ARCSEC, Rules
     from sweep import match as galaxies_in
 
     search = galaxies_in.plan_search(
@@ -406,12 +405,10 @@ def match(
         column=column,
         missing_pm=missing_pm,
         epoch=epoch,
-        rules=Rules(
-            k_sigma=k_sigma,
-            crowding_radius=crowding_radius * ARCSEC,
-            crowding_stars=crowding_stars,
-            merge_radius=None if merge_radius is None else merge_radius * ARCSEC,
-        ),
+        k_sigma=k_sigma,
+        crowding_radius_arcsec=crowding_radius,
+        crowding_stars=crowding_stars,
+        merge_radius_arcsec=merge_radius,
         epoch_difference_yr=epoch_difference,
         second_epoch_error_mas=second_epoch_error,
     )

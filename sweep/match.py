@@ -138,7 +138,10 @@ def plan_search(
     column: Sequence[str] = (),
     missing_pm: Literal["error", "zero"] = "error",
     epoch: float = DEFAULT_EPOCH,
-    rules: Rules | None = None,
+    k_sigma: float = Rules.k_sigma,
+    crowding_radius_arcsec: float = Rules.crowding_radius / ARCSEC,
+    crowding_stars: int = Rules.crowding_stars,
+    merge_radius_arcsec: float | None = None,
     epoch_difference_yr: float = DEFAULT_EPOCH_DIFFERENCE_YR,
     second_epoch_error_mas: float = 0.0,
 ) -> Search:
@@ -146,6 +149,7 @@ def plan_search(
 
     ``radius`` and ``error`` (arcsec) and ``ref_epoch`` (yr) are NAME=VALUE, or VALUE for all galaxy tables, for all
     galaxy tables and for all star tables; ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one.
+    The others are those of `Rules` and `Search`.
     Raises SweepError for two tables of one name, unknown names and values out of range.
     """
     star_names = [table_name(path) for path in (stars, supplement) if path is not None]
@@ -154,11 +158,10 @@ def plan_search(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
-    rules = rules or Rules()
     positive = {
-        "k_sigma": rules.k_sigma,
-        "crowding_radius": rules.crowding_radius,
-        "merge_radius": 1.0 if rules.merge_radius is None else rules.merge_radius,
+        "k_sigma": k_sigma,
+        "crowding_radius_arcsec": crowding_radius_arcsec,
+        "merge_radius_arcsec": 1.0 if merge_radius_arcsec is None else merge_radius_arcsec,
         "epoch_difference_yr": epoch_difference_yr,
     }
     for name, value in positive.items():
@@ -194,7 +197,12 @@ def plan_search(
         values["--radius"],
         readings,
         epoch,
-        rules,
+        Rules(
+            k_sigma,
+            crowding_radius_arcsec * ARCSEC,
+            crowding_stars,
+            None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC,
+        ),
         epoch_difference_yr,
         second_epoch_error_mas,
     )
