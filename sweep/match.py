@@ -37,12 +37,12 @@ from sweep.sky_tables import (
     UNITS,
     Reading,
     SkyTable,
-    load_table,
     per_table,
     read_galaxies,
     read_stars,
     table_name,
 )
+from sweep.tablefile import read_astropy_table
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -55,7 +55,11 @@ DEFAULT_EPOCH_DIFFERENCE_YR = 20.0
 """The paper's: 117 and 127 mas give about 6 mas/yr."""
 
 MAP_SUFFIXES = (".png", ".svg", ".pdf")
-MATCH_UNITS: Mapping[str, str] = {
+STAR_MOTIONS = {name: f"star_{name}" for name in ("pmra", "pmdec", "pmra_error", "pmdec_error")}
+"""A star's proper motion is measured, a galaxy's is zero: so named, a study does not take one for the other."""
+
+COLUMN_UNITS: Mapping[str, str] = {
+    **{STAR_MOTIONS.get(name, name): unit for name, unit in UNITS.items()},
     "offset": "arcsec",
     "offset_ra": "arcsec",
     "offset_dec": "arcsec",
@@ -295,7 +299,7 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
     for name in UNITS:
         number = from_stars(lambda table, name=name: table.numbers.get(name), np.nan)  # type: ignore[misc]
         if number is not None:
-            columns[name] = number
+            columns[STAR_MOTIONS.get(name, name)] = number
     names = np.array([table.name for table in result.galaxies])
     there = np.empty((2, len(matches)))
     for t, table in enumerate(result.galaxies):
@@ -334,7 +338,7 @@ def matches_table(result: Result) -> Any:
         table[name] = MaskedColumn(
             values,
             mask=missing if missing.any() else False,
-            unit=UNITS.get(name, MATCH_UNITS.get(name)),
+            unit=COLUMN_UNITS.get(name),
             description=MATCH_COLUMNS.get(name),
         )
     return table
@@ -345,13 +349,13 @@ def read_matches(path: Path) -> Any:
 
     Raises SweepError where a column is missing, in another unit or of another kind, or a class unknown.
     """
-    table = load_table(path)
+    table = read_astropy_table(path)
     problems: list[str] = []
     for name in ("ra", "dec", "ra_error", "dec_error", "PGC", *MATCH_COLUMNS):
         if name not in table.colnames:
             problems.append(f"no column {name!r}{suggest(name, table.colnames)}; this is no table of `sweep match`")
             continue
-        unit, wanted = table[name].unit, UNITS.get(name, MATCH_UNITS.get(name))
+        unit, wanted = table[name].unit, COLUMN_UNITS.get(name)
         if (None if unit is None else str(unit)) != wanted:
             problems.append(f"column {name!r} is in {str(unit)!r}, not in {wanted!r}")
     if not problems:

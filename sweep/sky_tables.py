@@ -1,7 +1,6 @@
 """Star and galaxy tables from files: Gaia's column names and units, and one error that lists all that is wrong."""
 
 import re
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError, suggest
+from sweep.tablefile import read_astropy_table
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -37,18 +37,6 @@ TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 """Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""
 
 COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id")
-FORMATS = {
-    ".ecsv": "ascii.ecsv",
-    ".csv": "ascii.csv",
-    ".fits": "fits",
-    ".fit": "fits",
-    ".vot": "votable",
-    ".xml": "votable",
-    ".mrt": "ascii.mrt",
-    ".parquet": "parquet",
-}
-"""The astropy format of each file suffix; a further .gz is allowed."""
-
 ROWS_NAMED = 5
 EPOCHS = (1700.0, 2300.0)
 _TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
@@ -113,26 +101,6 @@ def read_galaxies(path: Path, reading: Reading | None = None) -> SkyTable:
     Proper motions are not read: a galaxy has none, a measured one is noise.
     """
     return _read(path, reading or Reading(), ())
-
-
-def load_table(path: Path) -> Any:
-    """Return the astropy Table in a file; raises SweepError where there is none that can be read."""
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
-    if not path.is_file():
-        raise SweepError("no such file", str(path))
-    if not suffixes or suffixes[-1] not in FORMATS:
-        raise SweepError(f"cannot tell its format from its name; known endings are {', '.join(FORMATS)}", str(path))
-    from astropy.table import Table
-
-    try:
-        with warnings.catch_warnings():  # astropy warns of units and headers that do not matter for our columns
-            warnings.simplefilter("ignore")
-            return Table.read(path, format=FORMATS[suffixes[-1]])
-    except Exception as error:  # each of astropy's readers has its own
-        text = " ".join(str(error).split())[:300]
-        raise SweepError(
-            f"cannot be read as {FORMATS[suffixes[-1]]}: {type(error).__name__}: {text}", str(path)
-        ) from error
 
 
 def rows_text(bad: Flags, what: str) -> str:
@@ -245,7 +213,7 @@ class _Reader:
 
 
 def _read(path: Path, reading: Reading, optional: Sequence[str]) -> SkyTable:
-    table = load_table(path)
+    table = read_astropy_table(path)
     reader = _Reader(table, reading.columns)
     if len(table) == 0:
         raise SweepError("has no rows", str(path))

@@ -106,7 +106,7 @@ def test_the_search_from_files_to_files(folder):
     assert table["star_row"].tolist() == [4, 1, 2, 1]
     np.testing.assert_allclose(table["offset"], [0.0, 0.2, 4.1, 0.0], atol=1e-5)
     assert table["ra"][0] == 359.99999  # the star's own row, at its own epoch
-    assert table["pmra"].mask.tolist() == [False, False, False, True]  # the supplement has none
+    assert table["star_pmra"].mask.tolist() == [False, False, False, True]  # the supplement has none
     assert str(table["offset"].unit) == "arcsec"
     assert table.meta["classes"]["certain"]["n"] == 2
     galaxies = read_galaxy_table(folder / "out.dat")
@@ -234,7 +234,7 @@ def test_missing_proper_motions_may_be_zero(folder):
     assert "row 1 has no proper motion" in run(*ARGUMENTS).output
     result = run(*ARGUMENTS, "--missing-pm", "zero", "--json")
     assert json.loads(result.stdout)["notes"] == ["1 stars of stars have no proper motion; it was taken as zero"]
-    assert read_matches(folder / "results" / "matches.ecsv")["pmra"].mask.tolist() == [False, True, False]
+    assert read_matches(folder / "results" / "matches.ecsv")["star_pmra"].mask.tolist() == [False, True, False]
 
 
 def test_gaia_identifiers_are_carried(folder):
@@ -429,6 +429,26 @@ def test_a_bad_ecsv_is_refused(folder, change, message):
         read_matches(folder / "n.ecsv")
 
 
+def test_the_ecsv_is_the_catalogue_of_a_study(folder):
+    assert run(*WITH_SUPPLEMENT, "-o", "galaxies.ecsv").exit_code == 0
+    (folder / "study.toml").write_text(
+        """
+        title = "The galaxies that were found"
+        [fixed]
+        catalogue = "file"
+        file = "galaxies.ecsv"
+        model = "amex"
+        [sampling]
+        n_sim = 10
+        n_cat = 1
+        seed = 1
+        """
+    )
+    result = CliRunner().invoke(main, ["run", "study.toml", "--pool", "serial", "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["rows"][0]["n_obj"] == 4
+
+
 def test_an_existing_file_is_kept_without_overwrite(folder):
     (folder / "out.ecsv").write_text("mine")
     result = run(*ARGUMENTS, "-o", "out.ecsv")
@@ -559,11 +579,11 @@ def test_problems_of_all_tables_come_at_once(folder):
 
 def test_files_that_are_no_tables(folder):
     (folder / "a.fits").write_text("no fits")
-    (folder / "b.dat").write_text("1 2 3")
+    (folder / "b.txt").write_text("1 2 3")
     (folder / "c.vot").write_text("<html>")
     for name, message in (
         ("a.fits", "cannot be read as fits"),
-        ("b.dat", "cannot tell its format"),
+        ("b.txt", "cannot tell its format"),
         ("c.vot", "cannot be read as votable"),
     ):
         with pytest.raises(SweepError, match=message) as error:
