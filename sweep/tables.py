@@ -82,7 +82,7 @@ def as_text(dataset: xr.Dataset) -> "Table":
     """
     from rich.table import Table
 
-    columns = long_table(dataset)
+    columns = _without_excluded(long_table(dataset))
     table = Table(
         title=str(dataset.attrs.get("title", "")), title_justify="left", box=None, pad_edge=False, header_style="bold"
     )
@@ -110,13 +110,20 @@ def as_text(dataset: xr.Dataset) -> "Table":
     return table
 
 
+def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tuple[str, list[Any]]]:
+    kept = [i for i, status in enumerate(columns["status"][1]) if status != "excluded"]
+    return {name: (unit, [values[i] for i in kept]) for name, (unit, values) in columns.items()}
+
+
 def _add(table: "Table", cells: list[list[str]], name: str, unit: str, values: list[str]) -> None:
     table.add_column(f"{name}\n\\[{unit}]" if unit else name, justify="right", no_wrap=True)
     cells.append(values)
 
 
 def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
-    return [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
+    names = [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
+    place = {name: dimensions.index(str(dataset[name].dims[0])) for name in names}
+    return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
 
 
 def _headline(dataset: xr.Dataset) -> list[str]:
