@@ -71,8 +71,8 @@ def _scaled(factor: float, curve: Exponentials) -> Exponentials:
     return Exponentials(tuple((factor * a, slope, pivot) for a, slope, pivot in curve.terms))
 
 
-_AMEX_PM = Exponentials(((0.185, 0.278, 9.0), (15.0, 1.065, 15.0)))
-_GAIA_PM = Exponentials(((0.01496, 0.443, 15.0),))
+AMEX_PM = Exponentials(((0.185, 0.278, 9.0), (15.0, 1.065, 15.0)))
+GAIA_PM = Exponentials(((0.01496, 0.443, 15.0),))
 _GAIA_2001_MAG = tuple(float(g) for g in range(10, 22))
 _GAIA_2001_PM_UAS = (3, 3, 3, 4, 5, 8, 13, 20, 34, 60, 120, 380)
 _GAIA_2001_POS_UAS = (3, 3, 3, 4, 6, 9, 15, 23, 39, 70, 140, 440)
@@ -80,8 +80,8 @@ _GAIA_2001_POS_UAS = (3, 3, 3, 4, 6, 9, 15, 23, 39, 70, 140, 440)
 MISSIONS: Mapping[str, Mission] = MappingProxyType(
     {
         "amex": Mission(
-            curve_pos_mas=_scaled(0.60, _AMEX_PM),
-            curve_pm_mas_yr=_AMEX_PM,
+            curve_pos_mas=_scaled(0.60, AMEX_PM),
+            curve_pm_mas_yr=AMEX_PM,
             nominal_length_yr=2.0,
             faint_limit_mag=np.inf,
             source="two exponentials fitted to the 28 AMEX numbers of Metz & Geffert 2004 (Tables 1 and 2) with "
@@ -89,8 +89,8 @@ MISSIONS: Mapping[str, Mission] = MappingProxyType(
             "fitted curve has 0.21 mas/yr)",
         ),
         "gaia": Mission(
-            curve_pos_mas=_scaled(1.15, _GAIA_PM),
-            curve_pm_mas_yr=_GAIA_PM,
+            curve_pos_mas=_scaled(1.15, GAIA_PM),
+            curve_pm_mas_yr=GAIA_PM,
             nominal_length_yr=5.0,
             faint_limit_mag=np.inf,
             source="one exponential fitted to the GAIA column of Metz & Geffert 2004, Table 1",

@@ -223,6 +223,26 @@ def plot(store: Path, variable: str, over: str | None, out: Path | None) -> None
     click.echo(f"wrote {path}", err=True)
 
 
+@main.command()
+@json_option
+def calibrate(as_json: bool) -> None:
+    """Refit the mission curves to the paper's tables: constants, uncertainties, residuals, and what equal weights give.
+
+    \b
+    sweep calibrate
+    sweep calibrate --json > calibration.json
+    """
+    from sweep.calibrate import as_text, calibration_report
+
+    report = calibration_report()
+    if as_json:
+        click.echo(json.dumps(report, indent=1))
+        return
+    from rich.console import Console
+
+    Console(width=None if sys.stdout.isatty() else 200).print(as_text(report), highlight=False)
+
+
 @main.command("list")
 @json_option
 def list_studies(as_json: bool) -> None:

@@ -10,12 +10,12 @@ ROOT = Path(__file__).parent.parent
 # From the ground up: a module may import only what stands before it.
 CORE = [
     *("constants", "frames", "crossmatch", "missions", "radio_stars", "catalogue", "quasars", "table_catalogue"),
-    *("errors", "link", "simulate", "parameters", "experiment"),
+    *("errors", "link", "simulate", "parameters", "experiment", "calibration"),
 ]
 SWEEP = [
     *("contract", "load", "tablefile", "study", "axes", "reader", "grid", "plan", "worker", "pin", "execute"),
     *("provenance", "results", "store", "writer", "run", "status", "tables", "progress", "plots"),
-    *("sky_tables", "galaxy_table", "skymap", "match", "cli", "__main__"),
+    *("sky_tables", "galaxy_table", "skymap", "match", "calibrate", "cli", "__main__"),
 ]
 ONLY_IN = {
     "click": {"sweep.cli"},
@@ -25,10 +25,12 @@ ONLY_IN = {
     "pydantic": {"sweep.study", "sweep.reader"},
     "astropy": {"sweep.tables", "sweep.tablefile", "sweep.sky_tables", "sweep.match"},
 }
-# The platform knows nothing of astrometry; the galaxy search is a command beside it, not a part of it.
+# The platform knows nothing of astrometry; the calibration and the galaxy search are commands
+# beside it, not a part of it.
 ACROSS = {
     ("core.experiment", "sweep.contract"),
     ("core.parameters", "sweep.contract"),
+    ("sweep.calibrate", "core.calibration"),
     ("sweep.match", "core.constants"),
     ("sweep.match", "core.crossmatch"),
 }

@@ -1,0 +1,236 @@
+"""The calibration of the mission curves as a report: the paper's tables in, constants and residuals out."""
+
+import csv
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from core.calibration import (
+    CONSTANTS,
+    DIVA_SIGMA_MAS_YR,
+    DIVA_V_MAG,
+    GALAXY_COUNT,
+    IN_CODE,
+    MODEL_ERROR,
+    PAPER_MC_ERROR,
+    Fit,
+    Kind,
+    Model,
+    PublishedSigma,
+    Skies,
+    all_skies,
+    chi2_of,
+    constants_of,
+    curve_of,
+    fit,
+    published_model,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+FORMULA: dict[Model, str] = {
+    "amex": "amplitude_bright exp(slope_bright (V-9)) + amplitude_faint exp(slope_faint (V-15))",
+    "gaia": "amplitude exp(slope (V-15))",
+}
+
+
+def published_numbers(model: Model) -> dict[str, PublishedSigma]:
+    """Return a model's numbers of the paper, as they are printed, by a label of each: 28 for amex, 13 for gaia."""
+    numbers = {
+        f"quasars to V = {row['v_max']}": _number("quasars", int(row["n_obj"]), row["sigma_spin"])
+        for row in _rows("table1_quasars.csv")
+        if row["model"] == model and row["sigma_spin"]
+    }
+    if model == "amex":
+        for row in _rows("galaxies.csv"):
+            numbers[f"{GALAXY_COUNT} galaxies"] = _number("galaxies", GALAXY_COUNT, row["sigma_spin"])
+        for row in _rows("table2_radio_stars.csv"):
+            scale = float(row["reference_error_scale"])
+            label = f"{row['n_obj']} radio stars" + ("" if scale == 1.0 else f", VLBI errors x {scale:g}")
+            numbers[label] = _number("radio-stars", int(row["n_obj"]), row["sigma_spin"], scale)
+    return numbers
+
+
+def calibration_report(n_cat: int = 200) -> dict[str, Any]:
+    """Return both curves' constants, uncertainties and residuals, and what equal weights give; plain values for JSON.
+
+    ``n_cat`` sets how many catalogues the closed form is averaged over.
+    """
+    return {
+        "model_error": MODEL_ERROR,
+        "paper_mc_error": float(PAPER_MC_ERROR),
+        "curves": {model: _curve_report(model, n_cat) for model in CONSTANTS},
+    }
+
+
+def as_text(report: dict[str, Any]) -> "Group":
+    """Return the report as tables for reading."""
+    from rich.console import Group
+
+    parts: list[Any] = [
+        "sigma_mu(V) in mas/yr. Each number weighs by its rounding error, the paper's Monte-Carlo error of "
+        f"{100 * report['paper_mc_error']:.1f} %, that of the catalogues drawn here,\n"
+        f"and {100 * report['model_error']:.0f} % for the model itself. Uncertainties: from the curvature of chi2, "
+        "scaled by chi2/dof where that is above one."
+    ]
+    for model, curve in report["curves"].items():
+        parts += _curve_text(model, curve)
+    return Group(*parts)
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    text = (resources.files("sweeps") / "published" / name).read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+def _number(kind: Kind, n_obj: int, printed: str, reference_error_scale: float = 1.0) -> PublishedSigma:
+    decimals = len(printed.partition(".")[2])
+    return PublishedSigma(kind, n_obj, float(printed), 0.5 * 10.0**-decimals, reference_error_scale)
+
+
+def _curve_report(model: Model, n_cat: int) -> dict[str, Any]:
+    numbers = published_numbers(model)
+    skies = all_skies(model, n_cat)
+    found = fit(model, list(numbers.values()), skies)
+    in_code, _ = published_model(list(numbers.values()), skies, IN_CODE[model], "inverse-variance")
+    report = {
+        "formula": FORMULA[model],
+        **_constants(found),
+        "in_code_chi2": chi2_of(list(numbers.values()), in_code, found.relative_error),
+        "in_code_distance2": found.distance(IN_CODE[model]),
+        "numbers": [
+            row | {"in_code": float(code)}
+            for row, code in zip(_compared(numbers, found.sigma_mas_yr), in_code, strict=True)
+        ],
+        "equal_weights": _equal_weights(model, numbers, skies),
+    }
+    if model == "amex":
+        at_v = np.array([DIVA_V_MAG])
+        report["independent_check"] = {
+            "what": "DIVA's published proper-motion error",
+            "v_mag": DIVA_V_MAG,
+            "published": DIVA_SIGMA_MAS_YR,
+            "fitted": float(found.curve(at_v)[0]),
+            "in_code": float(IN_CODE[model](at_v)[0]),
+        }
+    return report
+
+
+def _constants(found: Fit) -> dict[str, Any]:
+    fitted, errors = found.constants, found.standard_error
+    in_code = constants_of(IN_CODE[found.model])
+    return {
+        "constants": {
+            name: {
+                "unit": "mas / yr" if name.startswith("amplitude") else "1 / mag",
+                "fitted": float(fitted[i]),
+                "standard_error": float(errors[i]),
+                "in_code": float(in_code[i]),
+            }
+            for i, name in enumerate(CONSTANTS[found.model])
+        },
+        "chi2": found.chi2,
+        "dof": found.dof,
+    }
+
+
+def _equal_weights(model: Model, numbers: dict[str, PublishedSigma], skies: dict[Kind, Skies]) -> dict[str, Any]:
+    """Fit the quasars alone with equal weights and predict the rest; radio stars also for a satellite without errors,
+    below which no curve can come.
+    """
+    quasars_only = [number for number in numbers.values() if number.kind == "quasars"]
+    found = fit(model, quasars_only, skies, "equal")
+    predicted, _ = published_model(list(numbers.values()), skies, found.curve, "equal")
+    report = {"fitted_to": "quasars", **_constants(found), "numbers": _compared(numbers, predicted)}
+    stars = {label: number for label, number in numbers.items() if number.kind == "radio-stars"}
+    if stars:
+        nothing = curve_of(model, np.zeros(len(CONSTANTS[model])))
+        floor, _ = published_model(list(stars.values()), skies, nothing, "equal")
+        report["perfect_satellite"] = _compared(stars, floor)
+    return report
+
+
+def _compared(numbers: dict[str, PublishedSigma], sigma: Any) -> list[dict[str, Any]]:
+    return [
+        {
+            "what": label,
+            "kind": number.kind,
+            "n_obj": number.n_obj,
+            "reference_error_scale": number.reference_error_scale,
+            "published": number.sigma_mas_yr,
+            "fitted": float(value),
+            "residual": float(value / number.sigma_mas_yr - 1.0),
+        }
+        for (label, number), value in zip(numbers.items(), sigma, strict=True)
+    ]
+
+
+def _curve_text(model: str, curve: dict[str, Any]) -> list[Any]:
+    from rich import box
+    from rich.table import Table
+
+    equal = curve["equal_weights"]
+    constants = Table(title=f"\n{model}: {curve['formula']}", title_justify="left", box=box.SIMPLE_HEAD)
+    for heading in ("", "fitted", "in the code", "equal weights"):
+        constants.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    for name, row in curve["constants"].items():
+        other = equal["constants"][name]
+        fitted, alone = (f"{r['fitted']:.4g} ± {r['standard_error']:.2g}" for r in (row, other))
+        constants.add_row(f"{name} \\[{row['unit']}]", fitted, f"{row['in_code']:g}", alone)
+    chi2 = [f"{c['chi2']:.1f} for {c['dof']} dof" for c in (curve, equal)]
+    constants.add_row("chi2", chi2[0], f"{curve['in_code_chi2']:.1f}", f"{chi2[1]} (quasars only)")
+
+    numbers = Table(box=box.SIMPLE_HEAD)
+    headings = ("sigma(omega) in mas/yr", "published", "fitted", "residual", "in the code", "residual", "equal weights")
+    floor = {row["what"]: row["residual"] for row in equal.get("perfect_satellite", ())}
+    for heading in (*headings, "residual", *(["perfect satellite"] if floor else [])):
+        numbers.add_column(heading, justify="left" if heading == headings[0] else "right", no_wrap=True)
+    for row, other in zip(curve["numbers"], equal["numbers"], strict=True):
+        code = row["in_code"] / row["published"] - 1.0
+        cells = [row["what"], f"{row['published']:.2g}", f"{row['fitted']:.3g}", f"{100 * row['residual']:+.1f} %"]
+        cells += [f"{row['in_code']:.3g}", f"{100 * code:+.1f} %"]
+        cells += [f"{other['fitted']:.3g}", f"{100 * other['residual']:+.1f} %"]
+        if floor:
+            cells.append(f"{100 * floor[row['what']]:+.1f} %" if row["what"] in floor else "")
+        numbers.add_row(*cells)
+    return [constants, _agreement(curve), numbers, *_checks(curve)]
+
+
+def _agreement(curve: dict[str, Any]) -> str:
+    distance, count = curve["in_code_distance2"], len(curve["constants"])
+    verdict = "agree" if distance <= count else "DO NOT AGREE"
+    return (
+        f"The constants in the code {verdict} with the fit: squared distance {distance:.2f} in units of the "
+        f"covariance, where {count} are expected for {count} constants."
+    )
+
+
+def _checks(curve: dict[str, Any]) -> list[str]:
+    sentences = []
+    if (check := curve.get("independent_check")) is not None:
+        sentences.append(
+            f"Independent check, {check['what']} at V = {check['v_mag']:g}: {check['published']:g} published, "
+            f"{check['fitted']:.3f} fitted, {check['in_code']:.3f} in the code (mas/yr)."
+        )
+    equal = curve["equal_weights"]
+    worst = {kind: _range(equal["numbers"], kind) for kind in ("quasars", "galaxies", "radio-stars")}
+    sentence = f"Equal weights, fitted to the quasars alone: quasars {worst['quasars']}"
+    if "perfect_satellite" in equal:
+        sentence += (
+            f", but galaxies {worst['galaxies']} and radio stars {worst['radio-stars']}.\nEven a satellite without "
+            f"errors would leave the radio stars at {_range(equal['perfect_satellite'], 'radio-stars')}: "
+            "no curve saves this hypothesis."
+        )
+    else:
+        sentence += ": these numbers alone do not tell the two weightings apart."
+    return [*sentences, sentence]
+
+
+def _range(rows: list[dict[str, Any]], kind: str) -> str:
+    residuals = [100.0 * row["residual"] for row in rows if row["kind"] == kind]
+    if not residuals:
+        return ""
+    low, high = f"{min(residuals):+.0f}", f"{max(residuals):+.0f}"
+    return f"{low} %" if low == high else f"{low} to {high} %"

@@ -1,0 +1,116 @@
+"""The constants of the mission curves are what a refit to the paper's numbers gives."""
+
+import numpy as np
+import pytest
+
+from core.calibration import (
+    IN_CODE,
+    PublishedSigma,
+    all_skies,
+    constants_of,
+    curve_of,
+    draw_skies,
+    fit,
+    published_model,
+    spin_variance,
+)
+from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Sky, radio_stars, resample
+from core.constants import MAS
+from core.errors import MagnitudeErrors
+from core.link import design_matrix, solve
+from core.missions import MISSIONS
+from core.quasars import quasars
+from sweep.calibrate import published_numbers
+
+
+@pytest.fixture(scope="module", params=["amex", "gaia"])
+def refit(request):
+    """The fit to the paper's numbers as `sweep calibrate` makes it."""
+    numbers = list(published_numbers(request.param).values())
+    return fit(request.param, numbers, all_skies(request.param))
+
+
+def test_the_constants_in_the_code_are_the_refits_within_its_uncertainty(refit):
+    in_code = IN_CODE[refit.model]
+    assert MISSIONS[refit.model].curve_pm_mas_yr == in_code
+    assert refit.distance(in_code) < len(refit.constants)  # a squared distance in units of the covariance
+    assert np.all(np.abs(constants_of(in_code) - refit.constants) < 1.5 * refit.standard_error)
+
+
+def test_the_refit_gives_the_papers_numbers(refit):
+    numbers = list(published_numbers(refit.model).values())
+    assert len(numbers) == {"amex": 28, "gaia": 13}[refit.model]
+    residual = refit.sigma_mas_yr / np.array([number.sigma_mas_yr for number in numbers]) - 1.0
+    # 10 stars with halved errors: 7 to 8 % above the printed number whatever the constants, see docs/calibration.md
+    limit = np.array([0.09 if (n.n_obj, n.reference_error_scale) == (10, 0.5) else 0.07 for n in numbers])
+    assert np.all(np.abs(residual) < limit)
+    assert refit.chi2 < 1.5 * refit.dof
+
+
+def test_published_numbers_keep_their_last_digit():
+    amex, gaia = published_numbers("amex"), published_numbers("gaia")
+    assert amex["quasars to V = 15.5"] == PublishedSigma("quasars", 163, 0.60, 0.005)
+    assert gaia["quasars to V = 18.5"] == PublishedSigma("quasars", 5542, 0.00060, 0.000005)
+    assert amex["100 radio stars, VLBI errors x 0.5"] == PublishedSigma("radio-stars", 100, 0.013, 0.0005, 0.5)
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+def test_the_closed_form_is_the_covariance_of_the_solution(weighting):
+    """For the same catalogue `core.link.solve` reports the same formal error; to rounding."""
+    skies = draw_skies("quasars", 1, seed=5, faintest=14.5)
+    catalogue = quasars(np.random.default_rng(5), 14.5, Sky())
+    design = design_matrix(catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec)
+    sigma = MagnitudeErrors(MISSIONS["amex"]).standard_errors(catalogue)
+    solution = solve(design, np.zeros_like(sigma), sigma, weighting)
+    variance = spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, weighting)
+    assert variance.shape == (2, 1)  # 28 and 49 quasars
+    assert variance[1, 0] == pytest.approx(np.mean((solution.formal_error[3:] / MAS) ** 2), rel=1e-9)
+
+
+def test_radio_stars_with_both_errors_and_a21_give_the_same_closed_form():
+    """Two errors an object and large proper motions: what the closed form leaves out is below 1e-5."""
+    stars = resample(np.random.default_rng(8), radio_stars(), 100, Sky())
+    skies = draw_skies("radio-stars", 1, seed=8)
+    np.testing.assert_array_equal(skies.v_mag[0], stars.v_mag)
+    satellite = MagnitudeErrors(MISSIONS["amex"]).standard_errors(stars)
+    design = design_matrix(stars.ra, stars.dec, stars.pmra, stars.pmdec)
+    solution = solve(design, np.zeros((4, 100)), np.hypot(satellite, 0.5 * stars.sigma))
+    variance = spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, reference_error_scale=0.5)
+    assert variance[-1, 0] == pytest.approx(np.mean((solution.formal_error[3:] / MAS) ** 2), rel=2e-5)
+
+
+def test_equal_errors_on_an_isotropic_sky_give_the_textbook_value():
+    """sigma sqrt(3/(2N)); 116 objects on 2000 skies: geometry adds about 1/N = 1 %, the average is good to 0.1 %."""
+    skies = draw_skies("galaxies", 2000, seed=9)
+    flat = curve_of("gaia", np.array([0.3, 0.0]))
+    for weighting in ("inverse-variance", "equal"):
+        sigma = np.sqrt(spin_variance(skies, flat, weighting).mean())
+        assert sigma == pytest.approx(0.3 * np.sqrt(1.5 / 116), rel=0.01)
+
+
+def test_the_galaxies_are_those_of_the_paper():
+    v_mag = draw_skies("galaxies", 500, seed=6).v_mag
+    assert v_mag.shape == (500, 116)
+    assert v_mag.max() <= GALAXY_FAINT_LIMIT_MAG
+    assert np.median(v_mag) == pytest.approx(12.486, abs=0.01)  # cut at +2 sigma; error 0.5 x 1.25/sqrt(58000) = 0.003
+
+
+def test_a_fit_finds_the_constants_that_made_the_numbers():
+    truth = np.array([0.02, 0.5])
+    skies = {"quasars": draw_skies("quasars", 5, seed=7, faintest=16.0)}
+    empty = [PublishedSigma("quasars", n, 1.0, 1e-9) for n in skies["quasars"].counts]
+    sigma, _ = published_model(empty, skies, curve_of("gaia", truth), "inverse-variance")
+    numbers = [PublishedSigma("quasars", n.n_obj, s, 1e-9) for n, s in zip(empty, sigma, strict=True)]
+    found = fit("gaia", numbers, skies)
+    np.testing.assert_allclose(found.constants, truth, rtol=1e-5)
+    assert found.chi2 < 1e-6
+
+
+def test_equal_weights_cannot_give_the_radio_stars():
+    """Even without any satellite error they lie above the printed numbers, so no curve can save the hypothesis."""
+    stars = [n for n in published_numbers("amex").values() if n.kind == "radio-stars"]
+    skies = {"radio-stars": draw_skies("radio-stars", 500, seed=3)}
+    floor, error = published_model(stars, skies, curve_of("amex", np.zeros(4)), "equal")
+    excess = floor / np.array([n.sigma_mas_yr for n in stars]) - 1.0
+    assert np.all(excess > 5.0 * error)
+    assert excess[:10].min() > 0.3
