@@ -10,7 +10,7 @@ from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue, Sky, galaxies, rad
 from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import CatalogueErrors, ErrorModel, MagnitudeErrors, NoErrors, NormalErrors
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
-from core.missions import MISSIONS
+from core.missions import MISSIONS, MissionUnavailableError
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, UNITS
 from core.quasars import V_MAX, quasar_count, quasars
 from core.simulate import BlockSums, Scenario, TrueVector, Vector, sample, simulate
@@ -120,9 +120,10 @@ def check(point: Point) -> str | None:
     problem = _check_catalogue(point)
     if problem is None and point["aberration"] and point["catalogue"] == "radio-stars":
         problem = "aberration: the glide is that of extragalactic objects, not of radio stars"
-    if problem is None:
-        problem = _check_error_models(point) or _check_errors(point)
-    return problem
+    try:
+        return problem or _check_error_models(point) or _check_errors(point)
+    except MissionUnavailableError as error:
+        return str(error)
 
 
 def cost(point: Point) -> float:

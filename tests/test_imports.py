@@ -24,6 +24,7 @@ ONLY_IN = {
     "matplotlib": {"sweep.plots", "sweep.skymap"},
     "pydantic": {"sweep.study", "sweep.reader"},
     "astropy": {"sweep.tables", "sweep.tablefile", "sweep.sky_tables", "sweep.match"},
+    "pygaia": {"core.missions"},
 }
 # The platform knows nothing of astrometry; the calibration and the galaxy search are commands
 # beside it, not a part of it.
@@ -35,6 +36,7 @@ ACROSS = {
     ("sweep.match", "core.crossmatch"),
 }
 CORE_MAY_USE = {"numpy", "scipy", "core", "dataclasses", "typing", "collections", "types", "functools", "itertools"}
+CORE_EXTRAS = {"pygaia"}
 
 
 def modules(package):
