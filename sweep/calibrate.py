@@ -22,6 +22,7 @@ from core.calibration import (
     all_skies,
     chi2_of,
     constants_of,
+    constrained,
     curve_of,
     fit,
     published_model,
@@ -94,10 +95,12 @@ def _curve_report(model: Model, n_cat: int) -> dict[str, Any]:
     numbers = published_numbers(model)
     skies = all_skies(model, n_cat)
     found = fit(model, list(numbers.values()), skies)
+    chosen = constrained(found, list(numbers.values()), skies)
     in_code, _ = published_model(list(numbers.values()), skies, IN_CODE[model], "inverse-variance")
     report = {
         "formula": FORMULA[model],
         **_constants(found),
+        "chosen": dict(zip(CONSTANTS[model], chosen.tolist(), strict=True)),
         "in_code_chi2": chi2_of(list(numbers.values()), in_code, found.relative_error),
         "in_code_distance2": found.distance(IN_CODE[model]),
         "numbers": [
@@ -173,14 +176,15 @@ def _curve_text(model: str, curve: dict[str, Any]) -> list[Any]:
 
     equal = curve["equal_weights"]
     constants = Table(title=f"\n{model}: {curve['formula']}", title_justify="left", box=box.SIMPLE_HEAD)
-    for heading in ("", "fitted", "in the code", "equal weights"):
+    for heading in ("", "fitted", "within limits", "in the code", "equal weights"):
         constants.add_column(heading, justify="right" if heading else "left", no_wrap=True)
     for name, row in curve["constants"].items():
         other = equal["constants"][name]
         fitted, alone = (f"{r['fitted']:.4g} ± {r['standard_error']:.2g}" for r in (row, other))
-        constants.add_row(f"{name} \\[{row['unit']}]", fitted, f"{row['in_code']:g}", alone)
+        heading = f"{name} \\[{row['unit']}]"
+        constants.add_row(heading, fitted, f"{curve['chosen'][name]:.4g}", f"{row['in_code']:g}", alone)
     chi2 = [f"{c['chi2']:.1f} for {c['dof']} dof" for c in (curve, equal)]
-    constants.add_row("chi2", chi2[0], f"{curve['in_code_chi2']:.1f}", f"{chi2[1]} (quasars only)")
+    constants.add_row("chi2", chi2[0], "", f"{curve['in_code_chi2']:.1f}", f"{chi2[1]} (quasars only)")
 
     numbers = Table(box=box.SIMPLE_HEAD)
     headings = ("sigma(omega) in mas/yr", "published", "fitted", "residual", "in the code", "residual", "equal weights")
@@ -200,10 +204,12 @@ def _curve_text(model: str, curve: dict[str, Any]) -> list[Any]:
 
 def _agreement(curve: dict[str, Any]) -> str:
     distance, count = curve["in_code_distance2"], len(curve["constants"])
-    verdict = "agree" if distance <= count else "DO NOT AGREE"
+    off = max(abs(row["in_code"] / curve["chosen"][name] - 1.0) for name, row in curve["constants"].items())
     return (
-        f"The constants in the code {verdict} with the fit: squared distance {distance:.2f} in units of the "
-        f"covariance, where {count} are expected for {count} constants."
+        "In the code are the constants of smallest chi2 with every number within its limit "
+        f"({100 * off:.1f} % from those found here).\nTheir squared distance from the free fit is {distance:.1f} in "
+        "units of its covariance, where "
+        f"{count} are expected for {count} constants."
     )
 
 

@@ -33,7 +33,7 @@ def refit(request):
 def test_the_constants_in_the_code_are_the_refits_within_its_uncertainty(refit):
     in_code = IN_CODE[refit.model]
     assert MISSIONS[refit.model].curve_pm_mas_yr == in_code
-    assert refit.distance(in_code) < len(refit.constants)  # a squared distance in units of the covariance
+    assert refit.distance(in_code) < 1.5 * len(refit.constants)  # a squared distance in units of the covariance
     assert np.all(np.abs(constants_of(in_code) - refit.constants) < 1.5 * refit.standard_error)
 
 
