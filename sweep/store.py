@@ -113,7 +113,7 @@ class Store:
         encoding: dict[str, Any] = {}
         for name, variable in dataset.variables.items():
             old = group.get(str(name))
-            if isinstance(old, zarr.Array) and (old.shape != variable.shape or _kind(old) != variable.dtype.kind):
+            if isinstance(old, zarr.Array) and not _holds(old, variable):
                 del group[str(name)]
                 old = None
             if old is None:
@@ -269,6 +269,13 @@ def _identity(study: Study) -> dict[str, Any]:
         "study_meaning": json.dumps(study.meaning(), default=content_digest),
         "study_axes": json.dumps(list(study.axes)),
     }
+
+
+def _holds(array: "zarr.Array[Any]", variable: xr.Variable) -> bool:
+    """Return whether only the values of a stored array need to be written: xarray leaves the rest of it as it is."""
+    attributes = {key: value for key, value in array.attrs.items() if key not in ("_FillValue", "coordinates")}
+    same_kind = array.shape == variable.shape and _kind(array) == variable.dtype.kind
+    return same_kind and attributes == variable.attrs
 
 
 def _kind(array: "zarr.Array[Any]") -> str:
