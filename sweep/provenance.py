@@ -32,6 +32,9 @@ def provenance(study: Study) -> dict[str, Any]:
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "started": now(),
     }
+    if study.claims:
+        claims = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
+        attributes["claims"] = json.dumps(claims)
     if commit := git_commit():
         attributes["git_commit"] = commit
     return attributes

@@ -5,7 +5,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,10 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from sweep.axes import axis_values, is_number, override
+from sweep.claims import Surroundings, checked_claim
 from sweep.contract import Experiment, Parameter, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, load_experiment
-from sweep.study import Condition, Published, Sampling, Section, Study
+from sweep.study import Claim, Condition, Published, Ratio, Reading, Sampling, Section, Slope, Study, Tolerance
 from sweep.tablefile import table_file
 
 MAX_FILE_BYTES = 1_000_000
@@ -33,6 +34,8 @@ class _Grid(Section):
 class _Published(Section):
     file: str
     source: str
+    tolerance: Tolerance | None = None
+    tolerance_reason: str | None = None
 
 
 class _Form(Section):
@@ -46,11 +49,17 @@ class _Form(Section):
     grid: _Grid = _Grid()
     exclude: list[dict[str, Any]] = Field(default_factory=list)
     published: _Published | None = None
+    claim: list[Claim] = Field(default_factory=list)
 
 
-def _known_keys(section: str) -> list[str]:
-    sections: dict[str, type[Section]] = {"sampling": Sampling, "grid": _Grid, "published": _Published}
-    return list(sections[section].model_fields)
+def _known_keys(where: Place) -> list[str]:
+    """Return the keys that are allowed beside the one at ``where``."""
+    sections: dict[str | int, type[Section]] = {
+        **{"sampling": Sampling, "grid": _Grid, "published": _Published, "claim": Claim},
+        **{"slope": Slope, "ratio": Ratio, "value": Reading},
+    }
+    table = next((sections[key] for key in reversed(where[:-1]) if key in sections), _Form)
+    return list(table.model_fields)
 
 
 def built_in_studies() -> dict[str, Path]:
@@ -164,6 +173,7 @@ class _Reader:
         published = self._published(experiment, form, axes)
         if form.sampling.keep_samples and experiment.samples is None:
             self._problem(("sampling", "keep_samples"), f"the experiment {experiment.name!r} has no samples to keep")
+        claims = self._claims(experiment, form, axes)
         if self.problems:
             raise SweepError(self.problems, str(self.path))
         return Study(
@@ -178,6 +188,7 @@ class _Reader:
             excluded=excluded,
             published=published,
             source=str(self.path),
+            claims=claims,
             text=self.text,
             overrides=self.overrides,
         )
@@ -203,8 +214,7 @@ class _Reader:
             for item in error.errors():
                 where = tuple(item["loc"])
                 if item["type"] == "extra_forbidden":
-                    known = _known_keys(str(where[0])) if len(where) > 1 else list(_Form.model_fields)
-                    self._problem(where, f"unknown key{suggest(str(where[-1]), known)}")
+                    self._problem(where, f"unknown key{suggest(str(where[-1]), _known_keys(where))}")
                 elif item["type"] == "missing":
                     self._problem(where, "is required")
                 else:
@@ -216,7 +226,9 @@ class _Reader:
         if "experiment" in broken:
             return None
         if "axes" in broken:
-            broken = broken | {"grid"}
+            broken = broken | {"grid", "claim"}
+        if "grid" in broken:
+            broken = broken | {"claim"}
         rest = {key: value for key, value in self.document.items() if key not in broken}
         return _Form.model_validate({"title": "", **rest})
 
@@ -333,6 +345,9 @@ class _Reader:
     ) -> Published | None:
         if form.published is None:
             return None
+        if (form.published.tolerance is None) != (form.published.tolerance_reason is None):
+            message = "a tolerance needs a tolerance_reason, and the other way round"
+            self._problem(("published", "tolerance"), message)
         where = ("published", "file")
         file = shown(form.published.file)
         try:
@@ -365,7 +380,24 @@ class _Reader:
                 optional = column in outputs and column not in form.axes
                 if wanted := _wrong_cell(parameters.get(column), cell, optional):
                     self._problem(where, f"{file}, line {number}: {column} = {shown(cell)}: must be {wanted}")
-        return Published(source=form.published.source, rows=tuple(row for _, row in rows))
+        return Published(
+            source=form.published.source,
+            rows=tuple(row for _, row in rows),
+            tolerance=form.published.tolerance or 0.0,
+            tolerance_reason=form.published.tolerance_reason or "",
+        )
+
+    def _claims(
+        self, experiment: Experiment, form: _Form, axes: Mapping[str, tuple[Value, ...] | None]
+    ) -> tuple[Claim, ...]:
+        changed = frozenset(str(place[1]) for place in self.overridden if place[:1] in (("axes",), ("fixed",)))
+        around = Surroundings(experiment, axes, form.grid.zip, changed)
+        return tuple(
+            checked_claim(claim, around, partial(self._claim_problem, i)) for i, claim in enumerate(form.claim)
+        )
+
+    def _claim_problem(self, index: int, place: tuple[str, ...], message: str) -> None:
+        self._problem(("claim", index, *place), message)
 
 
 def _wrong_cell(parameter: Parameter | None, cell: str, optional: bool) -> str | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sweep.contract import Output
 from sweep.grid import Grid
 from sweep.plan import Plan
+from sweep.study import Published, printed_rounding
 
 MISSING, DONE, FAILED, EXCLUDED = 0, 1, 2, 3
 STATUS_WORDS = ("missing", "done", "failed", "excluded")
@@ -137,7 +138,9 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
 
 
 def _published(grid: Grid) -> dict[str, Any]:
-    """Return a variable ``NAME_published`` for every output that the study's published table has a column of."""
+    """Return variables ``NAME_published`` and ``NAME_published_rounding`` for every output that the study's published
+    table has a column of.
+    """
     study = grid.study
     if study.published is None:
         return {}
@@ -146,17 +149,33 @@ def _published(grid: Grid) -> dict[str, Any]:
     for column in study.published.rows[0]:
         if column in outputs:
             output = outputs[column]
-            values = np.full(grid.shape, np.nan)
+            values, roundings = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
+            outside = 0
             for row in study.published.rows:
+                if not row[column]:
+                    continue
                 place = _place(grid, row, outputs)
-                if place is not None and row[column]:
-                    values[place] = float(row[column])
-            name = f"{column}_published"
-            variables[name] = _variable(
-                grid, values.reshape(-1), Output(name, output.unit, f"{output.meaning}, published")
-            )
-            variables[name][2]["source"] = study.published.source
+                if place is None:
+                    outside += 1
+                else:
+                    values[place], roundings[place] = float(row[column]), printed_rounding(row[column])
+            name, rounding = f"{column}_published", f"{column}_published_rounding"
+            meaning = f"{output.meaning}, published"
+            variables[name] = _variable(grid, values.reshape(-1), Output(name, output.unit, meaning))
+            variables[name][2].update(_origin(study.published), outside_grid=outside)
+            meaning = f"half a unit of the last printed digit of {name}"
+            variables[rounding] = _variable(grid, roundings.reshape(-1), Output(rounding, output.unit, meaning))
     return variables
+
+
+def _origin(published: Published) -> dict[str, Any]:
+    if not published.tolerance:
+        return {"source": published.source}
+    return {
+        "source": published.source,
+        "tolerance": published.tolerance,
+        "tolerance_reason": published.tolerance_reason,
+    }
 
 
 def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:

@@ -2,8 +2,10 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -13,6 +15,7 @@ from sweep.tablefile import content_digest
 
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
+Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
 
 
 class Section(BaseModel):
@@ -50,10 +53,78 @@ class Condition:
 
 @dataclass(frozen=True)
 class Published:
-    """Published results: rows of {column: number as printed}, the columns being axes and outputs."""
+    """Published results: rows of {column: number as printed}, the columns being axes and outputs.
+
+    ``tolerance`` (relative, 0 for none) is how far computed values may be from them beyond rounding and Monte-Carlo
+    error, for the reason that ``tolerance_reason`` gives.
+    """
 
     source: str
     rows: tuple[Mapping[str, str], ...]
+    tolerance: float = 0.0
+    tolerance_reason: str = ""
+
+
+class Slope(Section, frozen=True):
+    """The exponent p of variable ~ over**p along an axis."""
+
+    variable: str
+    over: str
+    component: str | None = None
+
+
+class Ratio(Section, frozen=True):
+    """The variable at one place of the grid divided by that at another."""
+
+    variable: str
+    of: dict[str, Any]
+    to: dict[str, Any]
+    component: str | None = None
+
+
+class Reading(Section, frozen=True):
+    """The variable at one place of the grid."""
+
+    variable: str
+    at: dict[str, Any] = Field(default_factory=dict)
+    component: str | None = None
+
+
+class Claim(Section, frozen=True):
+    """A published statement that can be derived from the grid: exactly one of ``slope``, ``ratio`` and ``value``.
+
+    ``published`` is the number as printed, so that its rounding is known; an ``exact`` law has none.  ``where`` fixes
+    axes for any of the three; an axis that is fixed nowhere gives one comparison for each of its values.
+    """
+
+    text: str
+    source: str
+    published: str
+    exact: bool = False
+    tolerance: Tolerance | None = None
+    tolerance_reason: str | None = None
+    slope: Slope | None = None
+    ratio: Ratio | None = None
+    value: Reading | None = None
+    where: dict[str, Any] = Field(default_factory=dict)
+
+    def quantity(self) -> Slope | Ratio | Reading:
+        """Return the one quantity of a valid claim; raises ValueError if there is not exactly one."""
+        given = [q for q in (self.slope, self.ratio, self.value) if q is not None]
+        if len(given) != 1:
+            raise ValueError("needs exactly one of slope, ratio and value")
+        return given[0]
+
+
+def printed_rounding(text: str) -> float:
+    """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for what is no finite
+    number.
+    """
+    try:
+        exponent = Decimal(text).as_tuple().exponent
+    except InvalidOperation:
+        return math.nan
+    return float(f"5e{exponent - 1}") if isinstance(exponent, int) else math.nan
 
 
 @dataclass(frozen=True)
@@ -73,6 +144,7 @@ class Study:
     excluded: tuple[tuple[Condition, ...], ...] = ()
     published: Published | None = None
     source: str = ""
+    claims: tuple[Claim, ...] = ()
     text: str = ""
     overrides: tuple[str, ...] = ()
 

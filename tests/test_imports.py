@@ -13,8 +13,9 @@ CORE = [
     *("errors", "link", "simulate", "parameters", "experiment", "calibration"),
 ]
 SWEEP = [
-    *("contract", "load", "tablefile", "study", "axes", "reader", "grid", "plan", "worker", "pin", "execute"),
+    *("contract", "load", "tablefile", "study", "axes", "claims", "reader", "grid", "plan", "worker", "pin", "execute"),
     *("provenance", "results", "store", "writer", "run", "status", "tables", "progress", "plots"),
+    *("compare", "compare_tables", "reproduce"),
     *("sky_tables", "galaxy_table", "skymap", "match", "calibrate", "cli", "__main__"),
 ]
 ONLY_IN = {
