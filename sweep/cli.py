@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from sweep.run import Resources
     from sweep.study import Study
 
 EXIT_FAILED_POINTS = 1
@@ -72,6 +75,25 @@ def study_options(command: Command) -> Command:
     return command
 
 
+def resource_options(command: Command) -> Command:
+    """Add the options that say what to run on."""
+    options = (
+        click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one a core]"),
+        click.option(
+            "--pool",
+            type=click.Choice(["processes", "threads", "serial"]),
+            help="Local workers are processes, threads of this process, or none.  "
+            "[default: processes; serial if small]",
+        ),
+        click.option(
+            "--scheduler", metavar="ADDRESS", help="Use the Dask scheduler at this address, e.g. tcp://host:8786."
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="linksweep", prog_name="linksweep")
 def main() -> None:
@@ -86,13 +108,7 @@ def main() -> None:
 @main.command()
 @study_argument
 @study_options
-@click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one a core]")
-@click.option(
-    "--pool",
-    type=click.Choice(["processes", "threads", "serial"]),
-    help="Local workers are processes, threads of this process, or none.  [default: processes; serial if small]",
-)
-@click.option("--scheduler", metavar="ADDRESS", help="Use the Dask scheduler at this address, e.g. tcp://host:8786.")
+@resource_options
 @click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
 @json_option
 def run(
@@ -115,29 +131,16 @@ def run(
     sweep run quasars --set n_cat=20 -o results/quick.zarr
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4
     """
-    if scheduler is not None and (workers is not None or pool is not None):
-        raise click.UsageError("--workers and --pool are for local workers; they do not go with --scheduler")
-    if pool == "serial" and workers is not None:
-        raise click.UsageError("--pool serial has no workers")
+    resources = _resources(workers, pool, scheduler)
     loaded, path = _load(study, settings, axes, store)
     if dry_run:
         _print_plan(loaded, path, as_json)
         return
-    from sweep.progress import TerminalProgress
-    from sweep.run import Resources, RunInterruptedError, run_study
-
-    with TerminalProgress() as progress:
-        try:
-            dataset, failures = run_study(loaded, path, Resources(workers, pool, scheduler), progress)
-        except RunInterruptedError:
-            progress.say(f"interrupted; what was finished is kept in {path}, the same command goes on from there")
-            sys.exit(EXIT_INTERRUPTED)
+    dataset, failures = _run(loaded, path, resources)
     _print_table(dataset, "json" if as_json else "text")
-    progress.say(f"wrote {path}")
+    click.echo(f"wrote {path}", err=True)
     if failures:
-        progress.say(
-            f"{len(failures)} point{'s' if len(failures) > 1 else ''} failed; `sweep status {path}` names them"
-        )
+        click.echo(_failures_in_words(failures, path), err=True)
         sys.exit(EXIT_FAILED_POINTS)
 
 
@@ -241,6 +244,50 @@ def calibrate(as_json: bool) -> None:
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else 200).print(as_text(report), highlight=False)
+
+
+@main.command()
+@click.argument("stores", nargs=-1, metavar="STORE...", type=click.Path(path_type=Path))
+@click.option("--all", "everything", is_flag=True, help="The whole paper: every built-in study, run where it is not.")
+@click.option(
+    "--results",
+    type=click.Path(path_type=Path),
+    help="Where --all has the stores.  [default: results]",
+)
+@resource_options
+@click.option("--format", "table_format", type=click.Choice(["text", "csv", "json"]), default="text", show_default=True)
+@json_option
+def compare(
+    stores: tuple[Path, ...],
+    everything: bool,
+    results: Path | None,
+    workers: int | None,
+    pool: Any,
+    scheduler: str | None,
+    table_format: str,
+    as_json: bool,
+) -> None:
+    """Compare the results in STORE with the published numbers and claims of its study.
+
+    The exit code is 1 if something is not reproduced or incomplete.
+
+    \b
+    sweep compare results/quasars.zarr
+    sweep compare --all --workers 4
+    """
+    from sweep.compare import all_is_well
+    from sweep.reproduce import compare_stores
+
+    if everything == bool(stores):
+        raise click.UsageError("name stores, or give --all")
+    if not everything and (results is not None or workers is not None or pool is not None or scheduler is not None):
+        raise click.UsageError("--results, --workers, --pool and --scheduler go with --all: nothing runs without it")
+    if everything:
+        stores = _run_what_is_missing(results or Path("results"), _resources(workers, pool, scheduler))
+    comparisons, remarks = compare_stores(stores)
+    _print_comparisons(comparisons, remarks, "json" if as_json else table_format)
+    if not all_is_well(comparisons):
+        sys.exit(EXIT_FAILED_POINTS)
 
 
 @main.command("list")
@@ -453,6 +500,69 @@ def _load(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: P
     return loaded, store or Path("results") / f"{loaded.name}.zarr"
 
 
+def _resources(workers: int | None, pool: Any, scheduler: str | None) -> "Resources":
+    from sweep.run import Resources
+
+    if scheduler is not None and (workers is not None or pool is not None):
+        raise click.UsageError("--workers and --pool are for local workers; they do not go with --scheduler")
+    if pool == "serial" and workers is not None:
+        raise click.UsageError("--pool serial has no workers")
+    return Resources(workers, pool, scheduler)
+
+
+def _run(study: "Study", store: Path, resources: "Resources") -> tuple[Any, dict[int, str]]:
+    """Run a study with progress shown; an interruption ends the command."""
+    from sweep.progress import TerminalProgress
+    from sweep.run import RunInterruptedError, run_study
+
+    with TerminalProgress() as progress:
+        try:
+            return run_study(study, store, resources, progress)
+        except RunInterruptedError:
+            progress.say(f"interrupted; what was finished is kept in {store}, the same command goes on from there")
+            sys.exit(EXIT_INTERRUPTED)
+
+
+def _failures_in_words(failures: dict[int, str], store: Path) -> str:
+    return f"{len(failures)} point{'s' if len(failures) > 1 else ''} failed; `sweep status {store}` names them"
+
+
+def _run_what_is_missing(results: Path, resources: "Resources") -> tuple[Path, ...]:
+    """Return the stores of all built-in studies with something published, after running those that need it."""
+    from sweep.reproduce import published_studies, store_of, unfinished
+
+    studies = published_studies()
+    for study in unfinished(studies, results):
+        store = store_of(study, results)
+        click.echo(f"{study.name}:", err=True)
+        _, failures = _run(study, store, resources)
+        if failures:
+            click.echo(_failures_in_words(failures, store), err=True)
+    return tuple(store_of(study, results) for study in studies)
+
+
+def _print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -> None:
+    from sweep import compare_tables
+
+    if table_format == "json":
+        click.echo(compare_tables.as_json(comparisons, remarks))
+        return
+    if table_format == "csv":
+        click.echo(compare_tables.as_csv(comparisons).rstrip("\n"))
+        for sentence in remarks:
+            click.echo(sentence, err=True)
+        return
+    _console().print(compare_tables.as_text(comparisons))
+    for sentence in ("", *compare_tables.notes(comparisons), *remarks, compare_tables.summary_line(comparisons)):
+        click.echo(sentence)
+
+
+def _console() -> "Console":
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else 200)
+
+
 def _print_plan(study: "Study", store: Path, as_json: bool) -> None:
     from sweep.status import plan_report
 
@@ -468,9 +578,7 @@ def _print_table(dataset: Any, table_format: str) -> None:
     from sweep import tables
 
     if table_format == "text":
-        from rich.console import Console
-
-        console = Console(width=None if sys.stdout.isatty() else 200)
+        console = _console()
         console.print(tables.as_text(dataset))
         if not dataset.attrs.get("complete"):
             console.print(
