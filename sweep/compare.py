@@ -30,6 +30,9 @@ ARITHMETIC = 1e-9
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
 
+VALUE, ERROR = "our value", "our error"
+"""Names inside this module that no axis has."""
+
 Array = NDArray[np.float64]
 
 
@@ -229,8 +232,9 @@ def _quantity(dataset: xr.Dataset, variable: str, component: str | None) -> xr.D
     for suffix in ERROR_SUFFIXES:
         if (name := f"{variable}_{suffix}") in dataset:  # a NaN is an error that is not known, e.g. for one catalogue
             error = (error**2 + _component(dataset[name], component).fillna(0.0) ** 2) ** 0.5
-    whole = {"value": value.drop_attrs(), "error": error.drop_attrs(), "status": dataset["status"].drop_attrs()}
-    return xr.Dataset(whole).broadcast_like(dataset["status"])
+    whole = {VALUE: value.drop_attrs(), ERROR: error.drop_attrs(), "status": dataset["status"].drop_attrs()}
+    order = [n for d in dataset["status"].dims for n in (d, *dataset.coords) if d in dataset[n].dims]
+    return xr.Dataset(whole).broadcast_like(dataset["status"]).assign_attrs(axes=list(map(str, dict.fromkeys(order))))
 
 
 def _component(variable: xr.DataArray, component: str | None) -> xr.DataArray:
@@ -289,15 +293,15 @@ def _combinations(points: xr.Dataset, along: str = "") -> Iterator[xr.Dataset]:
 
 
 def _places(points: xr.Dataset) -> dict[str, Any]:
-    """Return the axes that have one value here."""
-    return {str(name): axis.item() for name, axis in points.coords.items() if not axis.dims}
+    """Return the axes that have one value here, in the order of the grid (Zarr sorts them by name)."""
+    return {name: points[name].item() for name in points.attrs["axes"] if not points[name].dims}
 
 
 def _at(point: xr.Dataset) -> _Measured:
     where, status = _places(point), int(point["status"])
     if status != DONE:
         return _Measured(where, missing=_why({status}, "the point"))
-    return _Measured(where, float(point["value"]), float(point["error"]))
+    return _Measured(where, float(point[VALUE]), float(point[ERROR]))
 
 
 def _slope(line: xr.Dataset, over: str) -> _Measured:
@@ -308,7 +312,7 @@ def _slope(line: xr.Dataset, over: str) -> _Measured:
     if np.any(status != DONE):
         some = f"{np.count_nonzero(status != DONE)} of {status.size} points"
         return _Measured(where, missing=_why(set(status[status != DONE].tolist()), some))
-    x, y, error = (np.asarray(line[name].values, dtype=float) for name in (over, "value", "error"))
+    x, y, error = (np.asarray(line[name].values, dtype=float) for name in (over, VALUE, ERROR))
     if len(x) < 2:
         return _Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(x)}")
     if not (np.all(x > 0.0) and np.all(np.isfinite(y)) and np.all(y > 0.0)):

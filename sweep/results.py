@@ -183,7 +183,7 @@ def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) ->
     study = grid.study
     settings = study.experiment.defaults() | dict(study.fixed)
     for column, text in row.items():
-        if column not in outputs and column not in study.axes and str(settings[column]) != text:
+        if column not in outputs and column not in study.axes and not _same(settings[column], text):
             return None
     place = []
     for axes in grid.dimensions.values():
@@ -199,4 +199,5 @@ def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) ->
 
 
 def _same(value: object, text: str) -> bool:
-    return str(value) == text if isinstance(value, (str, bool)) else float(str(value)) == float(text)
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(str(value)) == float(text) if number else str(value) == text
