@@ -144,7 +144,8 @@ def _on_axis(
 
 
 def _known_axes(name: str, around: Surroundings) -> str:
-    return suggest(name, list(around.axes)) if around.axes else "; the study has none"
+    known = [axis for axis in around.axes if axis in around.experiment.defaults()]
+    return suggest(name, known) if known else "; the study has none"
 
 
 def _listed(values: Sequence[Any], most: int = 20) -> str:
