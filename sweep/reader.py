@@ -285,13 +285,14 @@ class _Reader:
 
     def _zip(self, form: _Form, axes: Mapping[str, tuple[Value, ...] | None]) -> tuple[tuple[str, ...], ...]:
         seen: set[str] = set()
+        known = [name for name, values in axes.items() if values is not None]  # others may hold control characters
         for i, group in enumerate(form.grid.zip):
             where = ("grid", "zip", i)
             if len(group) < 2:
                 self._problem(where, f"{shown(group)}: name at least two axes to walk together")
             for name in group:
                 if name not in axes:
-                    self._problem(where, f"{shown(name)} is not an axis{suggest(name, list(axes)) if axes else ''}")
+                    self._problem(where, f"{shown(name)} is not an axis{suggest(name, known) if known else ''}")
                 if name in seen:
                     self._problem(where, f"{shown(name)} is zipped twice")
                 seen.add(name)

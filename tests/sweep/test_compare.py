@@ -669,7 +669,7 @@ def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coin_study):
 def test_the_built_in_studies_that_publish_something():
     studies = {study.name: study for study in published_studies()}
     assert "quasars" in studies
-    assert "grid" not in studies
+    assert not {"grid", "gaia-releases"} & set(studies)  # the second needs a package that may not be there
     assert studies["quasars"].published.tolerance == 0.07
     assert len(studies["quasars"].claims) == 2
 

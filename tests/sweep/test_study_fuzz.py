@@ -20,13 +20,28 @@ GOOD: dict[str, Any] = {
     "sampling": {"n_sim": 10, "n_cat": 2, "seed": 3},
     "grid": {"zip": [["v_max", "n_obj"]]},
     "exclude": [{"model": "gaia", "v_max": {"above": 15.0}}, {"n_obj": {"in": [10, 11]}}],
-    "published": {"file": "table.csv", "source": "A paper"},
+    "published": {"file": "table.csv", "source": "A paper", "tolerance": 0.1, "tolerance_reason": "a guess"},
+    "claim": [
+        {
+            **{"text": "A law", "source": "p. 1", "published": "-0.5", "exact": True, "where": {"model": "amex"}},
+            "slope": {"variable": "sigma_spin", "over": "n_obj"},
+        },
+        {
+            **{"text": "A ratio", "source": "p. 2", "published": "2", "tolerance": 0.1, "tolerance_reason": "a guess"},
+            "ratio": {"variable": "sigma", "component": "omega_x", "of": {"v_max": 14.0}, "to": {"v_max": 15.0}},
+        },
+        {
+            **{"text": "A value", "source": "p. 3", "published": "0.60"},
+            "value": {"variable": "sigma_spin", "at": {"v_max": 14.0}},
+        },
+    ],
 }
 
 WORDS = """
-    title experiment axes fixed sampling grid exclude published v_max n_obj model catalogue omega corrections n_sim
-    seed zip file source start stop step num spacing log linear values above below equal in amex gaia synthetic quasars
-    mission_length satellite_errors normal none table.csv core.experiment:link math:tau : x.py:y . 10**5000
+    title experiment axes fixed sampling grid exclude published claim v_max n_obj model catalogue omega corrections
+    n_sim seed zip file source start stop step num spacing log linear values above below equal in amex gaia synthetic
+    quasars text exact tolerance slope ratio value variable over component of to at where sigma covariance omega_x 0.60
+    nan mission_length satellite_errors normal none table.csv core.experiment:link math:tau : x.py:y . 10**5000
 """.split()  # noqa: SIM905
 
 keys = st.one_of(st.sampled_from(WORDS), st.sampled_from(["", "a.b", "\x1b[31m", "\0", "\n", "ä", "\u202e", "😀" * 50]))
