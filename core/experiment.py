@@ -100,6 +100,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         "sigma_predicted": np.sqrt(predicted),
         "sigma_catalogue_error": catalogue_error[:, :6],
         "bias": bias,
+        "bias_mc_error": np.sqrt(np.maximum(variance - bias**2, 0.0) / each),
         "covariance": second_moment - bias[..., :, None] * bias[..., None, :],
         "chi2": sums["chi2"] / n,
         "dof": 4.0 * n_obj - np.where(np.isnan(sums["glide_error"][:, 0]), 6.0, 9.0),

@@ -228,6 +228,7 @@ OUTPUTS = (
     *_with_errors("sigma_orientation", "mas", "RMS error of the orientation, over its three components"),
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
     Output("bias", _EACH, "mean of estimate - truth", ("component",)),
+    Output("bias_mc_error", _EACH, "Monte-Carlo error of bias, scatter/sqrt(n)", ("component",)),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),
     Output("chi2", "", "mean chi2 of the solution; dof is its expectation for inverse-variance weights"),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
