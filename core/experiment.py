@@ -15,7 +15,7 @@ from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, UNITS
 from core.quasars import V_MAX, quasar_count, quasars
 from core.simulate import BlockSums, Scenario, TrueVector, Vector, sample, simulate
 from core.table_catalogue import catalogue_from_table
-from sweep.contract import Experiment, Point
+from sweep.contract import Experiment, Point, SweepError
 
 Array = NDArray[np.float64]
 
@@ -26,6 +26,9 @@ GALACTIC_GLIDE_UAS_YR = 4.0
 """Towards the Galactic centre.  Source: Kovalevsky 2003, as Metz & Geffert 2004, Sect. 5.1; measured since: 5.05
 (Gaia EDR3).
 """
+
+SMALLEST_GLIDE = 3
+"""Objects that determine nine unknowns: two give twelve observables, but of rank eight."""
 
 N_GALAXIES = 116
 """Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2."""
@@ -42,6 +45,8 @@ SUMS: Mapping[str, tuple[int, ...]] = {
     "glide_error": (3,),
     "glide_squares": (3,),
     "n_obj": (),
+    "batch_mean_squares": (6,),
+    "batches": (),
 }
 
 
@@ -66,7 +71,7 @@ def evaluate(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return the sums of `SUMS` for one catalogue and ``n_sim`` realisations of its errors, one row a point."""
-    rows = [_sums(simulate(scenario(point), n_sim, rng, catalogue_rng)) for point in points]
+    rows = [_sums(simulate(scenario(point), n_sim, rng, catalogue_rng), n_sim) for point in points]
     return {name: np.array([row[name] for row in rows]) for name in SUMS}
 
 
@@ -100,7 +105,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         "sigma_predicted": np.sqrt(predicted),
         "sigma_catalogue_error": catalogue_error[:, :6],
         "bias": bias,
-        "bias_mc_error": np.sqrt(np.maximum(variance - bias**2, 0.0) / each),
+        "bias_mc_error": _bias_error(sums, bias, variance, n),
         "covariance": second_moment - bias[..., :, None] * bias[..., None, :],
         "chi2": sums["chi2"] / n,
         "dof": 4.0 * n_obj - np.where(np.isnan(sums["glide_error"][:, 0]), 6.0, 9.0),
@@ -119,6 +124,8 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
 def check(point: Point) -> str | None:
     """Return why this point cannot be computed, or None."""
     problem = _check_catalogue(point)
+    if problem is None and point["solve_glide"] and _size(point) < SMALLEST_GLIDE:
+        problem = f"n_obj = {_size(point)}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
     if problem is None and point["aberration"] and point["catalogue"] == "radio-stars":
         problem = "aberration: the glide is that of extragalactic objects, not of radio stars"
     try:
@@ -134,7 +141,7 @@ def cost(point: Point) -> float:
     return float(4 * sides * _size(point))
 
 
-def _sums(block: BlockSums) -> dict[str, Array]:
+def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
     """Return the sums of one block in the shapes of `SUMS`, NaN for a glide that was not solved for."""
     glide = block.error[6:] if len(block.error) > 6 else np.full(3, np.nan)
     squares = np.diag(block.error_products)[6:] if len(block.error) > 6 else np.full(3, np.nan)
@@ -148,7 +155,19 @@ def _sums(block: BlockSums) -> dict[str, Array]:
         "glide_error": glide,
         "glide_squares": squares,
         "n_obj": np.array(block.n_obj),
+        "batch_mean_squares": np.square(block.error[:6]) / n_sim,
+        "batches": np.array(1.0),
     }
+
+
+def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Array) -> Array:
+    """Return the error of a bias from the scatter of batch means, which includes that of catalogues with biases of
+    their own; from the scatter of realisations where there is one batch only.
+    """
+    batches, each = sums["batches"][:, None], n[:, None]
+    between = np.maximum(sums["batch_mean_squares"] / each - bias**2, 0.0) / np.maximum(batches - 1.0, 1.0)
+    within = np.maximum(variance - bias**2, 0.0) / each
+    return np.sqrt(np.where(batches > 1.0, between, within))
 
 
 def _catalogue_error(predicted: Array, squared: Array, n_cat: Array) -> Array:
@@ -167,6 +186,10 @@ def _table(point: Point) -> Catalogue:
     """Return the objects of the file that are brighter than the limit."""
     whole = catalogue_from_table(point["file"], dict(point["columns"]), point["pmra_cos_dec"])
     return whole if point["v_max"] is None else whole.take(np.flatnonzero(whole.v_mag <= point["v_max"]))
+
+
+def _has_magnitudes(point: Point) -> bool:
+    return not np.any(np.isnan(_table({**point, "v_max": None}).v_mag))
 
 
 def _size(point: Point) -> int:
@@ -204,6 +227,9 @@ def _draw_catalogue(point: Point, rng: np.random.Generator) -> Catalogue:
 def _check_catalogue(point: Point) -> str | None:
     if (point["catalogue"] == "file") != (point["file"] is not None):
         return "file: catalogue = 'file' needs a file, and other catalogues have none"
+    own = {"radio-stars": "isotropic", "file": "own"}.get(point["catalogue"], "isotropic")
+    if (point["positions"] or own) == "own" and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
+        return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
     return {
         "synthetic": _check_synthetic,
         "galaxies": _check_galaxies,
@@ -237,9 +263,13 @@ def _check_radio_stars(point: Point) -> str | None:
 def _check_available(point: Point) -> str | None:
     """The quasars or the objects of a file must be enough."""
     try:
+        if point["catalogue"] == "file" and point["v_max"] is not None and not _has_magnitudes(point):
+            return "v_max needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
         available = _size({**point, "n_obj": None})
     except ValueError as error:
         return str(error)
+    except SweepError as error:
+        return f"{error} ({error.where})"
     wanted = max(2, point["n_obj"] or 0)
     if available >= wanted:
         return None
@@ -253,7 +283,7 @@ def _check_error_models(point: Point) -> str | None:
     by_magnitude = point["satellite_errors"] == "magnitude"
     if point["catalogue"] == "file":
         table = _table(point)
-        if by_magnitude and np.any(np.isnan(table.v_mag)):
+        if by_magnitude and not _has_magnitudes(point):
             return "satellite_errors = 'magnitude' needs a magnitude column (v_mag, phot_g_mean_mag) in the file"
         faintest = float(np.max(table.v_mag))
     else:
@@ -269,14 +299,22 @@ def _check_error_models(point: Point) -> str | None:
 
 def _check_errors(point: Point) -> str | None:
     """Inverse-variance weights need both a position and a proper-motion error, or neither (error-free data)."""
-    pair = np.hypot(*_errors_at_limit(point)) / MAS
-    position, motion = pair[:2].min(), pair[2:].min()
-    if (position > 0.0) != (motion > 0.0):
-        exact, noisy = ("proper motions", "positions") if position else ("positions", "proper motions")
+    errors = np.hypot(*_errors_at_limit(point)) / MAS
+    if not errors.any():
+        return None
+    without = ~(errors > 0.0)
+    position, motion = without[:2].all(), without[2:].all()
+    if position or motion:
+        exact, noisy = ("positions", "proper motions") if position else ("proper motions", "positions")
         return f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
-    if position > 0.0 and not (min(position, motion) >= SMALLEST_ERROR and pair.max() <= LARGEST_ERROR):
+    if without.any():
+        row = 1 + int(np.argmax(without.any(axis=0)))
+        return f"object {row} has an observable without any error, which cannot be weighed"
+    if errors.min() < SMALLEST_ERROR or errors.max() > LARGEST_ERROR:
+        extreme = np.min if errors.min() < SMALLEST_ERROR else np.max
+        position_mas, motion_mas_yr = extreme(errors[:2]), extreme(errors[2:])
         return (
-            f"errors of {position:.3g} mas and {motion:.3g} mas/yr: must be from {SMALLEST_ERROR:g} to "
+            f"errors of {position_mas:.3g} mas and {motion_mas_yr:.3g} mas/yr: must be from {SMALLEST_ERROR:g} to "
             f"{LARGEST_ERROR:g}"
         )
     return None

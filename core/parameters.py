@@ -76,7 +76,10 @@ PARAMETERS = (
     Parameter("file", "file", None, "table of objects for catalogue = 'file' (Gaia column names by default)"),
     Parameter("columns", "map", (), "names of the table's columns where they are not Gaia's"),
     Parameter(
-        "pmra_cos_dec", "bool", None, "whether pmra of the file includes cos(dec); needed unless the file is Gaia's"
+        "pmra_cos_dec",
+        "bool",
+        None,
+        "whether pmra of the file includes cos(dec) (its error always does); needed unless the file is Gaia's",
     ),
     # steps C and D: errors
     Parameter(
@@ -228,9 +231,18 @@ OUTPUTS = (
     *_with_errors("sigma_orientation", "mas", "RMS error of the orientation, over its three components"),
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
     Output("bias", _EACH, "mean of estimate - truth", ("component",)),
-    Output("bias_mc_error", _EACH, "Monte-Carlo error of bias, scatter/sqrt(n)", ("component",)),
+    Output(
+        "bias_mc_error",
+        _EACH,
+        "Monte-Carlo error of bias, from the scatter of catalogues or of batches of one",
+        ("component",),
+    ),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),
-    Output("chi2", "", "mean chi2 of the solution; dof is its expectation for inverse-variance weights"),
+    Output(
+        "chi2",
+        "",
+        "mean chi2 of the solution; dof is its expectation for inverse-variance weights of uncorrelated errors",
+    ),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
     Output("glide_sigma", "mas / yr", "RMS of estimate - truth of a glide that was solved for", ("glide_component",)),
     Output("glide_bias", "mas / yr", "mean of estimate - truth of a glide that was solved for", ("glide_component",)),

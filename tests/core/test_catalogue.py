@@ -1,154 +1,198 @@
-"""Synthetic skies and the quasar counts."""
-
-import re
+"""Skies, and the catalogues that simple laws give: synthetic objects, galaxies, radio stars."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from core.catalogue import (
-    QUASAR_BRIGHTEST_MAG,
-    QUASAR_COUNT,
-    QUASAR_V_MAX,
-    isotropic_positions,
-    quasar_count,
-    quasars,
-    synthetic,
-)
-from core.constants import DEGREE, MAS
+from core.catalogue import Catalogue, Sky, galaxies, radio_stars, resample, synthetic
+from core.constants import DEGREE, GALACTIC_AXES, MAS
 from core.experiment import link, scenario
 from core.frames import triad
+from core.quasars import quasars
+from core.table_catalogue import OBSERVABLES
 
-TABLE_1 = {
-    14.0: 28, 14.5: 49, 15.0: 88, 15.5: 163, 16.0: 315, 16.5: 624, 17.0: 1156, 17.5: 2056, 18.0: 3453, 18.5: 5542,
-    19.0: 8095, 19.5: 11442, 20.0: 15533,
-}  # fmt: skip
-P_VALUE = 1e-3  # of a Kolmogorov-Smirnov test with a fixed seed
+P_VALUE = 1e-3  # of a Kolmogorov-Smirnov or chi-square test with a fixed seed
+ALL_SKY = Sky()
+UNEVEN = [(0.0, 0.5), (20.0, 0.0), (20.0, -0.8), (60.0, 0.3)]  # zone of avoidance in deg, contrast
 
 
 def columns(catalogue):
     return np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec, catalogue.v_mag])
 
 
-@pytest.mark.parametrize(("v_max", "n_obj"), TABLE_1.items())
-def test_quasar_counts_are_those_of_table_1(v_max, n_obj):
-    assert quasar_count(v_max) == n_obj
-    catalogue = quasars(np.random.default_rng(1), v_max)
-    assert len(catalogue) == n_obj
-    assert QUASAR_BRIGHTEST_MAG <= catalogue.v_mag.min() <= catalogue.v_mag.max() <= v_max
-    assert not np.any([catalogue.pmra, catalogue.pmdec])
+def rows(catalogue):
+    """What stays with an object wherever it is put: pmra, pmdec, magnitude and errors."""
+    return np.vstack([columns(catalogue)[2:], catalogue.sigma]).T
 
 
-def test_quasar_count_is_log_linear_between_and_below_the_half_magnitudes():
-    assert quasar_count(16.25) == round(np.sqrt(315 * 624))
-    assert quasar_count(13.5) == round(28 * 28 / 49)
-    assert quasar_count(QUASAR_BRIGHTEST_MAG) == round(28 * (28 / 49) ** 2.4)
-    counts = [quasar_count(v) for v in np.linspace(12.8, 20.0, 200)]
-    assert np.all(np.diff(counts) >= 0)
+def drawn(seed=1, **point):
+    return scenario(link.defaults() | point).draw_catalogue(np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("v_max", [12.7, 20.01, np.nan, np.inf])
-@pytest.mark.parametrize("function", [quasar_count, lambda v_max: quasars(np.random.default_rng(1), v_max)])
-def test_v_max_outside_the_counts(function, v_max):
-    with pytest.raises(ValueError, match=re.escape(f"v_max = {v_max:g} mag is outside the quasar counts")):
-        function(v_max)
+def is_isotropic(ra, dec):
+    n = len(ra)
+    r = triad(ra, dec).r
+    return (
+        np.all((ra >= 0.0) & (ra < 2.0 * np.pi))
+        and stats.kstest(ra / (2.0 * np.pi), "uniform").pvalue > P_VALUE
+        and stats.kstest((np.sin(dec) + 1.0) / 2.0, "uniform").pvalue > P_VALUE
+        and np.all(np.abs(r.mean(axis=1)) < 4 / np.sqrt(3 * n))  # each component has variance 1/3
+        and np.all(np.abs(r @ r.T / n - np.eye(3) / 3) < 4 * np.sqrt(4 / 45 / n))  # variance of r_x^2
+    )
 
 
-@pytest.mark.parametrize("fainter", [14.5, 16.3, 20.0])
-def test_quasar_catalogues_are_nested(fainter):
-    long = columns(quasars(np.random.default_rng(2), fainter))
-    for brighter in filter(fainter.__gt__, QUASAR_V_MAX):
-        short = columns(quasars(np.random.default_rng(2), brighter))
-        np.testing.assert_array_equal(long[:, : short.shape[1]], short)
-        assert long[4, short.shape[1] :].min() >= brighter
-
-
-def test_magnitudes_follow_the_counts_within_each_bin():
-    catalogue = quasars(np.random.default_rng(3), 20.0)
-    for k in range(1, len(QUASAR_COUNT)):
-        low, high = QUASAR_COUNT[k - 1], QUASAR_COUNT[k]
-        rank = low * (high / low) ** ((catalogue.v_mag[low:high] - QUASAR_V_MAX[k - 1]) / 0.5)  # log N linear in V
-        assert stats.kstest((rank - low) / (high - low), "uniform").pvalue > P_VALUE
-    assert stats.kstest((catalogue.v_mag[5542:8095] - 18.5) / 0.5, "uniform").pvalue < P_VALUE  # not uniform in V
-
-
-def test_magnitudes_of_the_brightest_bin_are_clipped():
-    v_mag = np.concatenate([quasars(np.random.default_rng(seed), 14.0).v_mag for seed in range(200)])
-    expected = (28 / 49) ** 2.4  # the share that the first slope puts above 12.8
-    clipped = np.mean(v_mag == QUASAR_BRIGHTEST_MAG)
-    assert abs(clipped - expected) < 4 * np.sqrt(expected * (1 - expected) / len(v_mag))  # binomial
-    share = (49 / 28) ** ((v_mag[v_mag > QUASAR_BRIGHTEST_MAG] - 14.0) / 0.5)
-    assert stats.kstest((share - expected) / (1 - expected), "uniform").pvalue > P_VALUE
-
-
-def test_v_max_between_half_magnitudes_cuts_the_last_bin():
-    v_mag = quasars(np.random.default_rng(4), 18.3).v_mag
-    last = v_mag[3453:]
-    assert len(v_mag) == round(3453 * (5542 / 3453) ** 0.6)
-    rank = 3453 * (5542 / 3453) ** ((last - 18.0) / 0.5)
-    assert stats.kstest((rank - 3453) / (len(v_mag) - 3453), "uniform").pvalue > P_VALUE
-
-
-def test_no_quasar_is_fainter_than_the_limit_where_the_count_is_rounded_up():
-    assert quasar_count(13.3) == 13  # of 12.8
-    assert max(quasars(np.random.default_rng(seed), 13.3).v_mag.max() for seed in range(50)) == 13.3
-
-
-def test_n_obj_draws_that_many_different_quasars():
-    point = link.defaults() | {"catalogue": "quasars", "v_max": 17.0, "n_obj": 400}
-    drawn = columns(scenario(point).draw_catalogue(np.random.default_rng(5)))
-    everything = columns(quasars(np.random.default_rng(5), 17.0))
-    index = np.flatnonzero(np.isin(everything[0], drawn[0]))
-    assert len(index) == 400
-    np.testing.assert_array_equal(drawn, everything[:, index])
-    assert stats.kstest(index / 1156, "uniform").pvalue > P_VALUE  # from all of them, not the brightest
-
-
-def test_n_obj_of_all_quasars_is_the_whole_catalogue():
-    point = link.defaults() | {"catalogue": "quasars", "v_max": 15.0}
-    whole, drawn = (scenario(point | {"n_obj": n}).draw_catalogue(np.random.default_rng(6)) for n in (None, 88))
-    np.testing.assert_array_equal(columns(whole), columns(drawn))
-
-
-@pytest.mark.parametrize("draw", [lambda rng: quasars(rng, 20.0), lambda rng: synthetic(rng, 15_000, 5.0, 15.0)])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rng: quasars(rng, 20.0, ALL_SKY),
+        lambda rng: synthetic(rng, 15_000, 5.0, 15.0),
+        lambda rng: galaxies(rng, 15_000, 13.5),
+        lambda rng: resample(rng, radio_stars(), 15_000, ALL_SKY),
+    ],
+    ids=["quasars", "synthetic", "galaxies", "radio-stars"],
+)
 def test_positions_are_isotropic(draw):
     catalogue = draw(np.random.default_rng(7))
-    assert np.all((catalogue.ra >= 0.0) & (catalogue.ra < 2.0 * np.pi))
-    assert stats.kstest(catalogue.ra / (2.0 * np.pi), "uniform").pvalue > P_VALUE
-    assert stats.kstest((np.sin(catalogue.dec) + 1.0) / 2.0, "uniform").pvalue > P_VALUE
-    r = triad(catalogue.ra, catalogue.dec).r
-    n = len(catalogue)
-    assert np.all(np.abs(r.mean(axis=1)) < 4 / np.sqrt(3 * n))  # each component has variance 1/3
-    assert np.all(np.abs(r @ r.T / n - np.eye(3) / 3) < 4 * np.sqrt(4 / 45 / n))  # variance of r_x^2
+    assert is_isotropic(catalogue.ra, catalogue.dec)
+
+
+def test_isotropic_skies_come_from_no_zone_and_no_contrast():
+    """Not another law: with both at zero the Galactic height is the uniform number itself."""
+    rng = np.random.default_rng(8)
+    longitude, sin_b = rng.uniform(0.0, 2.0 * np.pi, 1000), rng.uniform(-1.0, 1.0, 1000)
+    r = GALACTIC_AXES @ triad(*Sky(0.0, 0.0).positions(np.random.default_rng(8), 1000)).r
+    np.testing.assert_allclose(r[2], sin_b, atol=1e-15)
+    np.testing.assert_allclose(np.arctan2(r[1], r[0]) % (2.0 * np.pi), longitude, atol=1e-12)
+
+
+@pytest.mark.parametrize(("zone_deg", "contrast"), UNEVEN)
+def test_uneven_skies_have_their_fractions_and_are_uniform_on_each_side(zone_deg, contrast):
+    n_obj = 20_000
+    r = GALACTIC_AXES @ triad(*Sky(zone_deg * DEGREE, contrast).positions(np.random.default_rng(9), n_obj)).r
+    north, edge = r[2] > 0.0, np.sin(zone_deg * DEGREE)
+    share = (1.0 + contrast) / 2.0
+    assert abs(north.mean() - share) < 4 * np.sqrt(share * (1.0 - share) / n_obj)  # binomial
+    for side in (north, ~north):
+        assert stats.kstest((np.abs(r[2, side]) - edge) / (1.0 - edge), "uniform").pvalue > P_VALUE
+        longitude = np.arctan2(r[1, side], r[0, side]) % (2.0 * np.pi)
+        assert stats.kstest(longitude / (2.0 * np.pi), "uniform").pvalue > P_VALUE
+
+
+@pytest.mark.parametrize("kind", ["synthetic", "quasars", "galaxies", "radio-stars"])
+def test_the_sky_reaches_every_catalogue_of_random_positions(kind):
+    catalogue = drawn(10, catalogue=kind, n_obj=100, zone_of_avoidance=30.0, sky_contrast=0.9)
+    sin_b = GALACTIC_AXES[2] @ triad(catalogue.ra, catalogue.dec).r
+    assert np.abs(sin_b).min() > 0.5
+    assert np.sum(sin_b > 0.0) > 95 - 4 * np.sqrt(95 * 0.05)  # binomial
 
 
 def test_synthetic_magnitudes_and_proper_motions():
     n_obj, mean = 20_000, 500.0 * MAS
-    catalogue = synthetic(np.random.default_rng(8), n_obj, 6.0, 13.0, mean)
+    catalogue = synthetic(np.random.default_rng(8), n_obj, 6.0, 13.0, ALL_SKY, mean)
     assert stats.kstest((catalogue.v_mag - 6.0) / 7.0, "uniform").pvalue > P_VALUE
     modulus = np.hypot(catalogue.pmra, catalogue.pmdec)
     assert stats.kstest(modulus / (2.0 * mean), "uniform").pvalue > P_VALUE
-    assert abs(modulus.mean() - mean) < 4 * mean / np.sqrt(3 * n_obj)  # uniform between 0 and twice the mean
     direction = np.arctan2(catalogue.pmra, catalogue.pmdec) % (2.0 * np.pi)
     assert stats.kstest(direction / (2.0 * np.pi), "uniform").pvalue > P_VALUE
     assert abs(stats.spearmanr(modulus, catalogue.dec).statistic) < 4 / np.sqrt(n_obj)
 
 
-def test_synthetic_objects_stand_still_by_default():
-    catalogue = synthetic(np.random.default_rng(9), 10, 5.0, 15.0)
+@pytest.mark.parametrize(
+    ("distribution", "law"),
+    [("uniform", stats.uniform(0.0, 2.0)), ("rayleigh", stats.rayleigh(scale=np.sqrt(2.0 / np.pi)))],
+)
+def test_moduli_of_proper_motions_have_their_law_and_mean(distribution, law):
+    n_obj, mean = 20_000, 500.0 * MAS
+    catalogue = synthetic(np.random.default_rng(9), n_obj, 6.0, 13.0, ALL_SKY, mean, distribution)
+    modulus = np.hypot(catalogue.pmra, catalogue.pmdec) / mean
+    assert law.mean() == pytest.approx(1.0)
+    assert stats.kstest(modulus, law.cdf).pvalue > P_VALUE
+    assert abs(modulus.mean() - 1.0) < 4 * law.std() / np.sqrt(n_obj)
+
+
+def test_a_rayleigh_modulus_is_that_of_two_normal_components():
+    catalogue = synthetic(np.random.default_rng(10), 20_000, 6.0, 13.0, ALL_SKY, MAS, "rayleigh")
+    for component in (catalogue.pmra, catalogue.pmdec):
+        assert stats.kstest(component / (MAS * np.sqrt(2.0 / np.pi)), "norm").pvalue > P_VALUE
+
+
+def test_constant_moduli_differ_only_in_direction():
+    catalogue = drawn(n_obj=100, mean_pm=3.0, pm_distribution="constant")
+    np.testing.assert_allclose(np.hypot(catalogue.pmra, catalogue.pmdec), 3.0 * MAS, rtol=1e-12)
+    assert np.ptp(catalogue.pmra) > 5.0 * MAS
+
+
+def test_synthetic_objects_stand_still_by_default_and_end_at_15_mag():
+    catalogue = drawn(n_obj=1000)
+    assert not np.any([catalogue.pmra, catalogue.pmdec])
+    assert 14.9 < catalogue.v_mag.max() < 15.0
+
+
+def test_the_sky_of_a_synthetic_catalogue():
+    sky = Sky(0.5, 0.2)
+    catalogue = synthetic(np.random.default_rng(10), 100, 5.0, 15.0, sky)
+    ra, dec = sky.positions(np.random.default_rng(10), 100)
+    np.testing.assert_array_equal([catalogue.ra, catalogue.dec], [ra, dec])
+    by_parameters = drawn(10, n_obj=100, zone_of_avoidance=0.5 / DEGREE, sky_contrast=0.2)
+    np.testing.assert_allclose(by_parameters.dec, dec, rtol=1e-9)
+
+
+@pytest.mark.parametrize("limit", [11.5, 12.5, 13.5])
+def test_galaxy_magnitudes_are_a_truncated_normal(limit):
+    catalogue = galaxies(np.random.default_rng(11), 20_000, limit)
+    law = stats.truncnorm(-np.inf, (limit - 12.5) / 0.5, 12.5, 0.5)
+    assert stats.kstest(catalogue.v_mag, law.cdf).pvalue > P_VALUE
+    assert catalogue.v_mag.max() <= limit
     assert not np.any([catalogue.pmra, catalogue.pmdec])
 
 
-def test_zone_of_avoidance_reaches_the_synthetic_catalogue():
-    catalogue = synthetic(np.random.default_rng(10), 100, 5.0, 15.0, zone_of_avoidance=0.5)
-    ra, dec = isotropic_positions(np.random.default_rng(10), 100, 0.5)
-    np.testing.assert_array_equal([catalogue.ra, catalogue.dec], [ra, dec])
-    point = link.defaults() | {"n_obj": 100, "zone_of_avoidance": 0.5 / DEGREE}
-    np.testing.assert_allclose(scenario(point).draw_catalogue(np.random.default_rng(10)).dec, dec, rtol=1e-9)
+def test_there_are_116_galaxies_to_magnitude_13_5():
+    catalogue = drawn(catalogue="galaxies")
+    assert len(catalogue) == 116
+    assert 13.2 < catalogue.v_mag.max() <= 13.5
 
 
-def test_take_keeps_the_columns_of_an_object_together():
-    catalogue = synthetic(np.random.default_rng(11), 10, 5.0, 15.0, MAS)
+def test_radio_stars_are_those_of_the_table():
+    stars = radio_stars()
+    assert len(stars) == len(drawn(catalogue="radio-stars")) == 11
+    corona = int(np.argmin(stars.pmra))
+    expected = [243.6711 * DEGREE, 33.8589 * DEGREE, -267.048 * MAS, -86.66 * MAS, 5.23]
+    np.testing.assert_allclose(columns(stars)[:, corona], expected, rtol=1e-14)
+    np.testing.assert_allclose(stars.sigma[:, corona], np.array([0.0, 0.0, 0.037, 0.05]) * MAS, rtol=1e-14)
+    assert stars.v_mag.min() == 2.12  # Algol
+
+
+def test_radio_stars_are_drawn_with_replacement_and_stay_whole():
+    n_obj, stars = 22_000, radio_stars()
+    catalogue = resample(np.random.default_rng(12), stars, n_obj, ALL_SKY)
+    which = np.argmax(catalogue.v_mag[:, None] == stars.v_mag, axis=1)
+    np.testing.assert_array_equal(rows(catalogue), rows(stars)[which])
+    assert stats.chisquare(np.bincount(which, minlength=11)).pvalue > P_VALUE
+    assert abs(stats.spearmanr(which[1:], which[:-1]).statistic) < 4 / np.sqrt(n_obj)  # one after the other
+
+
+def test_radio_stars_at_their_own_positions():
+    stars = radio_stars()
+    catalogue = drawn(12, catalogue="radio-stars", n_obj=50, positions="own", zone_of_avoidance=80.0)
+    everything = np.column_stack([stars.ra, stars.dec, rows(stars)])
+    which = np.argmax(catalogue.v_mag[:, None] == stars.v_mag, axis=1)
+    np.testing.assert_array_equal(np.column_stack([catalogue.ra, catalogue.dec, rows(catalogue)]), everything[which])
+    elsewhere = drawn(12, catalogue="radio-stars", n_obj=50)
+    np.testing.assert_array_equal(rows(elsewhere), rows(catalogue))
+    assert not np.any(np.isin(elsewhere.ra, stars.ra))
+
+
+def test_take_and_moved_to_keep_the_columns_of_an_object_together():
+    plain = synthetic(np.random.default_rng(11), 10, 5.0, 15.0, ALL_SKY, MAS)
     index = np.array([7, 0, 7])
-    np.testing.assert_array_equal(columns(catalogue.take(index)), columns(catalogue)[:, index])
-    assert len(catalogue.take(index)) == 3
+    np.testing.assert_array_equal(columns(plain.take(index)), columns(plain)[:, index])
+    assert len(plain.take(index)) == 3
+    number = np.arange(10.0)
+    full = Catalogue(*np.tile(number, (5, 1)), np.tile(number, (4, 1)), np.tile(number[:, None, None], (4, 4)))
+    taken = full.take(index)
+    assert taken.sigma.shape == (len(OBSERVABLES), 3)
+    np.testing.assert_array_equal(taken.sigma[3], index)
+    np.testing.assert_array_equal(taken.correlation[:, 1, 2], index)
+    moved = full.moved_to(-number, 2 * number)
+    np.testing.assert_array_equal(columns(moved), np.stack([-number, 2 * number, number, number, number]))
+    assert moved.sigma is full.sigma

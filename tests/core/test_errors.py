@@ -1,17 +1,31 @@
 """The error models, as values and as they come out of a simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from core.catalogue import synthetic
+from core.catalogue import radio_stars, synthetic
 from core.constants import MAS
-from core.errors import MagnitudeErrors, NoErrors, NormalErrors
+from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
 from core.experiment import link, scenario
-from core.missions import MISSIONS
-from core.simulate import simulate
+from core.missions import MISSIONS, PyGaia
+from core.simulate import _Noise, simulate
 
 CATALOGUE = synthetic(np.random.default_rng(1), 50, 5.0, 15.0)
+
+
+def with_own_errors(n_obj=50, correlated=True):
+    """The synthetic catalogue with different errors for each observable and random correlations for each object."""
+    rng = np.random.default_rng(2)
+    factor = rng.standard_normal((n_obj, 4, 5))
+    covariance = factor @ np.swapaxes(factor, 1, 2)
+    deviation = np.sqrt(np.einsum("nii->ni", covariance))
+    correlation = covariance / (deviation[:, :, None] * deviation[:, None, :]) if correlated else None
+    return replace(
+        CATALOGUE.take(np.arange(n_obj)), sigma=rng.uniform(0.2, 3.0, (4, n_obj)) * MAS, correlation=correlation
+    )
 
 
 def test_no_errors():
@@ -24,13 +38,53 @@ def test_normal_errors():
     np.testing.assert_allclose(NormalErrors(2.0, 3.0, 0.5).standard_errors(CATALOGUE), expected / 2, rtol=1e-15)
 
 
-@pytest.mark.parametrize("name", MISSIONS)
+@pytest.mark.parametrize("name", [n for n, m in MISSIONS.items() if not isinstance(m.curve_pm_mas_yr, PyGaia)])
 @pytest.mark.parametrize("length_yr", [None, 7.0])
 def test_magnitude_errors_follow_the_curve_of_the_mission(name, length_yr):
     mission = MISSIONS[name]
     sigma = MagnitudeErrors(mission, length_yr, 3.0).standard_errors(CATALOGUE)
     pos, pm = mission.sigma_pos_mas(CATALOGUE.v_mag, length_yr), mission.sigma_pm_mas_yr(CATALOGUE.v_mag, length_yr)
     np.testing.assert_allclose(sigma, 3.0 * MAS * np.stack([pos, pos, pm, pm]), rtol=1e-14)
+
+
+def test_catalogue_errors_are_those_of_the_objects():
+    catalogue = with_own_errors()
+    np.testing.assert_allclose(CatalogueErrors(2.0).standard_errors(catalogue), 2.0 * catalogue.sigma, rtol=1e-15)
+    assert CatalogueErrors(2.0).correlation(catalogue) is catalogue.correlation  # a scale does not correlate
+    stars = radio_stars()
+    np.testing.assert_array_equal(CatalogueErrors().standard_errors(stars), stars.sigma)
+    assert CatalogueErrors().correlation(stars) is None
+    with pytest.raises(ValueError, match="has no errors of its own"):
+        CatalogueErrors().standard_errors(CATALOGUE)
+
+
+@pytest.mark.parametrize("model", [NoErrors(), NormalErrors(1.0, 2.0), MagnitudeErrors(MISSIONS["amex"])])
+def test_other_models_ignore_what_the_catalogue_says_of_its_errors(model):
+    catalogue = with_own_errors()
+    np.testing.assert_array_equal(model.standard_errors(catalogue), model.standard_errors(CATALOGUE))
+    assert model.correlation(catalogue) is None
+
+
+@pytest.mark.parametrize("correlated", [False, True])
+@pytest.mark.parametrize(
+    "model", [NoErrors(), NormalErrors(2.0, 3.0, 0.5), MagnitudeErrors(MISSIONS["gaia"], 3.0), CatalogueErrors(0.7)]
+)
+def test_drawn_noise_has_the_covariance_that_is_asked_for(model, correlated):
+    n_obj, n_draws = 4, 40_000
+    catalogue = with_own_errors(n_obj, correlated)
+    sigma = model.standard_errors(catalogue)
+    noise = _Noise(sigma, model.correlation(catalogue)).draw(np.random.default_rng(3), n_draws)
+    own = correlated and isinstance(model, CatalogueErrors)
+    asked = np.zeros((4, n_obj, 4, n_obj))
+    for k in range(n_obj):  # different objects are independent
+        asked[:, k, :, k] = np.outer(sigma[:, k], sigma[:, k]) * (catalogue.correlation[k] if own else np.eye(4))
+    asked, flat = asked.reshape(4 * n_obj, -1), noise.reshape(n_draws, -1)
+    variance = np.diag(asked)
+    mc_error = np.sqrt((np.outer(variance, variance) + asked**2) / n_draws)  # of a covariance of normal errors
+    assert np.all(np.abs(flat.T @ flat / n_draws - asked) <= 4.5 * mc_error)
+    assert np.all(np.abs(flat.mean(axis=0)) <= 4.5 * np.sqrt(variance / n_draws))
+    if np.any(sigma):
+        assert stats.kstest(noise[:, 2, 1] / sigma[2, 1], "norm").pvalue > 1e-3
 
 
 def test_scales_multiply():
@@ -41,6 +95,9 @@ def test_scales_multiply():
     reference = scenario(point).reference_errors.standard_errors(CATALOGUE)
     np.testing.assert_allclose(satellite[[0, 2], 0], np.array([10.0, 5.0]) * MAS, rtol=1e-14)
     np.testing.assert_allclose(reference[[0, 2], 0], np.array([42.0, 14.0]) * MAS, rtol=1e-14)
+    point |= {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
+    assert scenario(point).reference_errors == CatalogueErrors(14.0)
+    assert scenario(point).satellite_errors == CatalogueErrors(10.0)
 
 
 def test_mission_length_and_model_reach_the_satellite():
@@ -65,3 +122,22 @@ def test_simulated_errors_are_normal_around_zero(side):
     assert all(stats.kstest(component, "norm").pvalue > 1e-3 for component in error.T)
     chi2 = np.array([block.chi2 for block in blocks])
     assert stats.kstest(chi2, stats.chi2(4 * 3 - 6).cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+@pytest.mark.parametrize("sides", ["satellite", "reference", "both"])
+def test_correlated_errors_come_out_as_predicted(sides, weighting):
+    n_sim = 4000
+    own, small = CatalogueErrors(), NormalErrors(0.3, 0.3)
+    errors = {"satellite": (NoErrors(), own), "reference": (own, small), "both": (own, CatalogueErrors(0.5))}[sides]
+    catalogue = with_own_errors(3)
+    point = scenario(link.defaults() | {"weighting": weighting})
+    point = replace(point, draw_catalogue=lambda _: catalogue, reference_errors=errors[0], satellite_errors=errors[1])
+    sums = simulate(point, n_sim, np.random.default_rng(4), np.random.default_rng(5))
+    predicted = sums.predicted_variance / n_sim
+    realised = np.diag(sums.error_products) / n_sim
+    assert np.all(np.abs(realised / predicted - 1.0) < 4 * np.sqrt(2 / n_sim))
+    assert np.all(np.abs(sums.error / n_sim) < 4 * np.sqrt(predicted / n_sim))
+    alone = replace(point, draw_catalogue=lambda _: replace(catalogue, correlation=None))
+    without = simulate(alone, 1, np.random.default_rng(4), np.random.default_rng(5)).predicted_variance
+    assert np.any(np.abs(without / predicted - 1.0) > 0.1)  # so the correlations have been there

@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy import units
+from astropy.table import Table
 
-from core.catalogue import quasar_count
-from core.constants import MAS
-from core.experiment import OUTPUTS, PARAMETERS, SUMS, check, cost, evaluate, link, scenario, summarise
-from core.link import UNKNOWNS
+from core.constants import GALACTIC_AXES, MAS
+from core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
+from core.link import GLIDE_UNKNOWNS, UNKNOWNS, LinkError
 from core.missions import MISSIONS
+from core.parameters import OUTPUTS, PARAMETERS
+from core.quasars import quasar_count
 from core.simulate import simulate
+from sweep.tablefile import table_file
 
 SIX = ["mas"] * 3 + ["mas / yr"] * 3
 
@@ -22,12 +25,40 @@ def point(**changes):
     return link.defaults() | {"n_obj": 30} | changes
 
 
+def gaia_table(folder, magnitudes=True, errors=True, **changes):
+    """A file of six objects with Gaia's names, of magnitudes 10 to 15."""
+    r = np.array([[1, 2, 3], [-2, 1, 1], [0, -3, 1], [1, -1, -4], [-1, -1, 2], [5, 0, -1.0]]).T
+    columns = {"source_id": np.arange(6), "ra": np.degrees(np.arctan2(r[1], r[0])) % 360.0}
+    columns["dec"] = np.degrees(np.arctan2(r[2], np.hypot(r[0], r[1])))
+    columns |= {"pmra": np.arange(6.0), "pmdec": -np.arange(6.0)}
+    if magnitudes:
+        columns["phot_g_mean_mag"] = np.arange(10.0, 16.0)
+    if errors:
+        columns |= {f"{name}_error": np.linspace(0.1, 0.2, 6) for name in ("ra", "dec", "pmra", "pmdec")}
+        columns["pmra_pmdec_corr"] = np.full(6, 0.6)
+    path = folder / "six.ecsv"
+    Table(columns | changes).write(path, overwrite=True)
+    return table_file(path)
+
+
+def from_file(table, **changes):
+    return point(**({"catalogue": "file", "file": table, "n_obj": None} | changes))
+
+
 def evaluated(point, n_sim, seed=1, catalogue_seed=2):
     return evaluate([point], n_sim, np.random.default_rng(seed), np.random.default_rng(catalogue_seed))
 
 
 def merged(blocks):
     return {name: sum(block[name] for block in blocks) for name in SUMS}
+
+
+def computes(point):
+    assert check(point) is None
+    with np.errstate(all="raise"):
+        sums = evaluated(point, 2)
+    for name, values in sums.items():
+        assert np.all(np.isfinite(values) | (name.startswith("glide") and not point["solve_glide"])), name
 
 
 def strict_unit(text):
@@ -57,12 +88,14 @@ def test_units_of_vectors_and_matrices_are_those_of_their_components():
 
 
 def test_the_declaration_is_complete():
-    assert link.coordinates == {"component": UNKNOWNS, "component_other": UNKNOWNS}
-    assert [len(link.component_units[dim]) for dim in link.coordinates] == [6, 6]
+    six = {"component": UNKNOWNS, "component_other": UNKNOWNS}
+    assert link.coordinates == six | {"glide_component": GLIDE_UNKNOWNS}
+    assert {dim: len(units) for dim, units in link.component_units.items()} == dict.fromkeys(six, 6)
     assert all(set(output.dims) <= set(link.coordinates) for output in OUTPUTS)
     assert len({p.name for p in PARAMETERS}) == len(PARAMETERS)
-    assert all(p.default is None or p.parse(p.default) == p.default for p in PARAMETERS)
-    assert link.sums_width == 6 + 36 + 1 + 6 + 6 + 1
+    written = {p: dict(p.default) if p.kind == "map" else p.default for p in PARAMETERS}
+    assert all(raw is None or p.parse(raw) == p.default for p, raw in written.items())
+    assert link.sums_width == 6 + 36 + 1 + 6 + 8 + 3 + 3 + 1 + 6 + 1
 
 
 @pytest.mark.parametrize(
@@ -77,16 +110,41 @@ def test_the_declaration_is_complete():
         {"error_scale": 0.0},
         {"model": "gaia-2001", "v_max": 21.0},
         {"model": "gaia-2001", "v_max": 25.0, "satellite_errors": "normal"},
-        {"catalogue": "quasars", "n_obj": None},
-        {"catalogue": "quasars", "n_obj": 88},
+        {"catalogue": "quasars", "n_obj": None, "v_max": 15.0},
+        {"catalogue": "quasars", "n_obj": 88, "v_max": 15.0},
         {"catalogue": "quasars", "n_obj": None, "v_max": 12.8, "v_min": 19.0},
+        {"catalogue": "quasars", "n_obj": 1000, "v_max": 16.5, "counts": "completed"},
+        {"catalogue": "galaxies", "n_obj": None},
+        {"catalogue": "galaxies", "v_max": 11.0, "aberration": True},
+        {"catalogue": "radio-stars", "n_obj": None},
+        {"catalogue": "radio-stars", "positions": "own", "reference_errors": "catalogue"},
+        {"zone_of_avoidance": 89.0, "sky_contrast": -0.99},
+        {"solve_glide": True, "n_obj": 3},
+        {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
+        {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
+        {"mean_pm": 100.0, "pm_distribution": "rayleigh"},
     ],
 )
 def test_points_without_a_problem_can_be_computed(changes):
-    assert check(point(**changes)) is None
-    with np.errstate(all="raise"):
-        sums = evaluated(point(**changes), 2)
-    assert all(np.all(np.isfinite(values)) for values in sums.values())
+    computes(point(**changes))
+
+
+@pytest.mark.parametrize(
+    ("contents", "changes"),
+    [
+        ({}, {}),
+        ({}, {"v_max": 11.0}),
+        ({}, {"n_obj": 3, "v_max": 14.0, "solve_glide": True}),
+        ({}, {"reference_errors": "catalogue"}),
+        ({}, {"reference_errors": "catalogue", "satellite_errors": "catalogue", "weighting": "equal"}),
+        ({}, {"satellite_errors": "catalogue", "positions": "isotropic"}),
+        ({"errors": False}, {"model": "gaia-2001"}),
+        ({"magnitudes": False}, {"satellite_errors": "catalogue"}),
+        ({"magnitudes": False, "errors": False}, {"satellite_errors": "none"}),
+    ],
+)
+def test_files_without_a_problem_can_be_computed(contents, changes, tmp_path):
+    computes(from_file(gaia_table(tmp_path, **contents), **changes))
 
 
 @pytest.mark.parametrize(
@@ -94,9 +152,37 @@ def test_points_without_a_problem_can_be_computed(changes):
     [
         ({"catalogue": "quasars", "v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
         ({"catalogue": "quasars", "v_max": 20.5}, "v_max = 20.5 mag is outside the quasar counts"),
-        ({"catalogue": "quasars", "n_obj": 89}, "n_obj = 89: only 88 quasars are brighter than v_max = 15 mag"),
+        (
+            {"catalogue": "quasars", "n_obj": 89, "v_max": 15.0},
+            "n_obj = 89: only 88 quasars are brighter than v_max = 15 mag",
+        ),
         ({"n_obj": None}, "n_obj: a synthetic catalogue needs a number of objects"),
         ({"v_max": 5.0}, "v_max = 5 mag: must be fainter than the brightest object, v_min = 5 mag"),
+        ({"v_min": 15.0}, "v_max = 15 mag: must be fainter than the brightest object, v_min = 15 mag"),
+        ({"catalogue": "file"}, "file: catalogue = 'file' needs a file"),
+        ({"catalogue": "galaxies", "v_max": 10.9}, "v_max = 10.9 mag: the galaxies have magnitudes from 11 to 13.5"),
+        ({"catalogue": "galaxies", "v_max": 13.6}, "v_max = 13.6 mag: the galaxies have magnitudes from 11 to 13.5"),
+        ({"catalogue": "radio-stars", "v_max": 9.0}, "v_max: the radio stars have no limiting magnitude"),
+        ({"catalogue": "radio-stars", "aberration": True}, "aberration: the glide is that of extragalactic objects"),
+        (
+            {"catalogue": "quasars", "v_max": 16.5, "counts": "completed", "n_obj": 1096},
+            "n_obj = 1096: only 1095 quasars are brighter than v_max = 16.5 mag",
+        ),
+        ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': the synthetic catalogue has no errors"),
+        (
+            {"catalogue": "quasars", "reference_errors": "catalogue"},
+            "reference_errors = 'catalogue': the quasars catalogue has no errors of its own",
+        ),
+        (
+            {"catalogue": "galaxies", "reference_errors": "catalogue"},
+            "reference_errors = 'catalogue': the galaxies catalogue has no errors of its own",
+        ),
+        (
+            {"catalogue": "radio-stars", "satellite_errors": "catalogue"},  # no position errors are known
+            "positions without any error beside proper motions with errors cannot be weighed",
+        ),
+        ({"satellite_errors": "normal", "satellite_sigma_pm": 1e-10}, "errors of 1 mas and 1e-10 mas/yr: must be from"),
+        ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
         ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
         (
             {"satellite_errors": "normal", "satellite_sigma_pm": 0.0},
@@ -112,6 +198,65 @@ def test_points_with_a_problem(changes, problem):
     assert check(point(**changes)).startswith(problem)
 
 
+@pytest.mark.parametrize(
+    ("contents", "changes", "problem"),
+    [
+        ({}, {"catalogue": "synthetic"}, "file: catalogue = 'file' needs a file, and other catalogues have none"),
+        ({}, {"n_obj": 7}, "n_obj = 7: only 6 objects of the file are there"),
+        ({}, {"n_obj": 4, "v_max": 12.5}, "n_obj = 4: only 3 objects of the file are brighter than v_max = 12.5 mag"),
+        ({}, {"v_max": 10.0}, "n_obj = 2: only 1 objects of the file are brighter than v_max = 10 mag"),
+        ({"magnitudes": False}, {}, "satellite_errors = 'magnitude' needs a magnitude column"),
+        ({"phot_g_mean_mag": np.full(6, 22.0)}, {"model": "gaia-2001"}, "v_max = 22 mag: the curve of 'gaia-2001'"),
+        ({"errors": False}, {"reference_errors": "catalogue"}, "reference_errors = 'catalogue': the file catalogue"),
+        ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
+        ({"dec": np.full(6, 90.0)}, {}, "dec is not between -90 and 90 deg, poles excluded, in row 1, 2, 3, 4, 5"),
+        ({"pmra_error": np.zeros(6), "pmdec_error": np.zeros(6)}, {"satellite_errors": "catalogue"}, "proper motions"),
+        ({"pmra_error": np.full(6, 1e-10)}, {"satellite_errors": "catalogue"}, "errors of 0.1 mas and 1e-10 mas/yr"),
+    ],
+)
+def test_files_with_a_problem(contents, changes, problem, tmp_path):
+    assert check(from_file(gaia_table(tmp_path, **contents), **changes)).startswith(problem)
+
+
+def test_an_ambiguous_file_is_a_problem_of_the_point(tmp_path):
+    path = tmp_path / "plain.csv"
+    path.write_text("ra,dec,pmra,pmdec,v_mag\n10,20,1,1,12\n110,-20,1,1,12\n")
+    assert check(from_file(table_file(path))).startswith("column 'pmra' may or may not include cos(dec)")
+    assert check(from_file(table_file(path), pmra_cos_dec=False)) is None
+
+
+def test_a_glide_from_two_objects_is_a_problem():
+    two = point(n_obj=2, solve_glide=True)
+    with pytest.raises(LinkError, match="rank deficient"):
+        evaluated(two, 1)
+    assert check(two) is not None
+
+
+def test_an_object_without_any_error_beside_others_with_errors_is_a_problem(tmp_path):
+    sigma = np.array([0.1, 0.1, 0.0, 0.1, 0.1, 0.1])
+    table = gaia_table(tmp_path, **{f"{name}_error": sigma for name in ("ra", "dec", "pmra", "pmdec")})
+    exact = from_file(table, satellite_errors="catalogue")
+    with pytest.raises(LinkError, match="zero standard error beside non-zero ones"):
+        evaluated(exact, 1)
+    assert check(exact) is not None
+
+
+@pytest.mark.parametrize(
+    ("contents", "columns", "problem"),
+    [
+        ({}, (("ra", "alpha"),), "no column 'alpha'"),
+        ({"pmra": np.array([1, 2, np.nan, 4, 5, 6])}, (), "column 'pmra' has no finite value in row 3"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_a_problem_of_the_point(contents, columns, problem, tmp_path):
+    assert problem in check(from_file(gaia_table(tmp_path, **contents), columns=columns))
+
+
+def test_a_limit_for_objects_without_magnitudes_is_a_problem_of_the_magnitudes(tmp_path):
+    table = gaia_table(tmp_path, magnitudes=False)
+    assert "magnitude column" in check(from_file(table, v_max=12.0, satellite_errors="none"))
+
+
 def test_check_of_a_magnitude_where_the_curve_overflows():
     assert check(point(v_max=1000.0)) is not None
 
@@ -123,55 +268,138 @@ def test_check_of_a_magnitude_where_the_curve_overflows():
         {"n_obj": 2000},
         {"satellite_errors": "normal", "reference_errors": "normal"},
         {"satellite_errors": "none", "reference_errors": "normal"},
-        {"catalogue": "quasars", "n_obj": None},
+        {"catalogue": "quasars", "n_obj": None, "v_max": 15.0},
         {"catalogue": "quasars", "n_obj": 50, "v_max": 17.3},
+        {"catalogue": "quasars", "n_obj": None, "v_max": 16.5, "counts": "completed", "reference_errors": "normal"},
+        {"catalogue": "galaxies", "n_obj": None},
+        {"catalogue": "radio-stars", "n_obj": None},
+        {"catalogue": "radio-stars", "reference_errors": "catalogue"},
+        {"solve_glide": True, "aberration": True, "directions": "random"},
+        {"reference_errors": "normal", "solve_glide": True},
         {"satellite_errors": "none"},
         {"reference_errors": "normal", "reference_error_scale": 0.0},
     ],
 )
 def test_cost_is_the_number_of_normals_drawn(changes):
+    assert cost_is_right(point(**changes))
+
+
+@pytest.mark.parametrize("n_obj", [None, 4])
+@pytest.mark.parametrize("positions", ["own", "isotropic"])
+@pytest.mark.parametrize("satellite_errors", ["none", "normal", "magnitude", "catalogue"])
+@pytest.mark.parametrize("reference_errors", ["none", "normal", "catalogue"])
+def test_cost_of_a_file_is_the_number_of_normals_drawn(n_obj, positions, satellite_errors, reference_errors, tmp_path):
+    changes = {"satellite_errors": satellite_errors, "reference_errors": reference_errors}
+    assert cost_is_right(from_file(gaia_table(tmp_path), n_obj=n_obj, positions=positions, v_max=14.5, **changes))
+
+
+def cost_is_right(point):
     n_sim, drawn, counted = 50, np.random.default_rng(1), np.random.default_rng(1)
-    evaluate([point(**changes)], n_sim, drawn, np.random.default_rng(2))
-    counted.standard_normal(int(n_sim * cost(point(**changes))))
-    assert drawn.bit_generator.state == counted.bit_generator.state
+    evaluate([point], n_sim, drawn, np.random.default_rng(2))
+    counted.standard_normal(int(n_sim * cost(point)))
+    return drawn.bit_generator.state == counted.bit_generator.state
 
 
 def test_cost_of_quasars_follows_the_limit():
     for v_max in (14.0, 16.2, 20.0):
-        assert cost(point(catalogue="quasars", n_obj=None, v_max=v_max)) == 4 * quasar_count(v_max)
+        quasars = point(catalogue="quasars", n_obj=None, v_max=v_max)
+        assert cost(quasars) == 4 * quasar_count(v_max)
+        assert cost(quasars | {"counts": "completed"}) == 4 * quasar_count(v_max, completed=True)
 
 
 def test_evaluate_returns_one_row_a_point_and_draws_one_after_the_other():
-    points = [point(), point(model="gaia"), point(satellite_errors="normal", reference_errors="normal")]
+    points = [point(), point(model="gaia", solve_glide=True), point(reference_errors="normal")]
     together = evaluate(points, 5, np.random.default_rng(1), np.random.default_rng(2))
     assert {name: values.shape for name, values in together.items()} == {n: (3, *shape) for n, shape in SUMS.items()}
     rng, catalogue_rng = np.random.default_rng(1), np.random.default_rng(2)
     for k, one in enumerate(points):
         block = simulate(scenario(one), 5, rng, catalogue_rng)
-        for name in SUMS:
-            np.testing.assert_array_equal(together[name][k], getattr(block, name))
+        glide = one["solve_glide"]
+        squared = block.predicted_variance_squared  # of the components (the glide's are left out) and of two means
+        expected = {
+            "error": block.error[:6],
+            "error_products": block.error_products[:6, :6],
+            "chi2": block.chi2,
+            "predicted_variance": block.predicted_variance[:6],
+            "predicted_variance_squared": [*squared[:6], *squared[-2:]],
+            "glide_error": block.error[6:] if glide else np.full(3, np.nan),
+            "glide_squares": np.diag(block.error_products)[6:] if glide else np.full(3, np.nan),
+            "n_obj": block.n_obj,
+            "batch_mean_squares": 5 * (block.error[:6] / 5) ** 2,
+            "batches": 1.0,
+        }
+        assert set(expected) == set(SUMS)
+        for name, values in expected.items():
+            np.testing.assert_allclose(together[name][k], values, rtol=1e-15)
+
+
+@pytest.mark.parametrize("changes", [{}, {"reference_errors": "normal"}, {"solve_glide": True}])
+def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
+    points, n_sim = [point(**changes), point(n_obj=7, omega=(4.0, 0.0, -2.0), **changes)], 3000
+    sums = evaluate(points, n_sim, np.random.default_rng(1), np.random.default_rng(2))
+    estimates = samples(points, n_sim, np.random.default_rng(1), np.random.default_rng(2))["estimate"]
+    assert estimates.shape == (2, n_sim, 6)
+    error = estimates - np.array([[*p["epsilon"], *p["omega"]] for p in points])[:, None]
+    products = np.einsum("pni,pnj->pij", error, error)
+    tolerance = {"rtol": 0, "atol": 1e-12 * n_sim * np.max(np.abs(error)) ** 2}
+    np.testing.assert_allclose(error.sum(axis=1), sums["error"], **tolerance)
+    np.testing.assert_allclose(products, sums["error_products"], **tolerance)
 
 
 def test_units_of_the_parameters():
     physics = scenario(point(epsilon=(1.0, 2.0, 3.0), omega=(4.0, 5.0, 6.0), mean_pm=500.0, corrections=False))
-    np.testing.assert_allclose(physics.epsilon, np.array([1.0, 2.0, 3.0]) * units.mas.to(units.rad), rtol=1e-14)
-    np.testing.assert_allclose(physics.omega, np.array([4.0, 5.0, 6.0]) * units.mas.to(units.rad), rtol=1e-14)
+    np.testing.assert_allclose(physics.epsilon.vector, np.array([1.0, 2.0, 3.0]) * units.mas.to(units.rad), rtol=1e-14)
+    np.testing.assert_allclose(physics.omega.vector, np.array([4.0, 5.0, 6.0]) * units.mas.to(units.rad), rtol=1e-14)
     catalogue = physics.draw_catalogue(np.random.default_rng(3))
     assert np.hypot(catalogue.pmra, catalogue.pmdec).max() < 1000.0 * MAS
     assert not physics.corrections
 
 
-def test_summarise_has_every_output_in_its_shape():
-    sums = {name: np.stack([values[0]] * 4) for name, values in evaluated(point(), 10).items()}
+def test_a_size_sets_the_length_and_keeps_the_direction():
+    physics = scenario(point(epsilon=(0.0, 3.0, -4.0), epsilon_size=10.0, omega=(0.0, 0.0, 0.0), omega_size=2.0))
+    np.testing.assert_allclose(physics.epsilon.vector, np.array([0.0, 6.0, -8.0]) * MAS, rtol=1e-14, atol=1e-30)
+    np.testing.assert_allclose(physics.omega.vector, np.array([2.0, 0.0, 0.0]) * MAS, rtol=1e-14)
+    assert not physics.epsilon.random_direction
+
+
+def test_random_directions_of_a_study_keep_the_size_and_change_with_the_catalogue():
+    random = point(directions="random", epsilon_size=5.0, omega_size=0.5, satellite_errors="none")
+    found = np.array(
+        [samples([random], 2, np.random.default_rng(1), np.random.default_rng(k))["estimate"][0] for k in range(4)]
+    )
+    np.testing.assert_allclose(np.linalg.norm(found[..., :3], axis=-1), 5.0, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(found[..., 3:], axis=-1), 0.5, rtol=1e-6)
+    np.testing.assert_array_equal(found[:, 0], found[:, 1])  # the same for the realisations of one catalogue
+    assert np.abs(np.diff(found[:, 0], axis=0)).max(axis=1).min() > 0.05
+
+
+def test_aberration_of_a_study_leaks_into_the_spin_of_an_uneven_sky_and_can_be_solved_for():
+    uneven = point(n_obj=20_000, sky_contrast=0.8, aberration=True, satellite_errors="none")
+    leak = evaluated(uneven, 1)["error"][0, 3:] @ GALACTIC_AXES.T
+    np.testing.assert_allclose(leak, [0.0, -2.4e-3, 0.0], atol=1e-4)  # -(3/4) 0.8 x 4e-3 mas/yr; 3 sigma of one sky
+    solved = evaluated(uneven | {"solve_glide": True}, 1)
+    assert np.all(np.abs(solved["error"][0, 3:]) < 1e-7)
+    assert np.all(np.abs(solved["glide_error"]) < 1e-7)
+
+
+@pytest.mark.parametrize("solve_glide", [False, True])
+def test_summarise_has_every_output_in_its_shape(solve_glide):
+    sums = evaluated(point(solve_glide=solve_glide), 10)
+    sums = {name: np.stack([values[0]] * 4) for name, values in sums.items()}
     results = summarise(sums, np.full(4, 10.0), np.ones(4))
     assert set(results) == {output.name for output in OUTPUTS}
     for output in OUTPUTS:
-        assert results[output.name].shape == (4, *(6 for _ in output.dims)), output.name
+        assert results[output.name].shape == (4, *(len(link.coordinates[dim]) for dim in output.dims)), output.name
+        assert np.all(np.isnan(results[output.name])) == (
+            "catalogue" in output.name or ("glide" in output.name and not solve_glide)
+        ), output.name
 
 
-def test_summarise_against_direct_formulas():
+@pytest.mark.parametrize("solve_glide", [False, True])
+def test_summarise_against_direct_formulas(solve_glide):
     """One realisation per block gives the single errors, from which NumPy says the same."""
     one = point(n_obj=12, satellite_errors="normal", reference_errors="normal", reference_sigma_pm=2.0)
+    one |= {"solve_glide": solve_glide}
     n_cat, n_sim = 5, 8
     rng = np.random.default_rng(4)
     blocks = [evaluate([one], 1, rng, np.random.default_rng(k)) for k in range(n_cat) for _ in range(n_sim)]
@@ -182,9 +410,10 @@ def test_summarise_against_direct_formulas():
 
     expected = {
         "n_obj": 12.0,
-        "dof": 4 * 12 - 6,
+        "dof": 4 * 12 - (9 if solve_glide else 6),
         "chi2": np.mean([block["chi2"][0] for block in blocks]),
         "bias": error.mean(axis=0),
+        "bias_mc_error": error.std(axis=0, ddof=1) / np.sqrt(40),
         "sigma": sigma,
         "sigma_mc_error": sigma / np.sqrt(2 * 40),
         "sigma_predicted": np.sqrt(predicted.mean(axis=0)),
@@ -199,9 +428,14 @@ def test_summarise_against_direct_formulas():
     by_catalogue = predicted[::n_sim]
     error_of_mean = by_catalogue.std(axis=0, ddof=1) / np.sqrt(n_cat)
     expected["sigma_catalogue_error"] = error_of_mean / (2 * expected["sigma_predicted"])
-    assert set(expected) == set(results)
-    for name, value in expected.items():
-        np.testing.assert_allclose(results[name], value, rtol=1e-7, atol=1e-12, err_msg=name)
+    for name, part in (("sigma_orientation", slice(0, 3)), ("sigma_spin", slice(3, 6))):
+        error_of_mean = by_catalogue[:, part].mean(axis=1).std(ddof=1) / np.sqrt(n_cat)
+        expected[f"{name}_catalogue_error"] = error_of_mean / (2 * expected[f"{name}_predicted"])
+    glide = np.array([block["glide_error"][0] for block in blocks])
+    expected |= {"glide_bias": glide.mean(axis=0), "glide_sigma": np.sqrt(np.mean(glide**2, axis=0))}
+    assert np.all(np.isnan(glide)) == (not solve_glide)
+    for name, value in results.items():  # every one has its formula above
+        np.testing.assert_allclose(value, expected[name], rtol=1e-7, atol=1e-12, err_msg=name)
 
 
 def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
@@ -225,10 +459,14 @@ def test_catalogue_error_is_the_scatter_between_samples_of_catalogues():
     stated = np.sqrt(np.mean([s["sigma_catalogue_error"][0] ** 2 for s in samples], axis=0))
     # each ratio is known to 1/sqrt(2 x 60) = 9 % from the scatter, and as much from skewed predictions
     np.testing.assert_allclose((stated / scatter).mean(), 1.0, atol=0.25)
+    for name in ("sigma_orientation", "sigma_spin"):
+        scatter = np.std([s[f"{name}_predicted"][0] for s in samples])
+        stated = np.sqrt(np.mean([s[f"{name}_catalogue_error"][0] ** 2 for s in samples]))
+        assert stated / scatter == pytest.approx(1.0, abs=0.4)  # 3 sigma, one ratio instead of six
 
 
 def test_the_published_error_of_amex_at_fifteenth_magnitude():
-    quasars = point(catalogue="quasars", n_obj=None)
+    quasars = point(catalogue="quasars", n_obj=None, v_max=15.0)
     blocks = [evaluated(quasars, 100, 6 + k, 1000 + k) for k in range(100)]
     results = summarise(merged(blocks), np.array([10_000.0]), np.array([100.0]))
     assert abs(results["sigma_spin"][0] - 0.61) < 0.02  # residual of the fit that made the curve

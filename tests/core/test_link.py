@@ -5,6 +5,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from core.constants import MAS, MICROARCSEC
@@ -327,3 +328,24 @@ def test_swapping_the_catalogues_flips_the_sign_to_first_order():
     assert np.abs(sum_of_both_ways(1.0)).max() < 1e-4 * MICROARCSEC  # epsilon^2 is 1e-5 microarcsec
     second_order = np.abs(sum_of_both_ways(1e4)).max() / np.abs(sum_of_both_ways(1e3)).max()
     assert second_order == pytest.approx(100.0, rel=0.05)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True, database=None)
+@given(
+    n_obj=st.integers(4, 30),
+    glide=st.booleans(),
+    corrections=st.booleans(),
+    weighting=st.sampled_from(["inverse-variance", "equal"]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_formal_covariance_is_that_of_the_estimates_for_any_configuration(n_obj, glide, corrections, weighting, seed):
+    n_sim, rng = 400, np.random.default_rng(seed)
+    design = design_matrix(*sky(n_obj, seed), corrections=corrections, glide=glide)
+    sigma = MAS * np.exp(rng.normal(0.0, 1.0, (4, n_obj)))
+    noise = sigma * rng.standard_normal((n_sim, 4, n_obj))
+    solutions = [solve(design, y, sigma, weighting) for y in noise]
+    factor = np.linalg.cholesky(solutions[0].covariance / MAS**2)
+    white = np.linalg.solve(factor, np.array([s.estimate for s in solutions]).T / MAS)  # unit normals if it is right
+    assert 1e-7 < stats.chi2(white.size).sf(np.sum(white**2)) < 1 - 1e-7
+    off_unity = white @ white.T / n_sim - np.eye(len(white))
+    assert np.all(np.abs(off_unity) < 6 * np.sqrt((1 + np.eye(len(white))) / n_sim))

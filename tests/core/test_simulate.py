@@ -6,23 +6,26 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from core.catalogue import quasars, synthetic
+from core.catalogue import Sky, synthetic
 from core.constants import MAS
-from core.errors import MagnitudeErrors, NoErrors, NormalErrors
-from core.frames import exact_differences
+from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
+from core.frames import exact_differences, triad
 from core.link import LinkError, combined_error, design_matrix, solve
 from core.missions import MISSIONS
-from core.simulate import CHUNK, TILE, Scenario, simulate
+from core.quasars import quasars
+from core.simulate import CHUNK, TILE, Scenario, TrueVector, sample, simulate
 
 EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS
 TRUTH_MAS = np.concatenate([EPSILON, OMEGA]) / MAS
+GLIDE = np.array([0.3, -0.2, 0.5]) * MAS
 
 
 def scenario(n_obj, mean_pm_mas_yr=0.0, **changes):
     draw = partial(synthetic, n_obj=n_obj, v_min=5.0, v_max=15.0, mean_pm=mean_pm_mas_yr * MAS)
     amex = MagnitudeErrors(MISSIONS["amex"])
-    return replace(Scenario(draw, NoErrors(), amex, tuple(EPSILON), tuple(OMEGA)), **changes)
+    return replace(Scenario(draw, NoErrors(), amex, TrueVector(tuple(EPSILON)), TrueVector(tuple(OMEGA))), **changes)
 
 
 def run(scenario, n_sim, seed=1, catalogue_seed=2):
@@ -33,21 +36,32 @@ def summed_by_plain_loop(scenario, n_sim, seed=1, catalogue_seed=2):
     """Solve one realisation after the other with `core.link.solve`, drawing normals in the order of `simulate`."""
     rng, catalogue = np.random.default_rng(seed), scenario.draw_catalogue(np.random.default_rng(catalogue_seed))
     true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
-    sigma_ref, sigma_sat = (
-        e.standard_errors(catalogue) for e in (scenario.reference_errors, scenario.satellite_errors)
-    )
+    sides = scenario.reference_errors, scenario.satellite_errors
+    sigma_ref, sigma_sat = (e.standard_errors(catalogue) for e in sides)
     sigma = combined_error(sigma_ref, sigma_sat)
     y = exact_differences(*true, EPSILON, OMEGA)
+    p, q, _ = triad(catalogue.ra, catalogue.dec)
+    y[2:] -= np.stack([p.T @ scenario.aberration, q.T @ scenario.aberration])
+    truth = np.concatenate([TRUTH_MAS, -np.array(scenario.aberration)[: 3 * scenario.solve_glide] / MAS])
     noisy_reference = bool(np.any(sigma_ref))
     draw = both_sides_by_chunk if noisy_reference else satellite_by_tile
     solutions = []
-    for reference, satellite in draw(rng, n_sim, len(catalogue)):
-        shift = reference * sigma_ref
+    for normals in draw(rng, n_sim, len(catalogue)):
+        shift, satellite = (errors(*side) for side in zip(sides, normals, [catalogue] * 2, strict=True))
         seen = true + shift / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
-        design = design_matrix(*seen, corrections=scenario.corrections)
-        solutions.append(solve(design, y + shift - satellite * sigma_sat, sigma, scenario.weighting))
-    error = np.array([s.estimate for s in solutions]) / MAS - TRUTH_MAS
+        design = design_matrix(*seen, corrections=scenario.corrections, glide=scenario.solve_glide)
+        solutions.append(solve(design, y + shift - satellite, sigma, scenario.weighting))
+    error = np.array([s.estimate for s in solutions]) / MAS - truth
     return error.sum(axis=0), error.T @ error, sum(s.chi2 for s in solutions), solutions[0]
+
+
+def errors(model, normals, catalogue):
+    """Turn unit normals (4, N) into errors, with each object's own covariance."""
+    sigma, correlation = model.standard_errors(catalogue), model.correlation(catalogue)
+    if correlation is None:
+        return sigma * normals
+    covariances = sigma.T[:, :, None] * correlation * sigma.T[:, None, :]
+    return np.stack([np.linalg.cholesky(c) @ n for c, n in zip(covariances, normals.T, strict=True)], axis=1)
 
 
 def satellite_by_tile(rng, n_sim, n_obj):
@@ -70,9 +84,10 @@ def both_sides_by_chunk(rng, n_sim, n_obj):
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 @pytest.mark.parametrize("reference_errors", [NoErrors(), NormalErrors(0.4, 0.7)])
 @pytest.mark.parametrize(("n_obj", "n_sim"), [(20, 1000), (1500, 20)])
-@pytest.mark.parametrize("corrections", [True, False])
-def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, corrections):
+@pytest.mark.parametrize(("corrections", "solve_glide"), [(True, False), (False, False), (True, True)])
+def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, corrections, solve_glide):
     point = scenario(n_obj, 100.0, reference_errors=reference_errors, weighting=weighting, corrections=corrections)
+    point = replace(point, aberration=tuple(GLIDE), solve_glide=solve_glide)
     assert n_sim > CHUNK // min(TILE, 4 * n_obj)  # several chunks, and for 1500 objects two tiles
     sums = run(point, n_sim)
     error, products, chi2, solution = summed_by_plain_loop(point, n_sim)
@@ -82,8 +97,30 @@ def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, correc
     assert sums.chi2 == pytest.approx(chi2, rel=1e-9)
     if not np.any(reference_errors.standard_errors(point.draw_catalogue(np.random.default_rng(2)))):
         np.testing.assert_allclose(sums.predicted_variance, n_sim * sigma**2, rtol=1e-9)
-        np.testing.assert_allclose(sums.predicted_variance_squared, n_sim * sigma**4, rtol=1e-9)
+        means = [np.mean(sigma[:3] ** 2), np.mean(sigma[3:6] ** 2)]
+        squares = n_sim * np.square([*sigma**2, *means])
+        np.testing.assert_allclose(sums.predicted_variance_squared, squares, rtol=1e-9)
     assert sums.n_obj == n_sim * n_obj
+
+
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), NormalErrors(0.4, 0.7)])
+def test_correlated_errors_equal_the_plain_loop(weighting, reference_errors):
+    """Both sides are drawn in one order, so the correlated errors are the same numbers."""
+    n_obj, n_sim = 20, 500
+    factor = np.tril(np.random.default_rng(3).uniform(0.3, 1.0, (n_obj, 4, 4)))
+    factor /= np.linalg.norm(factor, axis=2, keepdims=True)
+    sigma = np.random.default_rng(4).uniform(0.2, 3.0, (4, n_obj)) * MAS
+    plain = scenario(n_obj, 100.0).draw_catalogue(np.random.default_rng(2))
+    catalogue = replace(plain, sigma=sigma, correlation=factor @ np.swapaxes(factor, 1, 2))
+    point = scenario(n_obj, reference_errors=reference_errors, satellite_errors=CatalogueErrors(0.5))
+    point = replace(point, draw_catalogue=lambda _: catalogue, weighting=weighting)
+    sums = run(point, n_sim)
+    error, products, chi2, solution = summed_by_plain_loop(point, n_sim)
+    scale = solution.formal_error / MAS
+    assert np.all(np.abs(sums.error - error) < 1e-9 * scale * n_sim)
+    assert np.all(np.abs(sums.error_products - products) < 1e-9 * np.outer(scale, scale) * n_sim)
+    assert sums.chi2 == pytest.approx(chi2, rel=1e-9)
 
 
 @pytest.mark.parametrize("mean_pm_mas_yr", [0.0, 500.0])
@@ -113,7 +150,8 @@ def test_stored_angles_leave_the_floor_of_double_precision():
         np.abs([run(scenario(100, satellite_errors=NoErrors(), arithmetic=a), 1, 1, k).error[:3] for k in range(20)])
         for a in ("stored", "exact")
     )
-    tiny = scenario(100, satellite_errors=NoErrors(), epsilon=tuple(1e-3 * EPSILON), omega=tuple(1e-3 * OMEGA))
+    tiny = scenario(100, satellite_errors=NoErrors(), epsilon=TrueVector(tuple(1e-3 * EPSILON)))
+    tiny = replace(tiny, omega=TrueVector(tuple(1e-3 * OMEGA)))
     floor = np.abs([run(replace(tiny, arithmetic="stored"), 1, 1, k).error[:3] for k in range(20)])
     below = np.abs([run(tiny, 1, 1, k).error[:3] for k in range(20)])
     assert 1e-9 < np.sqrt(np.mean(floor**2)) < 1e-6  # mas; the last bit of an angle is 4e-7 mas at most
@@ -126,14 +164,15 @@ def test_stored_angles_leave_the_floor_of_double_precision():
 @pytest.mark.parametrize(
     ("reference_errors", "n_sim"), [(NoErrors(), 20_000), (NormalErrors(0.8, 1.2), 5000)], ids=["fixed", "noisy"]
 )
-def test_realised_errors_are_the_predicted_ones(weighting, reference_errors, n_sim):
-    point = scenario(40, 50.0, reference_errors=reference_errors, weighting=weighting)
+@pytest.mark.parametrize("solve_glide", [False, True])
+def test_realised_errors_are_the_predicted_ones(weighting, reference_errors, n_sim, solve_glide):
+    point = scenario(40, 50.0, reference_errors=reference_errors, weighting=weighting, solve_glide=solve_glide)
     sums = run(point, n_sim)
     sigma = np.sqrt(np.diag(sums.error_products) / n_sim)
     predicted = np.sqrt(sums.predicted_variance / n_sim)
     assert np.all(np.abs(sigma - predicted) < 4 * predicted / np.sqrt(2 * n_sim))
     assert np.all(np.abs(sums.error / n_sim) < 4 * predicted / np.sqrt(n_sim))
-    dof = 4 * 40 - 6
+    dof = 4 * 40 - len(predicted)
     if weighting == "inverse-variance":
         assert abs(sums.chi2 / n_sim - dof) < 4 * np.sqrt(2 * dof / n_sim)  # the variance of chi2 is 2 dof
 
@@ -174,7 +213,7 @@ def test_the_two_generators_decide_different_things():
 
 @pytest.mark.parametrize(
     ("reference_errors", "few", "many"),
-    [(NoErrors(), 200, 20_000), (NormalErrors(1.0, 1.0), 50, 1000)],
+    [(NoErrors(), 200, 4000), (NormalErrors(1.0, 1.0), 50, 1000)],
     ids=["fixed", "noisy"],
 )
 def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, few, many):
@@ -192,8 +231,8 @@ def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, 
 
 
 def test_prediction_for_quasars_is_near_the_closed_form():
-    point = scenario(1, draw_catalogue=partial(quasars, v_max=17.0))
-    v_mag = quasars(np.random.default_rng(2), 17.0).v_mag
+    point = scenario(1, draw_catalogue=partial(quasars, v_max=17.0, sky=Sky()))
+    v_mag = quasars(np.random.default_rng(2), 17.0, Sky()).v_mag
     closed_form = 1.5 / np.sum(MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** -2.0)
     # a few bright quasars weigh most, so the variance of one sky scatters by 10 % about that of an isotropic one
     assert run(point, 1).predicted_variance[3:].mean() == pytest.approx(closed_form, rel=0.3)
@@ -211,3 +250,47 @@ def test_a_sky_that_does_not_determine_the_link():
 
     with pytest.raises(LinkError, match="rank deficient"):
         run(scenario(10, draw_catalogue=one_place), 1)
+
+
+@pytest.mark.parametrize("solve_glide", [False, True])
+@pytest.mark.parametrize("reference_errors", [NoErrors(), NormalErrors(0.8, 1.2)])
+@pytest.mark.parametrize("n_sim", [1, 2000])
+def test_samples_are_the_estimates_that_are_added_up(solve_glide, reference_errors, n_sim):
+    point = scenario(30, 100.0, reference_errors=reference_errors, aberration=tuple(GLIDE), solve_glide=solve_glide)
+    sums = run(point, n_sim)
+    estimates = sample(point, n_sim, np.random.default_rng(1), np.random.default_rng(2))
+    error = estimates - [*TRUTH_MAS, *(-GLIDE / MAS)][: estimates.shape[1]]
+    assert estimates.shape == (n_sim, 9 if solve_glide else 6)
+    np.testing.assert_allclose(error.sum(axis=0), sums.error, rtol=0, atol=1e-12 * n_sim)
+    np.testing.assert_allclose(error.T @ error, sums.error_products, rtol=0, atol=1e-12 * n_sim)
+
+
+def test_random_directions_are_isotropic_and_keep_the_length():
+    n_draws, length = 20_000, 3.0 * MAS
+    true, rng = TrueVector((0.0, length, 0.0), random_direction=True), np.random.default_rng(5)
+    vectors = np.array([true.draw(rng) for _ in range(n_draws)])
+    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), length, rtol=1e-14)
+    for component in vectors.T / length:  # uniform on the sphere: each is uniform between -1 and 1
+        assert stats.kstest((component + 1.0) / 2.0, "uniform").pvalue > 1e-3
+    outer = vectors.T @ vectors / (n_draws * length**2)
+    assert np.all(np.abs(outer - np.eye(3) / 3) < 4 * np.sqrt(4 / 45 / n_draws))  # variance of r_x^2
+
+
+def test_fixed_and_zero_vectors_are_themselves():
+    rng = np.random.default_rng(6)
+    np.testing.assert_array_equal(TrueVector(tuple(EPSILON)).draw(rng), EPSILON)
+    assert rng.bit_generator.state == np.random.default_rng(6).bit_generator.state
+    np.testing.assert_array_equal(TrueVector((0.0, 0.0, 0.0), random_direction=True).draw(rng), 0.0)
+
+
+def test_random_directions_are_the_catalogues_and_the_link_finds_them():
+    point = scenario(30, satellite_errors=NoErrors())
+    point = replace(point, epsilon=TrueVector(tuple(EPSILON), True), omega=TrueVector(tuple(OMEGA), True))
+    found = np.array(
+        [sample(point, 2, np.random.default_rng(k), np.random.default_rng(j)) for j in range(5) for k in range(2)]
+    ).reshape(5, 4, 6)  # catalogue, realisation of either error generator, unknown
+    np.testing.assert_array_equal(found, np.repeat(found[:, :1], 4, axis=1))
+    for part, vector in ((slice(0, 3), EPSILON), (slice(3, 6), OMEGA)):
+        np.testing.assert_allclose(np.linalg.norm(found[:, 0, part], axis=1), np.linalg.norm(vector) / MAS, rtol=1e-7)
+        assert np.abs(np.diff(found[:, 0, part], axis=0)).max(axis=1).min() > 0.1  # another one for each catalogue
+    assert np.all(np.abs(run(point, 1).error) < 1e-7)  # and the truth that is subtracted is the one drawn
