@@ -2,8 +2,10 @@
 
 import logging
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -59,13 +61,30 @@ def dask_local(study: Study, workers: int, pool: Pool) -> Iterator[Executor]:
     else:
         options |= {"n_workers": 1, "threads_per_worker": workers, "processes": False}
     environment = dict.fromkeys(("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"), KEEP_BYTES)
-    with (
-        dask.config.set({f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in environment.items()}),
-        threadpool_limits(1),
-        LocalCluster(**options) as cluster,
-        cluster.get_client() as client,
-    ):
+    with ExitStack() as stack:
+        stack.enter_context(
+            dask.config.set({f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in environment.items()})
+        )
+        stack.enter_context(threadpool_limits(1))
+        with _children_ignore_interrupts():
+            cluster = stack.enter_context(LocalCluster(**options))
+        client = stack.enter_context(cluster.get_client())
         yield _on_client(study, client)
+
+
+@contextmanager
+def _children_ignore_interrupts() -> Iterator[None]:
+    """Let processes that start in this block ignore SIGINT: a Ctrl-C in a terminal goes to all of them, but is the
+    client's to answer (distributed#1925).
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

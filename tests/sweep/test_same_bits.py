@@ -98,7 +98,7 @@ def test_a_client_killed_half_way_is_resumed(link_study, tmp_path, start_sweep, 
     store = tmp_path / "s.zarr"
     process = start_sweep("run", link_study, "-o", store, *LONG, start_new_session=True)
     wait_for_rows(store, process)
-    process.send_signal(end)
+    (os.killpg if end == signal.SIGINT else os.kill)(process.pid, end)  # Ctrl-C in a terminal reaches the workers too
     _, err = process.communicate(timeout=60)
     assert process.returncode == (130 if end == signal.SIGINT else -signal.SIGKILL), err
     if end == signal.SIGINT:
