@@ -26,9 +26,9 @@ from astropy.table import Table
 from numpy.typing import NDArray
 
 from core.catalogue import Sky
-from core.constants import DEGREE, GALACTIC_AXES, MAS
-from core.crossmatch import ARCSEC, Positions, at_epoch
+from core.constants import ARCSEC, DEGREE, GALACTIC_AXES, MAS
 from core.frames import position
+from core.sky_pairs import Positions, at_epoch
 
 Array = NDArray[np.float64]
 

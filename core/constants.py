@@ -12,6 +12,9 @@ MICROARCSEC = MAS / 1000.0
 DEGREE = np.pi / 180.0
 """One degree in radians."""
 
+ARCSEC = DEGREE / 3600.0
+"""One arcsecond in radians."""
+
 
 def _galactic_axes() -> NDArray[np.float64]:
     """Rows: the Galactic x, y, z axes in ICRS coordinates; shape (3, 3).

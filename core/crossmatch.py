@@ -1,11 +1,10 @@
 """The galaxy search: matches of a star catalogue with galaxy catalogues on the sphere, and how sure each one is.
 
-In four steps: star positions are carried to the epoch of the galaxies (`at_epoch`); entries of several galaxy
-catalogues that are one galaxy are merged (`merge_galaxies`); every star-galaxy pair within a catalogue's radius is
-found with a k-d tree of unit vectors and resolved one to one, closest pair first (`one_to_one`); each match is classed
-(`classify`).  Angles are radians, objects come first in arrays of directions because that is what a tree wants.
+All positions are for one epoch (`core.sky_pairs.at_epoch`).  Every star-galaxy pair within a catalogue's radius is
+found (`core.sky_pairs`), entries that are one galaxy are merged (`core.galaxy_merge`), what is left is resolved one to
+one, closest pair first, and each match is classed (`core.galaxy_classes`).
 
-Source: Metz & Geffert 2004, Sect. 3; the rules stand for its inspection by eye.
+Source: Metz & Geffert 2004, Sect. 3.
 """
 
 from collections.abc import Sequence
@@ -14,92 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
-from core.constants import DEGREE, GALACTIC_AXES
-from core.frames import position, triad
+from core.galaxy_classes import Chance, Rules, chance_pairs, classify
+from core.galaxy_merge import GalaxyCatalogue, merge_galaxies
+from core.sky_pairs import Pairs, Positions, count_near, displacement, occurrences, one_to_one, pairs_within, sky_tree
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-
-ARCSEC = DEGREE / 3600.0
-"""One arcsecond in radians."""
-
-CERTAIN, UNCERTAIN, SUPPLEMENT = 0, 1, 2
-CLASS_NAMES = ("certain", "uncertain", "supplement")
-"""Names of the codes `CERTAIN`, `UNCERTAIN` and `SUPPLEMENT`.  Source: Metz & Geffert 2004, Sect. 3.1."""
-
-CROWDED, OFFSET, RIVAL = 1, 2, 4
-REASON_NAMES = {CROWDED: "crowded", OFFSET: "offset", RIVAL: "rival"}
-"""Names of the bits in `Matches.reason`."""
-
-MAX_RADIUS = 1.0 * DEGREE
-MAX_PAIRS = 2e6
-"""More chance pairs than this within a radius, half a minute of work, are not a search for counterparts."""
-
-RING = (5.0, 10.0)
-"""Chance pairs are counted in a ring between these multiples of the radius, where no true counterpart is left."""
-
-
-@dataclass(frozen=True)
-class Positions:
-    """N positions at one epoch: ra, dec and their standard errors (that of ra with cos dec) in rad, shape (N,)."""
-
-    ra: Array
-    dec: Array
-    ra_error: Array
-    dec_error: Array
-
-    def __len__(self) -> int:
-        return len(self.ra)
-
-
-@dataclass(frozen=True)
-class GalaxyCatalogue:
-    """Positions, an identifier that galaxy catalogues share (the PGC number; 0 for none; shape (N,)) and the match
-    radius (rad).
-    """
-
-    positions: Positions
-    identifier: Indices
-    radius: float
-
-
-@dataclass(frozen=True)
-class Rules:
-    """What makes a match uncertain: a normalised offset above ``k_sigma``, or at least ``crowding_stars`` other stars
-    within ``crowding_radius`` (rad).
-
-    ``merge_radius`` (rad) is how far apart entries of two galaxy catalogues may be one galaxy; None for the sum of
-    their match radii, so that two entries found at one star are one galaxy.
-    """
-
-    k_sigma: float = 3.0
-    crowding_radius: float = 120.0 * ARCSEC
-    crowding_stars: int = 3
-    merge_radius: float | None = None
-
-
-class Pairs(NamedTuple):
-    """Pairs of objects: an index into each side and the angle between them (rad), all of shape (M,)."""
-
-    first: Indices
-    second: Indices
-    offset: Array
-
-
-@dataclass(frozen=True)
-class Chance:
-    """One catalogue's pairs within its radius, and how many of them chance would make.
-
-    ``uniform`` is for two uniform skies, ``local`` (+- ``local_error``) from the pairs in a ring about the galaxies.
-    """
-
-    pairs: int
-    uniform: float
-    local: float
-    local_error: float
 
 
 @dataclass(frozen=True)
@@ -135,115 +56,6 @@ class Matches:
         return len(self.star)
 
 
-def at_epoch(
-    positions: Positions, pmra: Array, pmdec: Array, pmra_error: Array, pmdec_error: Array, years: Array
-) -> Positions:
-    """Return positions ``years`` later, with their errors, moved on straight lines in space at unknown distance.
-
-    ``pmra`` (with cos dec), ``pmdec`` and their errors in rad/yr, all of shape (N,).  A start from a pole goes the way
-    of the triad there.  Source: ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, Sect. 1.5.5, without parallax
-    and radial velocity.
-    """
-    p, q, r = triad(positions.ra, positions.dec)
-    ra, dec = position(r + (p * pmra + q * pmdec) * years)
-    return Positions(
-        ra, dec, np.hypot(positions.ra_error, pmra_error * years), np.hypot(positions.dec_error, pmdec_error * years)
-    )
-
-
-def sky_tree(positions: Positions) -> KDTree:
-    """Return a k-d tree of the unit vectors of N positions.
-
-    Not balanced: twice as fast to build and to search for points that fill a sphere, 2.5 million in 0.7 s.
-    """
-    vectors = np.ascontiguousarray(triad(positions.ra, positions.dec).r.T)
-    return KDTree(vectors, balanced_tree=False, compact_nodes=False)
-
-
-def chord(angle: float) -> float:
-    """Return the distance of two unit vectors that enclose an angle (rad)."""
-    return float(2.0 * np.sin(0.5 * angle))
-
-
-def pairs_within(first: KDTree, second: KDTree, radius: float) -> Pairs:
-    """Return all pairs of two sky trees at most ``radius`` (rad) apart, in no particular order.
-
-    Raises ValueError for a radius outside (0, 1 degree], or one that is expected to give more than `MAX_PAIRS`.
-    """
-    if not 0.0 < radius <= MAX_RADIUS:
-        raise ValueError(f"radius = {radius / ARCSEC:g} arcsec: must be above 0 and at most {MAX_RADIUS / ARCSEC:g}")
-    expected = uniform_pairs(first.n, second.n, radius)
-    if expected > MAX_PAIRS:
-        raise ValueError(
-            f"radius = {radius / ARCSEC:g} arcsec: about {expected:.1e} chance pairs of {first.n} and {second.n} "
-            f"objects, more than {MAX_PAIRS:.0e}; take a smaller one"
-        )
-    found = first.sparse_distance_matrix(second, chord(radius), output_type="ndarray")
-    return Pairs(
-        found["i"].astype(np.int64), found["j"].astype(np.int64), 2.0 * np.arcsin(np.minimum(0.5 * found["v"], 1.0))
-    )
-
-
-def one_to_one(first: Indices, second: Indices) -> Flags:
-    """Return which of M pairs are kept when, best pair first, a pair is kept if neither of its objects is taken.
-
-    The pairs (first[i], second[i]) must come in order of preference; no pair may occur twice.  Pairs that share no
-    object with another are settled at once, so the loop is over the ambiguous ones only.
-    """
-    kept: Flags = np.ones(len(first), dtype=bool)
-    ambiguous = np.flatnonzero((occurrences(first) > 1) | (occurrences(second) > 1))
-    taken_first: set[int] = set()
-    taken_second: set[int] = set()
-    for i, a, b in zip(ambiguous.tolist(), first[ambiguous].tolist(), second[ambiguous].tolist(), strict=True):
-        if a in taken_first or b in taken_second:
-            kept[i] = False
-        else:
-            taken_first.add(a)
-            taken_second.add(b)
-    return kept
-
-
-def occurrences(labels: Indices) -> Indices:
-    """Return for each element how often its value occurs; shape (M,)."""
-    _, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
-    return np.asarray(counts[inverse], dtype=np.int64)
-
-
-def merge_galaxies(
-    catalogues: Sequence[GalaxyCatalogue], trees: Sequence[KDTree], merge_radius: float | None = None
-) -> tuple[list[Indices], Indices]:
-    """Return a galaxy's number for every entry of every catalogue, and the identifier of every galaxy (0 for none).
-
-    Entries with the same identifier are one galaxy wherever they stand.  Otherwise an entry is the galaxy of an entry
-    of an earlier catalogue within ``merge_radius`` (see `Rules`), one to one and closest first, unless both have
-    identifiers.  ``trees`` are the catalogues' sky trees.  Raises ValueError as `pairs_within`.
-    """
-    labels: list[Indices] = []
-    known = np.empty(0, dtype=np.int64)  # identifier of each galaxy so far
-    for c, catalogue in enumerate(catalogues):
-        label = _label_by_identifier(catalogue.identifier, known)
-        links = [
-            _free_links(pairs, labels[e], label, known, catalogues[e], catalogue)
-            for e, pairs in enumerate(
-                pairs_within(
-                    trees[e],
-                    trees[c],
-                    catalogues[e].radius + catalogue.radius if merge_radius is None else merge_radius,
-                )
-                for e in range(c)
-            )
-        ]
-        if links:
-            galaxy, entry = _closest_links(links, catalogue, known)
-            label[entry] = galaxy
-            known = known.copy()
-            known[galaxy] = np.maximum(known[galaxy], catalogue.identifier[entry])
-            label = np.where(label < 0, _label_by_identifier(catalogue.identifier, known), label)
-        known = _number_the_rest(label, catalogue.identifier, known)
-        labels.append(label)
-    return labels, known
-
-
 def cross_match(
     stars: Positions, supplement: Flags, catalogues: Sequence[GalaxyCatalogue], rules: Rules | None = None
 ) -> Matches:
@@ -257,47 +69,21 @@ def cross_match(
     star_tree, trees = sky_tree(stars), [sky_tree(c.positions) for c in catalogues]
     found = [pairs_within(star_tree, tree, c.radius) for tree, c in zip(trees, catalogues, strict=True)]
     labels, identifiers = merge_galaxies(catalogues, trees, rules.merge_radius)
+    pairs = _pairs_of_all(found, labels)
+    kept, n_rival, found_in = _resolve(pairs, stars, supplement, catalogues, identifiers)
 
-    star = np.concatenate([pairs.first for pairs in found])
-    entry = np.concatenate([pairs.second for pairs in found])
-    offset = np.concatenate([pairs.offset for pairs in found])
-    galaxy = np.concatenate([label[pairs.second] for label, pairs in zip(labels, found, strict=True)])
-    which = np.repeat(np.arange(len(found)), [len(pairs.first) for pairs in found])
-    there = _gather([c.positions for c in catalogues], which, entry)
-
-    ra, dec = stars.ra[star], stars.dec[star]
-    best_first = np.lexsort((identifiers[galaxy], there.ra, there.dec, ra, dec, supplement[star], which, offset))
-    _, first, inverse = np.unique(
-        (star * len(identifiers) + galaxy)[best_first], return_index=True, return_inverse=True
-    )
-    nearest = best_first[np.sort(first)]  # the closest entry of each star-galaxy pair
-    rivals = occurrences(star[nearest]) + occurrences(galaxy[nearest]) - 2
-    winner = np.flatnonzero(one_to_one(star[nearest], galaxy[nearest]))
-    winner = winner[np.lexsort((dec[nearest[winner]], ra[nearest[winner]]))]
-    kept, n_rival = nearest[winner], rivals[winner]
-
-    match_of_pair = np.full(len(nearest), -1)  # by number of the pair in `inverse`
-    match_of_pair[inverse[np.argsort(best_first)[kept]]] = np.arange(len(kept))
-    row = match_of_pair[inverse]
-    found_in = np.zeros((len(kept), len(catalogues)), dtype=bool)
-    found_in[row[row >= 0], which[best_first][row >= 0]] = True
-
-    here = _gather([stars], np.zeros(len(kept), dtype=np.int64), star[kept])
-    there = _gather([c.positions for c in catalogues], which[kept], entry[kept])
+    here = _gather([stars], np.zeros(len(kept.star), dtype=np.int64), kept.star)
+    there = _gather([c.positions for c in catalogues], kept.catalogue, kept.entry)
     d_ra, d_dec, n_sigma = displacement(here, there)
     n_near = count_near(star_tree, here, rules.crowding_radius)
-    code, reason = classify(supplement[star[kept]], n_sigma, n_near, n_rival, rules)
+    code, reason = classify(supplement[kept.star], n_sigma, n_near, n_rival, rules)
     chance = tuple(
-        _chance(star_tree, tree, c.radius, len(pairs.first))
+        chance_pairs(star_tree, tree, c.radius, len(pairs.first))
         for tree, c, pairs in zip(trees, catalogues, found, strict=True)
     )
     return Matches(
-        star=star[kept],
-        catalogue=which[kept],
-        entry=entry[kept],
-        galaxy=galaxy[kept],
-        identifier=identifiers[galaxy[kept]],
-        offset=offset[kept],
+        **kept._asdict(),
+        identifier=identifiers[kept.galaxy],
         d_ra=d_ra,
         d_dec=d_dec,
         n_sigma=n_sigma,
@@ -311,80 +97,50 @@ def cross_match(
     )
 
 
-def displacement(stars: Positions, galaxies: Positions) -> tuple[Array, Array, Array]:
-    """Return the components of galaxy - star along ra (with cos dec) and dec in rad, and the normalised offset.
+class _Pairs(NamedTuple):
+    """Star-galaxy pairs of all catalogues, each of shape (M,); as in `Matches`."""
 
-    The normalised offset is sqrt((d_ra/s_ra)^2 + (d_dec/s_dec)^2) with the errors of both sides added in quadrature;
-    for normal errors it is larger than k with probability exp(-k^2/2).  All of shape (M,).
-    """
-    p, q, r = triad(stars.ra, stars.dec)
-    step = triad(galaxies.ra, galaxies.dec).r - r
-    d_ra, d_dec = np.sum(p * step, axis=0), np.sum(q * step, axis=0)
-    n_sigma = np.hypot(
-        d_ra / np.hypot(stars.ra_error, galaxies.ra_error), d_dec / np.hypot(stars.dec_error, galaxies.dec_error)
+    star: Indices
+    catalogue: Indices
+    entry: Indices
+    galaxy: Indices
+    offset: Array
+
+
+def _pairs_of_all(found: Sequence[Pairs], labels: Sequence[Indices]) -> _Pairs:
+    """Return the pairs of star and entry in each catalogue as one; ``labels`` are the galaxies of the entries."""
+    return _Pairs(
+        star=np.concatenate([pairs.first for pairs in found]),
+        catalogue=np.repeat(np.arange(len(found)), [len(pairs.first) for pairs in found]),
+        entry=np.concatenate([pairs.second for pairs in found]),
+        galaxy=np.concatenate([label[pairs.second] for label, pairs in zip(labels, found, strict=True)]),
+        offset=np.concatenate([pairs.offset for pairs in found]),
     )
-    return d_ra, d_dec, n_sigma
 
 
-def count_near(tree: KDTree, members: Positions, radius: float) -> Indices:
-    """Return how many other objects of a sky tree stand within ``radius`` (rad) of each of its ``members``."""
-    vectors = np.ascontiguousarray(triad(members.ra, members.dec).r.T)
-    counts = tree.query_ball_point(vectors, chord(radius), return_length=True)
-    return np.asarray(counts, dtype=np.int64).reshape(len(members)) - 1
-
-
-def classify(
-    supplement: Flags, n_sigma: Array, n_near: Indices, n_rival: Indices, rules: Rules
-) -> tuple[Indices, Indices]:
-    """Return the class of each match and the bits of the reasons for doubt; all of shape (M,).
-
-    A match is in doubt if its star field is crowded (`CROWDED`), if its offset exceeds k sigma (`OFFSET`) or if there
-    was another candidate for the star or the galaxy (`RIVAL`).  Stars of the supplement are a class of their own, as
-    in the paper, whatever the doubts.
-    """
-    reason = (
-        CROWDED * (n_near >= rules.crowding_stars) + OFFSET * (n_sigma > rules.k_sigma) + RIVAL * (n_rival > 0)
-    ).astype(np.int64)
-    code = np.where(supplement, SUPPLEMENT, np.where(reason > 0, UNCERTAIN, CERTAIN))
-    return code.astype(np.int64), reason
-
-
-def uniform_pairs(n_first: int, n_second: int, radius: float) -> float:
-    """Return the expected number of pairs within ``radius`` (rad) of objects scattered uniformly over the sphere.
-
-    A cap of angular radius t is the fraction (1 - cos t)/2 = sin^2(t/2) of the sphere.
-    """
-    return float(n_first) * float(n_second) * float(np.sin(0.5 * radius)) ** 2
-
-
-def second_epoch_pm_error(first_error: float, second_error: float, years: float) -> float:
-    """Return the error of a proper motion from two positions ``years`` apart: sqrt(s1^2 + s2^2)/years, in the unit of
-    the errors per year.
-
-    Raises ValueError unless ``years`` is above 0.  Source: Metz & Geffert 2004, Sect. 3.2: 117 and 127 mas give about
-    6 mas/yr, which is 20 yr with a second epoch without error.
-    """
-    if not years > 0.0:
-        raise ValueError(f"years = {years:g}: two epochs must be some time apart")
-    return float(np.hypot(first_error, second_error)) / years
-
-
-def galactic(ra: Array, dec: Array) -> tuple[Array, Array]:
-    """Return Galactic longitude in [0, 2 pi) and latitude of ICRS positions, all in rad and of shape (N,)."""
-    return position(GALACTIC_AXES @ triad(ra, dec).r)
-
-
-def _chance(stars: KDTree, galaxies: KDTree, radius: float, n_pairs: int) -> Chance:
-    inner, outer = (chord(multiple * radius) for multiple in RING)
-    in_inner, in_outer = np.asarray(stars.count_neighbors(galaxies, np.array([inner, outer])), dtype=np.float64)
-    to_circle = chord(radius) ** 2 / (outer**2 - inner**2)  # the area of a cap is pi chord^2
-    in_ring = float(in_outer - in_inner)
-    return Chance(
-        pairs=n_pairs,
-        uniform=uniform_pairs(stars.n, galaxies.n, radius),
-        local=in_ring * to_circle,
-        local_error=float(np.sqrt(in_ring)) * to_circle,
+def _resolve(
+    pairs: _Pairs, stars: Positions, supplement: Flags, catalogues: Sequence[GalaxyCatalogue], identifiers: Indices
+) -> tuple[_Pairs, Indices, Flags]:
+    """Return the pairs that are matches in order of the star's position, and their ``n_rival`` and ``found_in``."""
+    star, which, entry, galaxy, offset = pairs
+    there = _gather([c.positions for c in catalogues], which, entry)
+    ra, dec = stars.ra[star], stars.dec[star]
+    best_first = np.lexsort((identifiers[galaxy], there.ra, there.dec, ra, dec, supplement[star], which, offset))
+    _, first, inverse = np.unique(
+        (star * len(identifiers) + galaxy)[best_first], return_index=True, return_inverse=True
     )
+    nearest = best_first[np.sort(first)]  # the closest entry of each star-galaxy pair
+    rivals = occurrences(star[nearest]) + occurrences(galaxy[nearest]) - 2
+    winner = np.flatnonzero(one_to_one(star[nearest], galaxy[nearest]))
+    winner = winner[np.lexsort((dec[nearest[winner]], ra[nearest[winner]]))]
+    kept = nearest[winner]
+
+    match_of_pair = np.full(len(nearest), -1)  # by number of the pair in `inverse`
+    match_of_pair[inverse[np.argsort(best_first)[kept]]] = np.arange(len(kept))
+    row = match_of_pair[inverse]
+    found_in = np.zeros((len(kept), len(catalogues)), dtype=bool)
+    found_in[row[row >= 0], which[best_first][row >= 0]] = True
+    return _Pairs(*(column[kept] for column in pairs)), rivals[winner], found_in
 
 
 def _gather(tables: Sequence[Positions], which: Indices, row: Indices) -> Positions:
@@ -395,66 +151,3 @@ def _gather(tables: Sequence[Positions], which: Indices, row: Indices) -> Positi
         for column, values in zip(columns, (table.ra, table.dec, table.ra_error, table.dec_error), strict=True):
             column[mine] = values[row[mine]]
     return Positions(*columns)
-
-
-def _label_by_identifier(identifier: Indices, known: Indices) -> Indices:
-    """Return the number of the galaxy with each entry's identifier, -1 for none."""
-    label = np.full(len(identifier), -1, dtype=np.int64)
-    named = np.flatnonzero(known)
-    if len(named):
-        named = named[np.argsort(known[named])]
-        at = np.minimum(np.searchsorted(known[named], identifier), len(named) - 1)
-        hit = (identifier > 0) & (known[named[at]] == identifier)
-        label[hit] = named[at[hit]]
-    return label
-
-
-class _Links(NamedTuple):
-    """Pairs of a galaxy and an entry that may be one, with the place of the galaxy's entry to settle ties."""
-
-    galaxy: Indices
-    entry: Indices
-    offset: Array
-    ra: Array
-    dec: Array
-
-
-def _free_links(
-    pairs: Pairs,
-    galaxy_of_earlier: Indices,
-    label: Indices,
-    known: Indices,
-    earlier: GalaxyCatalogue,
-    catalogue: GalaxyCatalogue,
-) -> _Links:
-    """Return the pairs that may still be linked: neither side is yet, and at most one has an identifier."""
-    galaxy, entry = galaxy_of_earlier[pairs.first], pairs.second
-    linked = np.zeros(len(known), dtype=bool)
-    linked[label[label >= 0]] = True
-    free = ~linked[galaxy] & (label[entry] < 0) & ((known[galaxy] == 0) | (catalogue.identifier[entry] == 0))
-    at = pairs.first[free]
-    return _Links(galaxy[free], entry[free], pairs.offset[free], earlier.positions.ra[at], earlier.positions.dec[at])
-
-
-def _closest_links(links: Sequence[_Links], catalogue: GalaxyCatalogue, known: Indices) -> tuple[Indices, Indices]:
-    """Return galaxies and their entries, one to one, closest first; entries of one identifier count as one."""
-    galaxy, entry, offset, ra, dec = (np.concatenate(column) for column in zip(*links, strict=True))
-    where, identifier = catalogue.positions, catalogue.identifier
-    ties = (known[galaxy], identifier[entry], where.ra[entry], where.dec[entry], ra, dec)
-    order = np.lexsort((*ties, offset))
-    galaxy, entry = galaxy[order], entry[order]
-    object_of_entry = np.where(identifier > 0, identifier, -1 - np.arange(len(identifier)))[entry]
-    _, number = np.unique(object_of_entry, return_inverse=True)
-    first = np.sort(np.unique(galaxy * (len(number) + 1) + number, return_index=True)[1])
-    first = first[one_to_one(galaxy[first], number[first])]
-    return galaxy[first], entry[first]
-
-
-def _number_the_rest(label: Indices, identifier: Indices, known: Indices) -> Indices:
-    """Number the entries that are no galaxy yet, in place; return the identifiers of all galaxies."""
-    new = np.flatnonzero(label < 0)
-    named, nameless = new[identifier[new] > 0], new[identifier[new] == 0]
-    names, inverse = np.unique(identifier[named], return_inverse=True)
-    label[named] = len(known) + inverse
-    label[nameless] = len(known) + len(names) + np.arange(len(nameless))
-    return np.concatenate([known, names, np.zeros(len(nameless), dtype=np.int64)])

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from core.constants import GALACTIC_AXES
+
 Array = NDArray[np.float64]
 
 
@@ -34,6 +36,11 @@ def position(r: Array) -> tuple[Array, Array]:
     """Return (ra, dec) in radians, ra in [0, 2 pi), of vectors of shape (3, ...) and any length."""
     ra = np.arctan2(r[1], r[0]) % (2.0 * np.pi)
     return np.where(ra < 2.0 * np.pi, ra, 0.0), np.arctan2(r[2], np.hypot(r[0], r[1]))  # -tiny % 2 pi is 2 pi
+
+
+def galactic(ra: Array, dec: Array) -> tuple[Array, Array]:
+    """Return Galactic longitude in [0, 2 pi) and latitude of ICRS positions, all in rad and of shape (N,)."""
+    return position(GALACTIC_AXES @ triad(ra, dec).r)
 
 
 def rotation_minus_identity(epsilon: Array) -> Array:

@@ -460,9 +460,12 @@ def match(
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
         -o galaxies.ecsv --table galaxies.dat --map galaxies.png
     """
-    from sweep import match as galaxies_in
+    from sweep.search.match import find_galaxies
+    from sweep.search.options import plan_search
+    from sweep.search.outputs import Outputs
+    from sweep.search.summary import summarise, summary_text
 
-    search = galaxies_in.plan_search(
+    search = plan_search(
         stars,
         galaxies,
         supplement,
@@ -479,15 +482,15 @@ def match(
         epoch_difference_yr=epoch_difference,
         second_epoch_error_mas=second_epoch_error,
     )
-    outputs = galaxies_in.Outputs(output, table, sky_map)
-    summary = galaxies_in.summarise(galaxies_in.find_galaxies(search, outputs, overwrite))
+    outputs = Outputs(output, table, sky_map)
+    summary = summarise(find_galaxies(search, outputs, overwrite))
     if as_json:
         click.echo(json.dumps(summary, indent=1))
     else:
         from rich.console import Console
 
         console = Console(width=None if sys.stdout.isatty() else 200, highlight=False)
-        for part in galaxies_in.summary_text(summary):
+        for part in summary_text(summary):
             console.print(part)
     for path in outputs.paths():
         click.echo(f"wrote {path}", err=True)

@@ -8,29 +8,28 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.constants import DEGREE, MAS, MICROARCSEC
-from core.crossmatch import (
-    ARCSEC,
+from core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
+from core.crossmatch import Matches, cross_match
+from core.frames import galactic
+from core.galaxy_classes import (
     CERTAIN,
     CROWDED,
     OFFSET,
     RIVAL,
     SUPPLEMENT,
     UNCERTAIN,
-    GalaxyCatalogue,
-    Matches,
-    Positions,
     Rules,
-    at_epoch,
     classify,
+    second_epoch_pm_error,
+)
+from core.galaxy_merge import GalaxyCatalogue, merge_galaxies
+from core.sky_pairs import (
+    Positions,
+    at_epoch,
     count_near,
-    cross_match,
     displacement,
-    galactic,
-    merge_galaxies,
     one_to_one,
     pairs_within,
-    second_epoch_pm_error,
     sky_tree,
     uniform_pairs,
 )

@@ -31,36 +31,10 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
     all entries of the galaxy catalogues.  The figure belongs to no window; save it with its ``savefig``.
     """
     from matplotlib.figure import Figure
-    from matplotlib.patheffects import withStroke
 
     figure = Figure(figsize=(8.0, 4.7), layout="constrained")
     axes: Any = figure.add_subplot(projection="mollweide")  # a GeoAxes, which matplotlib does not declare
-    step = -(-len(background[0]) // MAX_BACKGROUND)
-    if step:
-        share = f", 1 in {step} drawn" if step > 1 else ""
-        # rows of a catalogue often run along the sky, so a random choice and not every step-th
-        chosen = np.random.default_rng(0).permutation(len(background[0]))[: len(background[0]) // step]
-        axes.plot(
-            *_on_map(background[0][chosen], background[1][chosen]),
-            linestyle="none",
-            marker=".",
-            markersize=1.2,
-            markeredgewidth=0.0,
-            color=BACKGROUND,
-            rasterized=True,
-            zorder=1,
-        )
-        # a point of the map is too small to be seen in the legend
-        axes.plot(
-            [],
-            [],
-            linestyle="none",
-            marker=".",
-            markersize=4.0,
-            markeredgewidth=0.0,
-            color=BACKGROUND,
-            label=f"galaxy catalogues ({_count(len(background[0]))}{share})",
-        )
+    _plot_background(axes, background)
     axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
     for name, (marker, colour) in STYLES.items():
         longitude, latitude = classes.get(name, (np.empty(0), np.empty(0)))
@@ -76,6 +50,44 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
             zorder=4,
             label=f"{name} ({_count(len(longitude))})",
         )
+    _draw_grid(axes)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
+    return figure
+
+
+def _plot_background(axes: Any, background: tuple[Array, Array]) -> None:
+    step = -(-len(background[0]) // MAX_BACKGROUND)
+    if not step:
+        return
+    share = f", 1 in {step} drawn" if step > 1 else ""
+    # rows of a catalogue often run along the sky, so a random choice and not every step-th
+    chosen = np.random.default_rng(0).permutation(len(background[0]))[: len(background[0]) // step]
+    axes.plot(
+        *_on_map(background[0][chosen], background[1][chosen]),
+        linestyle="none",
+        marker=".",
+        markersize=1.2,
+        markeredgewidth=0.0,
+        color=BACKGROUND,
+        rasterized=True,
+        zorder=1,
+    )
+    # a point of the map is too small to be seen in the legend
+    axes.plot(
+        [],
+        [],
+        linestyle="none",
+        marker=".",
+        markersize=4.0,
+        markeredgewidth=0.0,
+        color=BACKGROUND,
+        label=f"galaxy catalogues ({_count(len(background[0]))}{share})",
+    )
+
+
+def _draw_grid(axes: Any) -> None:
+    from matplotlib.patheffects import withStroke
+
     axes.grid(color="0.75", linewidth=0.4, zorder=0)
     axes.set_axisbelow(True)
     halo = [withStroke(linewidth=2.5, foreground="white")]
@@ -90,8 +102,6 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
         label.set_zorder(5)
     axes.set_xlabel("Galactic longitude $l$", fontsize=9)
     axes.set_ylabel("Galactic latitude $b$", fontsize=9)
-    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
-    return figure
 
 
 def _on_map(longitude: Array, latitude: Array) -> tuple[Array, Array]:

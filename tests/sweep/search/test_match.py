@@ -9,23 +9,19 @@ import numpy as np
 import pytest
 from astropy.table import MaskedColumn, Table
 from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from core.crossmatch import CLASS_NAMES
+from core.galaxy_classes import CLASS_NAMES
 from sweep.cli import main
 from sweep.contract import SweepError
-from sweep.galaxy_table import GalaxyTable, format_galaxy_table, read_galaxy_table
-from sweep.match import (
-    Outputs,
-    find_galaxies,
-    match_columns,
-    plan_search,
-    read_matches,
-    sky_map_of,
-    summarise,
-)
-from sweep.sky_tables import Reading, read_galaxies, read_stars
+from sweep.search.ecsv import read_matches
+from sweep.search.galaxy_table import read_galaxy_table
+from sweep.search.match import find_galaxies
+from sweep.search.options import plan_search
+from sweep.search.outputs import Outputs, publish, sky_map_of
+from sweep.search.result import match_columns
+from sweep.search.skymap import MAX_BACKGROUND, sky_map
+from sweep.search.summary import summarise
+from sweep.search.tables import Reading, read_galaxies, read_stars
 
 ARCSEC = 1.0 / 3600.0
 
@@ -269,118 +265,11 @@ def test_the_map_shows_every_class_with_longitude_to_the_left(folder):
 
 
 def test_a_big_background_is_thinned_and_says_so():
-    from sweep.skymap import MAX_BACKGROUND, sky_map
-
     n = 2 * MAX_BACKGROUND + 1
     figure = sky_map({}, (np.linspace(0, 360, n), np.zeros(n)))
     drawn = figure.axes[0].lines[0]
     assert len(drawn.get_xdata()) == n // 3
     assert any("1 in 3 drawn" in text.get_text() for text in figure.legends[0].get_texts())
-
-
-# ---- the 46-byte table
-
-
-def test_the_byte_positions_of_the_table():
-    table = GalaxyTable(
-        tyc=np.array([[1, 13, 1], [9537, 12121, 3]]),
-        pgc=np.array([7, 65866]),
-        ra=np.array([0.5, 359.999999999]),
-        dec=np.array([-89.12345678, 4.25]),
-        code=np.array([0, 2]),
-    )
-    text = format_galaxy_table(table)
-    #                   1234567890123456789012345678901234567890123456
-    assert text == ("   1    13 1     7   0.50000000 -89.12345678 G\n9537 12121 3 65866   0.00000000   4.25000000 S\n")
-    line = text.splitlines()[1]
-    assert (line[0:4], line[5:10], line[11:12], line[13:18]) == ("9537", "12121", "3", "65866")
-    assert (line[19:31], line[32:44], line[45:46], len(line)) == ("  0.00000000", "  4.25000000", "S", 46)
-
-
-numbers = st.tuples(
-    st.integers(1, 9537),
-    st.integers(1, 12121),
-    st.integers(1, 3),
-    st.integers(1, 99999),
-    st.integers(0, 36_000_000_000 - 1),
-    st.integers(-9_000_000_000, 9_000_000_000),
-    st.integers(0, 2),
-)
-
-
-@settings(deadline=None, derandomize=True)
-@given(st.lists(numbers, max_size=20))
-def test_the_table_is_read_back_as_it_was_written(tmp_path_factory, rows):
-    columns = np.array(rows, dtype=np.int64).reshape(-1, 7)
-    table = GalaxyTable(columns[:, :3], columns[:, 3], columns[:, 4] / 1e8, columns[:, 5] / 1e8, columns[:, 6])
-    path = tmp_path_factory.mktemp("t") / "t.dat"
-    path.write_text(format_galaxy_table(table))
-    back = read_galaxy_table(path)
-    for name in ("tyc", "pgc", "ra", "dec", "code"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(table, name))
-
-
-GOOD = "9537 12121 3 65866   0.00000000   4.25000000 S"
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        (GOOD + " ", "line 2 has 47 bytes, not 46"),
-        (GOOD[:-1], "line 2 has 45 bytes, not 46"),
-        ("", "line 2 has 0 bytes, not 46"),
-        ("9537x12121 3 65866   0.00000000   4.25000000 S", "line 2: byte 5 is 'x', not a blank"),
-        (
-            "9537 12121 3 65866   0.00000000   4.25000000 X",
-            "line 2: class (bytes 46-46) is 'X', must be one of G, U, S",
-        ),
-        ("9537 12121 3 65866   0.00000000   4.25000000  ", "line 2: class (bytes 46-46) is ' '"),
-        ("   a 12121 3 65866   0.00000000   4.25000000 S", "TYC1 (bytes 1-4) is '   a', must be an integer 1..9999"),
-        ("   0 12121 3 65866   0.00000000   4.25000000 S", "TYC1 (bytes 1-4) is '   0'"),
-        ("9537 12121 3       " + GOOD[19:], "PGC (bytes 14-18) is '     ', must be an integer 1..99999"),
-        (
-            "9537 12121 3 65866 360.00000001   4.25000000 S",
-            "RAdeg (bytes 20-31) is '360.00000001', must be a number 0..360",
-        ),
-        (
-            "9537 12121 3 65866   0.00000000 -90.00000001 S",
-            "DEdeg (bytes 33-44) is '-90.00000001', must be a number -90..90",
-        ),
-        ("9537 12121 3 65866          nan   4.25000000 S", "RAdeg (bytes 20-31)"),
-        ("9537 12121 3 65866   0.0000 000   4.25000000 S", "RAdeg (bytes 20-31)"),
-    ],
-)
-def test_a_bad_line_of_the_table_is_named(tmp_path, line, message):
-    path = tmp_path / "t.dat"
-    path.write_text(f"{GOOD}\n{line}\n{GOOD}\n")
-    with pytest.raises(SweepError, match=re.escape(message)) as error:
-        read_galaxy_table(path)
-    assert error.value.where == str(path)
-
-
-def test_a_table_that_is_no_text_or_not_there(tmp_path):
-    (tmp_path / "b.dat").write_bytes(b"\xff\xfe" * 30)
-    with pytest.raises(SweepError, match="byte 0 is not ASCII"):
-        read_galaxy_table(tmp_path / "b.dat")
-    with pytest.raises(SweepError, match="No such file"):
-        read_galaxy_table(tmp_path / "c.dat")
-
-
-def test_windows_line_ends_are_read(tmp_path):
-    (tmp_path / "t.dat").write_bytes(f"{GOOD}\r\n{GOOD}\r\n".encode())
-    assert len(read_galaxy_table(tmp_path / "t.dat")) == 2
-
-
-def test_a_galaxy_without_pgc_number_or_with_a_long_one_does_not_fit():
-    table = GalaxyTable(
-        np.array([[1, 13, 1], [1, 14, 1]]), np.array([0, 100_000]), np.zeros(2), np.zeros(2), np.zeros(2, dtype=int)
-    )
-    with pytest.raises(SweepError) as error:
-        format_galaxy_table(table)
-    assert error.value.problems == [
-        "TYC 1-13-1 has no PGC number",
-        "TYC 1-14-1: PGC = 100000 does not fit bytes 14-18, at most 99999",
-    ]
 
 
 def test_without_numbers_for_the_table_nothing_is_written(folder):
@@ -459,14 +348,12 @@ def test_an_existing_file_is_kept_without_overwrite(folder):
 
 
 def test_a_file_that_comes_up_during_the_search_is_kept(folder):
-    from sweep.match import _publish
-
     def write(path):
         path.write_text("ours")
         (folder / "x.dat").write_text("theirs")
 
     with pytest.raises(SweepError, match="exists; --overwrite replaces it"):
-        _publish(folder / "x.dat", write, overwrite=False)
+        publish(folder / "x.dat", write, overwrite=False)
     assert (folder / "x.dat").read_text() == "theirs"
     assert not list(folder.glob(".*"))
 

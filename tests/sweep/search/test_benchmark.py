@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "crossmatch.py"
+SCRIPT = Path(__file__).parents[3] / "benchmarks" / "crossmatch.py"
 
 
 def test_the_benchmark_at_a_small_scale():

@@ -1,0 +1,151 @@
+"""Columns of an astropy table as plain arrays in known units, and one list of all that is wrong with them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweep.contract import suggest
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+UNITS: Mapping[str, str] = {
+    "ra": "deg",
+    "dec": "deg",
+    "ra_error": "mas",
+    "dec_error": "mas",
+    "pmra": "mas / yr",
+    "pmdec": "mas / yr",
+    "pmra_error": "mas / yr",
+    "pmdec_error": "mas / yr",
+    "ref_epoch": "yr",
+    "vt_mag": "mag",
+    "phot_g_mean_mag": "mag",
+}
+"""The columns that are read, as in the Gaia archive, and the units they have where the file does not say."""
+
+TYC = ("TYC1", "TYC2", "TYC3")
+
+COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id")
+
+ROWS_NAMED = 5
+
+
+class ColumnReader:
+    """Reads columns of one table and collects what is wrong with them."""
+
+    def __init__(self, table: Any, columns: Mapping[str, str]) -> None:
+        self.table, self.columns = table, columns
+        self.problems: list[str] = []
+        for key, column in columns.items():
+            if key not in COLUMNS:
+                self.problems.append(f"column map {key}={column}: there is no quantity {key!r}{suggest(key, COLUMNS)}")
+            elif column not in table.colnames:
+                self.problems.append(
+                    f"column map {key}={column}: no column {column!r}{suggest(column, table.colnames)}"
+                )
+
+    def has(self, key: str) -> bool:
+        """Return whether the table has the column of a quantity."""
+        return self.columns.get(key, key) in self.table.colnames
+
+    def label(self, key: str) -> str:
+        """Return how messages call a quantity: its name, and that of its column if it is another."""
+        column = self.columns.get(key, key)
+        return key if column == key else f"{key} (column {column!r})"
+
+    def check(self, bad: Flags, what: str) -> None:
+        """Note that rows have something wrong, where ``bad`` holds."""
+        if bad.any():
+            self.problems.append(rows_text(bad, what))
+
+    def require(self, key: str, hint: str = "") -> bool:
+        """Return `has`, and note a column that is missing."""
+        if not self.has(key):
+            column = self.columns.get(key, key)
+            if key not in self.columns:
+                self.problems.append(f"no column {column!r}{suggest(column, self.table.colnames)}{hint}")
+            return False
+        return True
+
+    def number(self, key: str, may_miss: bool = False) -> Array | None:
+        """Return a column as float64 in its unit of `UNITS`, NaN where it is missing."""
+        from astropy import units
+
+        column = self.table[self.columns.get(key, key)]
+        values = self._plain(key, column, "fiub")
+        if values is None:
+            return None
+        numbers = values.astype(np.float64)
+        unit = getattr(column, "unit", None)
+        if unit is not None:
+            try:
+                factor = units.Unit(unit).to(units.Unit(UNITS[key]))
+            except (units.UnitsError, TypeError, ValueError) as error:
+                self.problems.append(f"{self.label(key)} is in {str(unit)!r}, which is no {UNITS[key]!r}: {error}")
+                return None
+            numbers = numbers if factor == 1.0 else numbers * factor
+        missing = np.isnan(numbers) | self._mask(column)
+        numbers[missing] = np.nan
+        if not may_miss:
+            self.check(missing, f"no {self.label(key)}")
+        self.check(np.isinf(numbers), f"an infinite {self.label(key)}")
+        return numbers
+
+    def integer(self, key: str, may_miss: bool = False) -> Indices | None:
+        """Return a column of integers, 0 where it is missing."""
+        column = self.table[self.columns.get(key, key)]
+        values = self._plain(key, column, "iuf")
+        if values is None:
+            return None
+        missing = self._mask(column)
+        if values.dtype.kind == "f":
+            missing = missing | np.isnan(values)
+            whole = np.where(missing, 0.0, values)
+            fraction = ~(np.abs(whole) < 2.0**53) | (whole != np.floor(whole))
+            self.check(fraction, f"a {self.label(key)} that is no integer")
+            values = np.where(fraction, 0.0, whole)
+        integers = values.astype(np.int64)
+        integers[missing] = 0
+        if not may_miss:
+            self.check(missing, f"no {self.label(key)}")
+        return integers
+
+    def text(self, key: str) -> list[str] | None:
+        """Return a column of strings, '' where it is missing."""
+        column = self.table[self.columns.get(key, key)]
+        values = self._plain(key, column, "USO")
+        if values is None:
+            return None
+        missing = self._mask(column)
+        return ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing.tolist(), strict=True)]
+
+    def _plain(self, key: str, column: Any, kinds: str) -> NDArray[Any] | None:
+        """Return a column's values, or None and a problem if they are not of these kinds, one a row."""
+        dtype = getattr(column, "dtype", None)
+        if dtype is None or dtype.kind not in kinds or column.ndim != 1:
+            kind = type(column).__name__ if dtype is None else f"{dtype}, {getattr(column, 'ndim', 0)}-dimensional"
+            wanted = "strings" if "U" in kinds else "numbers"
+            self.problems.append(f"{self.label(key)} is not a column of {wanted} but of {kind}")
+            return None
+        return (
+            np.asarray(getattr(column, "data", column)) if not hasattr(column, "mask") else np.ma.getdata(column.data)
+        )
+
+    def _mask(self, column: Any) -> Flags:
+        return np.broadcast_to(np.asarray(getattr(column, "mask", False), dtype=bool), (len(self.table),))
+
+
+def rows_text(bad: Flags, what: str) -> str:
+    """Return 'row 3 has ...' or 'rows 3, 5 and 7 more have ...' for the rows (counted from 1) where ``bad`` holds."""
+    rows = np.flatnonzero(bad) + 1
+    shown = ", ".join(str(row) for row in rows[:ROWS_NAMED])
+    more = f" and {len(rows) - ROWS_NAMED} more" if len(rows) > ROWS_NAMED else ""
+    return f"row{'s' if len(rows) > 1 else ''} {shown}{more} {'have' if len(rows) > 1 else 'has'} {what}"
+
+
+def _as_text(value: Any) -> str:
+    return value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)

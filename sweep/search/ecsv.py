@@ -1,0 +1,83 @@
+"""Matches as an ECSV table: written with units, descriptions and the summary, read back with its columns checked."""
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from core.galaxy_classes import CLASS_NAMES
+from sweep.contract import SweepError, suggest
+from sweep.search.columns import TYC, UNITS
+from sweep.search.result import STAR_MOTIONS, Result, match_columns
+from sweep.search.summary import summarise
+from sweep.tablefile import read_astropy_table
+
+COLUMN_UNITS: Mapping[str, str] = {
+    **{STAR_MOTIONS.get(name, name): unit for name, unit in UNITS.items()},
+    "offset": "arcsec",
+    "offset_ra": "arcsec",
+    "offset_dec": "arcsec",
+    "galaxy_ra": "deg",
+    "galaxy_dec": "deg",
+}
+
+MATCH_COLUMNS = {
+    "class": "certain, uncertain or supplement",
+    "reason": "why it is in doubt: crowded, offset, rival; or none",
+    "offset": "angle between star and galaxy at the epoch of the search",
+    "offset_ra": "galaxy - star along ra, with cos(dec)",
+    "offset_dec": "galaxy - star along dec",
+    "offset_sigma": "offset in units of the combined position errors",
+    "n_near": "other stars within the crowding radius",
+    "n_rival": "other stars and galaxies within the match radius",
+    "galaxy_table": "catalogue of the closest entry of the galaxy",
+    "galaxy_row": "row of that entry, from 1",
+    "galaxy_ra": "position of that entry",
+    "galaxy_dec": "position of that entry",
+    "found_in": "all catalogues with the galaxy within their radius",
+    "star_table": "catalogue of the star",
+    "star_row": "row of the star, from 1",
+}
+"""The columns of the ECSV beside those of the star table, and what they mean."""
+
+
+def matches_table(result: Result) -> Any:
+    """Return the matches as an astropy Table with units and descriptions; missing values are masked, ``meta`` is the
+    summary.
+    """
+    from astropy.table import MaskedColumn, Table
+
+    table = Table(meta={"linksweep": version("linksweep"), **summarise(result)})
+    for name, values in match_columns(result).items():
+        missing = np.isnan(values) if values.dtype.kind == "f" else (values == 0) & (name in (*TYC, "source_id", "PGC"))
+        table[name] = MaskedColumn(
+            values,
+            mask=missing if missing.any() else False,
+            unit=COLUMN_UNITS.get(name),
+            description=MATCH_COLUMNS.get(name),
+        )
+    return table
+
+
+def read_matches(path: Path) -> Any:
+    """Return the astropy Table that `write_outputs` wrote as ECSV; its ``meta`` holds the summary.
+
+    Raises SweepError where a column is missing, in another unit or of another kind, or a class unknown.
+    """
+    table = read_astropy_table(path)
+    problems: list[str] = []
+    for name in ("ra", "dec", "ra_error", "dec_error", "PGC", *MATCH_COLUMNS):
+        if name not in table.colnames:
+            problems.append(f"no column {name!r}{suggest(name, table.colnames)}; this is no table of `sweep match`")
+            continue
+        unit, wanted = table[name].unit, COLUMN_UNITS.get(name)
+        if (None if unit is None else str(unit)) != wanted:
+            problems.append(f"column {name!r} is in {str(unit)!r}, not in {wanted!r}")
+    if not problems:
+        bad = sorted({str(name) for name in table["class"]} - set(CLASS_NAMES))
+        problems += [f"class {name!r} is not one of {', '.join(CLASS_NAMES)}" for name in bad]
+    if problems:
+        raise SweepError(problems, str(path))
+    return table

@@ -1,0 +1,99 @@
+"""A search from files to files: tables are read, matched, and what is wanted is written."""
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from core.constants import ARCSEC, DEGREE, MAS
+from core.crossmatch import cross_match
+from core.galaxy_merge import GalaxyCatalogue
+from core.sky_pairs import Positions, at_epoch
+from sweep.contract import SweepError
+from sweep.search.options import Search
+from sweep.search.outputs import Outputs, check_for_galaxy_table, check_outputs, write_outputs
+from sweep.search.result import Result
+from sweep.search.tables import SkyTable, read_galaxies, read_stars, table_name, tyc_code
+
+
+def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: bool = False) -> Result:
+    """Read the tables, match them and write what is wanted.
+
+    Raises SweepError as `check_outputs`, `read_tables`, `match_tables` and `write_outputs`; nothing is written then.
+    """
+    outputs = outputs or Outputs()
+    check_outputs(outputs, search, overwrite)
+    stars, galaxies = read_tables(search)
+    if outputs.table is not None:
+        check_for_galaxy_table(stars)
+    result = match_tables(search, stars, galaxies)
+    write_outputs(result, outputs, overwrite)
+    return result
+
+
+def read_tables(search: Search) -> tuple[tuple[SkyTable, ...], tuple[SkyTable, ...]]:
+    """Return the star tables and the galaxy tables of a search; raises SweepError with the problems of them all."""
+    tables: list[SkyTable] = []
+    problems: list[str] = []
+    star_paths = [path for path in (search.stars, search.supplement) if path is not None]
+    for read, paths in ((read_stars, star_paths), (read_galaxies, list(search.galaxies))):
+        for path in paths:
+            try:
+                tables.append(read(path, search.readings.get(table_name(path))))
+            except SweepError as bad:
+                problems += [f"{path}: {problem}" for problem in bad.problems]
+    if problems:
+        raise SweepError(problems)
+    stars, galaxies = tuple(tables[: len(star_paths)]), tuple(tables[len(star_paths) :])
+    _check_shared_stars(stars)
+    return stars, galaxies
+
+
+def match_tables(search: Search, stars: tuple[SkyTable, ...], galaxies: tuple[SkyTable, ...]) -> Result:
+    """Return the matches; ``stars`` are the star table and, if there is one, the supplement.
+
+    Raises SweepError for a radius that would pair everything with everything.
+    """
+    parts = [_star_positions(table, search.epoch) for table in stars]
+    positions = Positions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Positions)))
+    supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars])
+    catalogues = [
+        GalaxyCatalogue(
+            _positions(table),
+            np.zeros(len(table), dtype=np.int64) if table.pgc is None else table.pgc,
+            search.radius(table.name) * ARCSEC,
+        )
+        for table in galaxies
+    ]
+    try:
+        matches = cross_match(positions, supplement, catalogues, search.rules)
+    except ValueError as error:
+        raise SweepError(str(error)) from error
+    return Result(search, stars, galaxies, matches)
+
+
+def _positions(table: SkyTable) -> Positions:
+    n = table.numbers
+    return Positions(n["ra"] * DEGREE, n["dec"] * DEGREE, n["ra_error"] * MAS, n["dec_error"] * MAS)
+
+
+def _star_positions(table: SkyTable, epoch: float) -> Positions:
+    positions, numbers = _positions(table), table.numbers
+    if "pmra" not in numbers:
+        return positions
+    none = np.zeros(len(table))
+    pmra, pmdec, pmra_error, pmdec_error = (
+        np.nan_to_num(numbers.get(key, none)) * MAS for key in ("pmra", "pmdec", "pmra_error", "pmdec_error")
+    )
+    return at_epoch(positions, pmra, pmdec, pmra_error, pmdec_error, epoch - numbers["ref_epoch"])
+
+
+def _check_shared_stars(stars: Sequence[SkyTable]) -> None:
+    tyc = [table.tyc for table in stars if table.tyc is not None]
+    if len(tyc) == len(stars) == 2:
+        main, supplement = (tyc_code(t) for t in tyc)
+        both = tyc[1][np.isin(supplement, main)]
+        if len(both):
+            named = ", ".join("-".join(map(str, t)) for t in both[:5].tolist())
+            more = f" and {len(both) - 5} more" if len(both) > 5 else ""
+            raise SweepError(f"TYC {named}{more}: in the star table and again in the supplement")

@@ -1,0 +1,196 @@
+"""What is searched and how, from options as on the command line; nothing is read here."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from core.constants import ARCSEC
+from core.galaxy_classes import Rules
+from core.sky_pairs import MAX_RADIUS
+from sweep.contract import SweepError, suggest
+from sweep.search.columns import COLUMNS
+from sweep.search.tables import EPOCHS, Reading, table_name
+
+DEFAULT_RADIUS_ARCSEC = 5.0
+
+DEFAULT_EPOCH = 2000.0
+
+DEFAULT_EPOCH_DIFFERENCE_YR = 20.0
+"""The paper's: 117 and 127 mas give about 6 mas/yr."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """What is searched and how: files, match radius and `Reading` by table name, epoch (Julian year) and rules.
+
+    A second epoch ``epoch_difference_yr`` later with errors of ``second_epoch_error_mas`` is for the summary.
+    """
+
+    stars: Path
+    galaxies: tuple[Path, ...]
+    supplement: Path | None = None
+    radius_arcsec: Mapping[str, float] = field(default_factory=dict)
+    readings: Mapping[str, Reading] = field(default_factory=dict)
+    epoch: float = DEFAULT_EPOCH
+    rules: Rules = field(default_factory=Rules)
+    epoch_difference_yr: float = DEFAULT_EPOCH_DIFFERENCE_YR
+    second_epoch_error_mas: float = 0.0
+
+    def radius(self, name: str) -> float:
+        """Return the match radius of a galaxy table in arcsec."""
+        return self.radius_arcsec.get(name, DEFAULT_RADIUS_ARCSEC)
+
+
+def plan_search(
+    stars: Path,
+    galaxies: Sequence[Path],
+    supplement: Path | None = None,
+    *,
+    radius: Sequence[str] = (),
+    error: Sequence[str] = (),
+    ref_epoch: Sequence[str] = (),
+    column: Sequence[str] = (),
+    missing_pm: Literal["error", "zero"] = "error",
+    epoch: float = DEFAULT_EPOCH,
+    k_sigma: float = Rules.k_sigma,
+    crowding_radius_arcsec: float = Rules.crowding_radius / ARCSEC,
+    crowding_stars: int = Rules.crowding_stars,
+    merge_radius_arcsec: float | None = None,
+    epoch_difference_yr: float = DEFAULT_EPOCH_DIFFERENCE_YR,
+    second_epoch_error_mas: float = 0.0,
+) -> Search:
+    """Return the search that options as on the command line ask for; nothing is read yet.
+
+    ``radius`` and ``error`` (arcsec) and ``ref_epoch`` (yr) are NAME=VALUE, or VALUE for all galaxy tables, for all
+    galaxy tables and for all star tables; ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one.
+    The others are those of `Rules` and `Search`.
+    Raises SweepError for two tables of one name, unknown names and values out of range.
+    """
+    star_names = [table_name(path) for path in (stars, supplement) if path is not None]
+    galaxy_names = [table_name(path) for path in galaxies]
+    names = star_names + galaxy_names
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
+    _check_positive(
+        k_sigma=k_sigma,
+        crowding_radius_arcsec=crowding_radius_arcsec,
+        merge_radius_arcsec=1.0 if merge_radius_arcsec is None else merge_radius_arcsec,
+        epoch_difference_yr=epoch_difference_yr,
+    )
+    if not 0.0 <= second_epoch_error_mas < math.inf:
+        raise SweepError(f"second_epoch_error_mas = {second_epoch_error_mas:g}: must be a finite number, 0 or above")
+    if not EPOCHS[0] <= epoch <= EPOCHS[1]:
+        raise SweepError(f"epoch {epoch:g}: must be a Julian year {EPOCHS[0]:g}..{EPOCHS[1]:g}")
+    rules = Rules(
+        k_sigma,
+        crowding_radius_arcsec * ARCSEC,
+        crowding_stars,
+        None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC,
+    )
+    radii, readings = _of_tables(star_names, galaxy_names, radius, error, ref_epoch, column, missing_pm)
+    return Search(
+        stars, tuple(galaxies), supplement, radii, readings, epoch, rules, epoch_difference_yr, second_epoch_error_mas
+    )
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not 0.0 < value < math.inf:
+            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
+
+
+def _of_tables(
+    star_names: Sequence[str],
+    galaxy_names: Sequence[str],
+    radius: Sequence[str],
+    error: Sequence[str],
+    ref_epoch: Sequence[str],
+    column: Sequence[str],
+    missing_pm: Literal["error", "zero"],
+) -> tuple[dict[str, float], dict[str, Reading]]:
+    """Return the match radii of the galaxy tables and how each table is read; raises SweepError with all problems."""
+    names = [*star_names, *galaxy_names]
+    problems: list[str] = []
+    values: dict[str, dict[str, float]] = {}
+    arcsec = _between(0.0, MAX_RADIUS / ARCSEC, "arcsec")
+    for option, texts, allowed, common_for, convert in (
+        ("--radius", radius, galaxy_names, galaxy_names, arcsec),
+        ("--error", error, names, galaxy_names, arcsec),
+        ("--ref-epoch", ref_epoch, star_names, star_names, _between(*EPOCHS, "yr")),
+    ):
+        try:
+            values[option] = _per_table(option, texts, allowed, common_for, convert)
+        except SweepError as bad:
+            problems += bad.problems
+    columns = _column_maps(column, names, star_names, problems)
+    if problems:
+        raise SweepError(problems)
+    readings = {
+        name: Reading(columns[name], values["--error"].get(name), values["--ref-epoch"].get(name), missing_pm)
+        for name in names
+    }
+    return values["--radius"], readings
+
+
+def _column_maps(
+    texts: Sequence[str], names: Sequence[str], star_names: Sequence[str], problems: list[str]
+) -> dict[str, dict[str, str]]:
+    maps: dict[str, dict[str, str]] = {name: {} for name in names}
+    for named_first in (False, True):  # a map for one table goes before one for all
+        for text in texts:
+            key, equals, column = text.partition("=")
+            name, colon, quantity = key.rpartition(":")
+            if bool(colon) is not named_first:
+                continue
+            if not equals or not column or not quantity:
+                problems.append(f"--column {text}: write KEY=COLUMN or NAME:KEY=COLUMN")
+            elif colon and name not in names:
+                problems.append(f"--column {text}: no table {name!r}{suggest(name, names)}")
+            elif quantity not in COLUMNS:
+                problems.append(f"--column {text}: there is no quantity {quantity!r}{suggest(quantity, COLUMNS)}")
+            else:
+                for table in [name] if colon else star_names:
+                    maps[table][quantity] = column
+    return maps
+
+
+def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
+    def convert(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low < value <= high:
+            raise ValueError(f"must be a number above {low:g} and at most {high:g} [{unit}]")
+        return value
+
+    return convert
+
+
+def _per_table(
+    option: str, values: Sequence[str], names: Sequence[str], common_for: Sequence[str], convert: Callable[[str], float]
+) -> dict[str, float]:
+    """Return {name: value} of an option that is given as NAME=VALUE for one of ``names``, or VALUE for ``common_for``.
+
+    Raises SweepError for an unknown name, a value that ``convert`` refuses with ValueError, or one given twice.
+    """
+    found: dict[str, float] = {}
+    problems: list[str] = []
+    for text in values:
+        name, equals, value = text.rpartition("=")
+        if equals and name not in names:
+            problems.append(f"{option} {text}: no table {name!r}{suggest(name, names)}")
+        elif name in found:
+            problems.append(f"{option} {text}: given twice{f' for {name!r}' if name else ' without a table'}")
+        else:
+            try:
+                found[name] = convert(value)
+            except ValueError as error:
+                problems.append(f"{option} {text}: {error}")
+    if problems:
+        raise SweepError(problems)
+    common = found.pop("", None)
+    return found if common is None else {**dict.fromkeys(common_for, common), **found}

@@ -1,0 +1,215 @@
+"""Star and galaxy tables from files: Gaia's column names and units, and one error that lists all that is wrong."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweep.contract import SweepError
+from sweep.search.columns import TYC, ColumnReader
+from sweep.tablefile import read_astropy_table
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
+
+TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
+"""Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""
+
+EPOCHS = (1700.0, 2300.0)
+
+_TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How one table is read: columns with another name, and values to take instead of a column.
+
+    ``error_arcsec`` is the error of each coordinate, ``ref_epoch`` (yr) the epoch of all positions.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    error_arcsec: float | None = None
+    ref_epoch: float | None = None
+    missing_pm: Literal["error", "zero"] = "error"
+
+
+@dataclass(frozen=True)
+class SkyTable:
+    """A table of N objects: columns in the units of `UNITS`, each of shape (N,).
+
+    ``numbers`` has the columns of `UNITS` that the table has; NaN is a missing magnitude or proper motion, nothing else
+    is missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier.  ``n_missing_pm``
+    rows have no proper motion.
+    """
+
+    path: Path
+    name: str
+    numbers: Mapping[str, Array]
+    tyc: Indices | None
+    pgc: Indices | None
+    source_id: Indices | None
+    n_missing_pm: int = 0
+
+    def __len__(self) -> int:
+        return len(self.numbers["ra"])
+
+    @property
+    def magnitude(self) -> str | None:
+        """Name of the magnitude that is used: vt_mag before phot_g_mean_mag."""
+        return next((name for name in MAGNITUDES if name in self.numbers), None)
+
+
+def table_name(path: Path) -> str:
+    """Return the name by which options call a table: its file name up to the first dot."""
+    return path.name.split(".")[0]
+
+
+def read_stars(path: Path, reading: Reading | None = None) -> SkyTable:
+    """Return a star table: ra, dec and their errors, proper motions with an epoch or none, magnitudes, identifiers.
+
+    Raises SweepError with all that is wrong: a column or unit that is missing or strange, rows without a value or
+    with an impossible one, an identifier twice.
+    """
+    return _read(path, reading or Reading(), stars=True)
+
+
+def read_galaxies(path: Path, reading: Reading | None = None) -> SkyTable:
+    """Return a galaxy table: ra, dec, their errors and PGC numbers; raises SweepError as `read_stars`.
+
+    Proper motions are not read: a galaxy has none, a measured one is noise.
+    """
+    return _read(path, reading or Reading(), stars=False)
+
+
+def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
+    table = read_astropy_table(path)
+    reader = ColumnReader(table, reading.columns)
+    if len(table) == 0:
+        raise SweepError("has no rows", str(path))
+    numbers = _positions(reader, reading)
+    missing_pm = _motions(reader, reading, numbers) if stars else 0
+    for key in MAGNITUDES:
+        if stars and reader.has(key) and (magnitude := reader.number(key, may_miss=True)) is not None:
+            numbers[key] = magnitude
+    tyc = _tyc(reader) if stars else None
+    pgc = reader.integer("PGC", may_miss=True) if not stars and reader.has("PGC") else None
+    source_id = reader.integer("source_id") if stars and reader.has("source_id") else None
+    if pgc is not None:
+        reader.check(pgc < 0, "a negative PGC number")
+    if reader.problems:
+        raise SweepError(reader.problems, str(path))
+    return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, missing_pm)
+
+
+def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
+    numbers: dict[str, Array] = {}
+    for key in ("ra", "dec"):
+        if reader.require(key) and (values := reader.number(key)) is not None:
+            numbers[key] = values
+    if "ra" in numbers:
+        reader.check((numbers["ra"] < 0.0) | (numbers["ra"] > 360.0), "an ra outside 0..360 deg")
+    if "dec" in numbers:
+        reader.check(np.abs(numbers["dec"]) > 90.0, "a dec outside -90..90 deg")
+    keys = ("ra_error", "dec_error")
+    if reading.error_arcsec is not None:
+        return {**numbers, **{key: np.full(len(reader.table), 1000.0 * reading.error_arcsec) for key in keys}}
+    for key in keys:
+        if reader.require(key, "; or give its error in arcsec with --error") and (
+            (values := reader.number(key)) is not None
+        ):
+            reader.check(values <= 0.0, f"a {reader.label(key)} that is not above 0")
+            numbers[key] = values
+    return numbers
+
+
+def _motions(reader: ColumnReader, reading: Reading, numbers: dict[str, Array]) -> int:
+    """Read proper motions and epoch into ``numbers``; return how many rows have no proper motion."""
+    motions, n_missing = [key for key in ("pmra", "pmdec") if reader.has(key)], 0
+    if motions:
+        values = {key: reader.number(key, may_miss=True) for key in ("pmra", "pmdec") if reader.require(key)}
+        errors = {
+            key: reader.number(key, may_miss=True)
+            for key in ("pmra_error", "pmdec_error")
+            if reader.has(key) or key in reader.columns
+        }
+        missing = np.zeros(len(reader.table), dtype=bool)
+        for key, column in values.items():
+            if column is not None:
+                numbers[key] = column
+                missing |= np.isnan(column)
+        for key, column in errors.items():
+            if column is not None:
+                reader.check(column < 0.0, f"a negative {reader.label(key)}")
+                reader.check(np.isnan(column) & ~missing, f"no {reader.label(key)}")
+                numbers[key] = np.where(missing, np.nan, column)
+        n_missing = int(missing.sum())
+        if reading.missing_pm == "error":
+            reader.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
+        for key in motions:
+            if key in numbers:
+                numbers[key][missing] = np.nan
+    _epoch(reader, reading, numbers, needed=bool(motions))
+    return n_missing
+
+
+def _epoch(reader: ColumnReader, reading: Reading, numbers: dict[str, Array], needed: bool) -> None:
+    if reading.ref_epoch is not None:
+        numbers["ref_epoch"] = np.full(len(reader.table), reading.ref_epoch)
+    elif reader.has("ref_epoch"):
+        if (epoch := reader.number("ref_epoch")) is not None:
+            low, high = EPOCHS
+            reader.check((epoch < low) | (epoch > high), f"a ref_epoch that is no Julian year ({low:g}..{high:g})")
+            numbers["ref_epoch"] = epoch
+    elif needed:
+        reader.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")
+
+
+def _tyc(reader: ColumnReader) -> Indices | None:
+    parts = [key for key in TYC if reader.has(key)]
+    if parts:
+        columns = [reader.integer(key) for key in TYC if reader.require(key)]
+    elif reader.has("TYC") and (texts := reader.text("TYC")) is not None:
+        parsed = np.array([_parse_tyc(text) for text in texts], dtype=np.int64)
+        bad = parsed[:, 0] < 0
+        reader.check(bad, f"a {reader.label('TYC')} that is no Tycho identifier like '1-13-1'")
+        if bad.any():
+            return None
+        columns = list(parsed.T)
+    else:
+        return None
+    good = [column for column in columns if column is not None]
+    if len(good) < len(TYC):
+        return None
+    tyc = np.stack(good, axis=1)
+    n_problems = len(reader.problems)
+    for key, column in zip(TYC, good, strict=True):
+        limit = TYC_LIMITS[key]
+        reader.check((column < 1) | (column > limit), f"a {reader.label(key)} outside 1..{limit}")
+    if len(reader.problems) == n_problems:
+        reader.check(_repeated(tyc), "a Tycho identifier that stands in the table before")
+    return tyc
+
+
+def _parse_tyc(text: str) -> tuple[int, int, int]:
+    """Return the three numbers of '1-13-1' or 'TYC 1-13-1', negative ones if it is nothing like that."""
+    match = _TYC_TEXT.fullmatch(text)
+    return (int(match[1]), int(match[2]), int(match[3])) if match else (-1, -1, -1)
+
+
+def tyc_code(tyc: Indices) -> Indices:
+    """Return one number for each Tycho identifier; (N, 3) becomes (N,)."""
+    return np.asarray(tyc @ np.array([1_000_000, 10, 1]))
+
+
+def _repeated(tyc: Indices) -> Flags:
+    code = tyc_code(tyc)
+    first = np.zeros(len(code), dtype=bool)
+    first[np.unique(code, return_index=True)[1]] = True
+    return np.asarray(~first)
