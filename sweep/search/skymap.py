@@ -32,8 +32,9 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.0, 4.7), layout="constrained")
-    axes: Any = figure.add_subplot(projection="mollweide")  # a GeoAxes, which matplotlib does not declare
+    figure = Figure(figsize=(8.0, 4.9))
+    place = (0.1, 0.14, 0.88, 0.86)  # left, bottom, width, height
+    axes: Any = figure.add_axes(place, projection="mollweide")  # a GeoAxes, which matplotlib does not declare
     _plot_background(axes, background)
     axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
     for name, (marker, colour) in STYLES.items():
@@ -51,7 +52,7 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
             label=f"{name} ({_count(len(longitude))})",
         )
     _draw_grid(axes)
-    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
+    figure.legend(loc="lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
     return figure
 
 
