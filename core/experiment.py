@@ -85,8 +85,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
 def cost(point: Point) -> float:
     """Return how many normal deviates one realisation takes."""
     reference, satellite = (np.any(sigma) for sigma in errors_at_limit(point))
-    sides = 2 * bool(reference and satellite) or bool(reference or satellite)
-    return float(4 * sides * catalogue_size(point))
+    return float(4 * (int(reference) + int(satellite)) * catalogue_size(point))
 
 
 def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:

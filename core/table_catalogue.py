@@ -62,6 +62,7 @@ def catalogue_from_table(table: Table, columns: Mapping[str, str], pmra_cos_dec:
 
     ra, dec = read("ra"), read("dec")
     _check_rows(np.abs(dec) < 90.0, "dec is not between -90 and 90 deg, poles excluded,")
+    _check_rows((ra >= -180.0) & (ra <= 360.0), "ra is not between -180 and 360 deg")
     n_obj = len(ra)
     moving = names["pmra"] is not None or names["pmdec"] is not None
     pmra, pmdec = (read("pmra"), read("pmdec")) if moving else (np.zeros(n_obj), np.zeros(n_obj))

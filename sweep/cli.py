@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from sweep.run import Resources
     from sweep.study import Study
 
@@ -29,6 +27,9 @@ class _Group(click.Group):
 
         try:
             return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            sys.exit(EXIT_INTERRUPTED)
         except SweepError as error:
             where = f"{error.where}: " if error.where else ""
             if len(error.problems) == 1:
@@ -241,9 +242,7 @@ def calibrate(as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(report, indent=1))
         return
-    from rich.console import Console
-
-    Console(width=None if sys.stdout.isatty() else 200).print(as_text(report), highlight=False)
+    _print_whole(as_text(report))
 
 
 @main.command()
@@ -335,7 +334,7 @@ def params(experiment: str, as_json: bool) -> None:
         click.echo(json.dumps(rows, indent=1))
         return
     for row in rows:
-        default = "decided by the experiment" if row["default"] is None else row["default"]
+        default = "see below" if row["default"] is None else row["default"]
         unit = f" [{row['unit']}]" if row["unit"] else ""
         click.echo(f"{row['name']}{unit}  default: {default}\n    {row['meaning']}; {row['allowed']}")
 
@@ -487,11 +486,8 @@ def match(
     if as_json:
         click.echo(json.dumps(summary, indent=1))
     else:
-        from rich.console import Console
-
-        console = Console(width=None if sys.stdout.isatty() else 200, highlight=False)
         for part in summary_text(summary):
-            console.print(part)
+            _print_whole(part)
     for path in outputs.paths():
         click.echo(f"wrote {path}", err=True)
 
@@ -555,15 +551,21 @@ def _print_comparisons(comparisons: Any, remarks: list[str], table_format: str) 
         for sentence in remarks:
             click.echo(sentence, err=True)
         return
-    _console().print(compare_tables.as_text(comparisons))
+    _print_whole(compare_tables.as_text(comparisons))
     for sentence in ("", *compare_tables.notes(comparisons), *remarks, compare_tables.summary_line(comparisons)):
         click.echo(sentence)
 
 
-def _console() -> "Console":
+def _print_whole(renderable: Any) -> None:
+    """Print a table or text as wide as it is: a terminal may wrap it, but no number is cut."""
     from rich.console import Console
+    from rich.measure import Measurement
 
-    return Console(width=None if sys.stdout.isatty() else 200)
+    terminal = Console(highlight=False)
+    endless = terminal.options.update(width=10_000)
+    needed = Measurement.get(terminal, endless, renderable).maximum
+    width = max(needed, terminal.width if sys.stdout.isatty() else 1)
+    Console(width=width, highlight=False).print(renderable, soft_wrap=False)
 
 
 def _print_plan(study: "Study", store: Path, as_json: bool) -> None:
@@ -581,12 +583,10 @@ def _print_table(dataset: Any, table_format: str) -> None:
     from sweep import tables
 
     if table_format == "text":
-        console = _console()
-        console.print(tables.as_text(dataset))
+        _print_whole(tables.as_text(dataset))
         if not dataset.attrs.get("complete"):
-            console.print(
-                f"INCOMPLETE: {dataset.attrs.get('points_done')} of {dataset.attrs.get('points')} points are done",
-                highlight=False,
+            click.echo(
+                f"INCOMPLETE: {dataset.attrs.get('points_done')} of {dataset.attrs.get('points')} points are done"
             )
     else:
         write = {"csv": tables.as_csv, "ecsv": tables.as_ecsv, "json": tables.as_json}[table_format]

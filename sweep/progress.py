@@ -72,7 +72,8 @@ class TerminalProgress:
             f"{self._points:,}/{self._survey.total.points:,} points, {self._realisations / elapsed:,.0f} realisations/s"
         )
 
-    @staticmethod
-    def say(text: str) -> None:
-        """Print one line."""
+    def say(self, text: str) -> None:
+        """Print one line, after the bar if there is one."""
+        if self._bar is not None:
+            self._bar.stop()
         print(text, file=sys.stderr, flush=True)

@@ -1,12 +1,13 @@
 """Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
 
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import xarray as xr
 
+from sweep.contract import SweepError
 from sweep.execute import Executor, Pool, available_cores, dask_local, dask_scheduler, serial
 from sweep.grid import make_grid
 from sweep.plan import Plan, PlanSize, Survey, tasks
@@ -74,6 +75,7 @@ def run_study(
     where, executor = choose_executor(study, survey, resources)
     with executor as run:
         writer = Writer(plan, survey.remaining, create_or_resume(store, study, provenance(study)))
+        writer.write()  # so that there is a labelled, if empty, dataset from the start
         progress.start(survey, where)
         try:
             for works, result in run(tasks(plan.pending(frozenset(writer.store.rows)))):
@@ -82,7 +84,8 @@ def run_study(
             writer.write()
             raise RunInterruptedError from stop
         except BaseException:
-            writer.store.flush()
+            with suppress(SweepError):
+                writer.store.flush()
             raise
         return writer.write(), writer.failures
 

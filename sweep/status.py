@@ -12,7 +12,7 @@ from sweep.execute import available_cores
 from sweep.plan import TARGET
 from sweep.results import STATUS_WORDS
 from sweep.run import plan_study
-from sweep.store import open_dataset
+from sweep.store import finished_blocks, open_dataset
 from sweep.study import Study
 
 
@@ -25,6 +25,7 @@ def status_report(store: Path) -> dict[str, Any]:
         "title": attributes["title"],
         "complete": bool(attributes["complete"]),
         "points": {word: int(np.sum(codes == code)) for code, word in enumerate(STATUS_WORDS)},
+        "blocks in the ledger": finished_blocks(store),
         "realisations done": int(dataset["n_sim_done"].sum()),
         "failures": json.loads(attributes["failures"]),
         "provenance": {
@@ -50,7 +51,11 @@ def plan_report(study: Study, store: Path) -> dict[str, Any]:
     """
     plan, survey = plan_study(study, store)
     grid = plan.grid
-    floats = sum(int(np.prod([len(study.experiment.coordinates[d]) for d in o.dims])) for o in study.experiment.outputs)
+    floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
+    samples = study.experiment.samples_width * survey.total.realisations if study.sampling.keep_samples else 0
+    result_mb = 8e-6 * (floats + samples)
+    ledger_mb = 8e-6 * (study.experiment.sums_width * survey.total.blocks + samples)
+    evaluations = 2 if study.sampling.keep_samples else 1
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {len(study.axes[name])}" for name in grid.dimensions) or "one point",
@@ -60,15 +65,16 @@ def plan_report(study: Study, store: Path) -> dict[str, Any]:
         "realisations_pending": survey.pending.realisations,
         "blocks_pending": survey.pending.blocks,
         "tasks_about": math.ceil(survey.pending.cost / TARGET),
-        "result_mb": round(8e-6 * floats * len(grid), 3),
-        "ledger_mb": round(8e-6 * study.experiment.sums_width * survey.total.blocks, 3),
-        "seconds": round(survey.pending.cost / (_normals_per_second() * available_cores()), 1),
+        "result_mb": round(result_mb, 3),
+        "ledger_mb": round(ledger_mb, 3),
+        "memory_mb": round(result_mb + ledger_mb, 3),
+        "seconds": round(evaluations * survey.pending.cost / (_normals_per_second() * available_cores()), 1),
         "store": str(store),
     }
 
 
 def _normals_per_second() -> float:
-    """Time a fifth of a million normals: what a realisation costs is nearly all random numbers."""
+    """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
     rng = np.random.Generator(np.random.SFC64(0))
     buffer = np.empty(65536)
     begun = time.perf_counter()

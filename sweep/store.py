@@ -9,7 +9,8 @@ merely shorter.  Only the client writes.
 import json
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -84,7 +85,11 @@ class Store:
                 self.flush()
 
     def flush(self) -> None:
-        """Make everything appended so far durable."""
+        """Make everything appended so far durable; raises SweepError where that is not possible."""
+        with _writing(self.path):
+            self._flush()
+
+    def _flush(self) -> None:
         if not self._unwritten:
             return
         self._flush_samples()
@@ -108,7 +113,14 @@ class Store:
             self._unwritten_samples = []
 
     def write(self, dataset: xr.Dataset) -> None:
-        """Replace the labelled dataset; until its last step the store says that it is incomplete."""
+        """Replace the labelled dataset; until its last step the store says that it is incomplete.
+
+        Raises SweepError where it cannot be written.
+        """
+        with _writing(self.path):
+            self._write(dataset)
+
+    def _write(self, dataset: xr.Dataset) -> None:
         group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
         encoding: dict[str, Any] = {}
         for name, variable in dataset.variables.items():
@@ -186,8 +198,27 @@ def create_or_resume(path: Path, study: Study, attributes: Mapping[str, Any]) ->
     """
     check_store(path, study)
     if not (path / "zarr.json").exists():
-        zarr.create_group(path, zarr_format=3, attributes={**attributes, **_identity(study), "complete": 0})
+        with _writing(path):
+            zarr.create_group(path, zarr_format=3, attributes={**attributes, **_identity(study), "complete": 0})
     return Store(path, study)
+
+
+def finished_blocks(path: Path) -> int:
+    """Return how many blocks the ledger of a store holds, whatever its dataset says."""
+    try:
+        index = zarr.open_array(path, path="blocks/index", mode="r")
+        return int(np.asarray(index[:]).any(axis=1).sum())
+    except (OSError, ValueError, RuntimeError):
+        return 0
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SweepError(f"cannot be written: {reason}; what was finished before is kept", str(path)) from error
 
 
 def done_rows(path: Path, study: Study) -> Mapping[bytes, int]:
@@ -217,8 +248,8 @@ def _differences(attributes: Mapping[str, Any], study: Study) -> list[str]:
     """Say in what the meaning of stored results differs from a study's; values of what is an axis in either do not."""
     old, new = json.loads(attributes["study_meaning"]), json.loads(_identity(study)["study_meaning"])
     axes = {*json.loads(attributes["study_axes"]), *study.axes}
-    defaults = study.experiment.defaults()
-    pairs = [(key, old.get(key), new.get(key)) for key in sorted({*old, *new} - {"fixed"})]
+    defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
+    pairs = [(key, old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new} - {"fixed"})]
     pairs += [
         (f"fixed.{name}", old["fixed"].get(name, defaults.get(name)), new["fixed"].get(name, defaults.get(name)))
         for name in sorted({*old["fixed"], *new["fixed"]} - axes)

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 MOST_DECIMALS = 9
 
-FORMATS = ("text", "csv", "ecsv", "json")
-
 
 def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
     """Return columns {name: (unit, values)} with one row a point: the axes, then every variable without further
@@ -80,11 +78,17 @@ def as_text(dataset: xr.Dataset) -> "Table":
     """Return the headline results for reading: value +- Monte-Carlo error, prediction, published value and
     difference.
     """
+    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
     columns = _without_excluded(long_table(dataset))
     table = Table(
-        title=str(dataset.attrs.get("title", "")), title_justify="left", box=None, pad_edge=False, header_style="bold"
+        title=Text(str(dataset.attrs.get("title", ""))),
+        title_justify="left",
+        box=None,
+        pad_edge=False,
+        header_style="bold",
     )
     cells: list[list[str]] = []
     axes = _axis_coordinates(dataset, axes_of(dataset))
@@ -106,7 +110,7 @@ def as_text(dataset: xr.Dataset) -> "Table":
     if set(columns["status"][1]) != {"done"}:
         _add(table, cells, "status", "", columns["status"][1])
     for row in zip(*cells, strict=True):
-        table.add_row(*row)
+        table.add_row(*map(escape, row))
     return table
 
 
@@ -116,7 +120,10 @@ def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tu
 
 
 def _add(table: "Table", cells: list[list[str]], name: str, unit: str, values: list[str]) -> None:
-    table.add_column(f"{name}\n\\[{unit}]" if unit else name, justify="right", no_wrap=True)
+    from rich.text import Text
+
+    heading = f"{name}\n[{unit}]" if unit else name
+    table.add_column(Text(heading), justify="right", no_wrap=True)
     cells.append(values)
 
 

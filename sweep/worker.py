@@ -44,7 +44,9 @@ def run_task(task: Task) -> TaskResult:
     for number, (parameters, digest, block) in enumerate(task.items):
         try:
             sums[number] = run_block(experiment, parameters, digest, block, task.seed)
-            if task.keep_samples:
+            if np.isnan(sums[number]).all():
+                errors[number] = "all sums are NaN"
+            elif task.keep_samples:
                 samples[number] = sample_block(experiment, parameters, digest, block, task.seed)
         except Exception as error:  # a point that fails must not take others with it
             errors[number] = f"{type(error).__name__}: {error}"

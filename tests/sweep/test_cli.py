@@ -102,3 +102,19 @@ def test_the_four_axis_grid_runs(sweep, tmp_path):
     assert dataset["status"].size >= 200
     off = (dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / dataset["sigma_spin_mc_error"]
     assert abs(off).max() < 4.5  # 200 points
+
+
+def test_no_number_is_cut_on_a_narrow_terminal(sweep, link_study, tmp_path):
+    sweep("run", link_study, "-o", tmp_path / "s.zarr", "--set", "n_sim=20")
+    command = f"stty cols 40; {sys.executable} -m sweep show {tmp_path}/s.zarr"
+    shown = subprocess.run(["script", "-qec", command, "/dev/null"], capture_output=True, text=True, check=True).stdout
+    assert "sigma_spin" in shown
+    assert "…" not in shown
+
+
+def test_a_disk_that_is_full_is_said(sweep, link_study, tmp_path):
+    """/dev/full has no room and is no directory; the store below a file system without room is the same case."""
+    code, _, err = sweep("run", link_study, "-o", "/proc/linksweep.zarr", "--set", "n_sim=20")
+    assert code == 2
+    assert "Traceback" not in err
+    assert "/proc" in err

@@ -1,5 +1,7 @@
 """The platform with a small experiment that is not astronomical."""
 
+import io
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -145,3 +147,22 @@ def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
     serial, _ = run(coins, tmp_path / "serial.zarr")
     parallel, _ = run(coins, tmp_path / "dask.zarr", Resources(workers=2, pool=pool))
     xr.testing.assert_identical(serial.drop_attrs(), parallel.drop_attrs())
+
+
+def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.worker.run_block", lambda *arguments: np.full(2, np.nan))
+    dataset, failures = run(coins, tmp_path / "s.zarr")
+    assert set(failures.values()) == {"all sums are NaN"}
+    assert (dataset["status"] == 2).all()
+
+
+def test_a_title_is_shown_as_it_is_written(coins, tmp_path):
+    """Square brackets are markup to the library that draws the table."""
+    from rich.console import Console
+
+    from sweep.tables import as_text
+
+    dataset, _ = run(coins | {"title": "Coins [/mas] [bold]x"}, tmp_path / "s.zarr")
+    console = Console(file=io.StringIO(), width=200)
+    console.print(as_text(dataset))
+    assert "Coins [/mas] [bold]x" in " ".join(console.file.getvalue().split())
