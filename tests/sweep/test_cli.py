@@ -112,8 +112,8 @@ def test_no_number_is_cut_on_a_narrow_terminal(sweep, link_study, tmp_path):
     assert "…" not in shown
 
 
-def test_a_disk_that_is_full_is_said(sweep, link_study, tmp_path):
-    """/dev/full has no room and is no directory; the store below a file system without room is the same case."""
+def test_a_place_that_cannot_be_written_is_said(sweep, link_study):
+    """/proc takes no files, not even from root, whom no permission keeps out."""
     code, _, err = sweep("run", link_study, "-o", "/proc/linksweep.zarr", "--set", "n_sim=20")
     assert code == 2
     assert "Traceback" not in err
