@@ -197,9 +197,11 @@ class Experiment:
     """What the platform sweeps.
 
     ``sums`` gives the shape of each additive quantity that ``evaluate`` returns, ``coordinates`` the labels of each
-    dimension that an output uses, ``check`` a sentence about a point that cannot be computed (None if it can),
-    ``cost`` the random numbers drawn per realisation. A new ``version`` says that the same parameters now give other
-    numbers: stores of another version are not continued.
+    dimension that an output uses, ``component_units`` the unit of each label where they differ, ``check`` a sentence
+    about a point that cannot be computed (None if it can), ``cost`` the random numbers drawn per realisation.
+    ``samples``, for studies that keep them, returns from equal generators the realisations that ``evaluate`` adds up,
+    each of ``sample_outputs`` of shape (points, n_sim, *dims).  A new ``version`` says that the same parameters now
+    give other numbers: stores of another version are not continued.
     """
 
     name: str

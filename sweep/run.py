@@ -75,7 +75,8 @@ def run_study(
     where, executor = choose_executor(study, survey, resources)
     with executor as run:
         writer = Writer(plan, survey.remaining, create_or_resume(store, study, provenance(study)))
-        writer.write()  # so that there is a labelled, if empty, dataset from the start
+        if survey.pending.blocks:
+            writer.write()  # so that there is a labelled, if empty, dataset from the start
         progress.start(survey, where)
         try:
             for works, result in run(tasks(plan.pending(frozenset(writer.store.rows)))):

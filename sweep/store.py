@@ -1,8 +1,9 @@
 """The Zarr store of a study: an append-only ledger of finished blocks, and the labelled dataset made from it.
 
 The ledger is the truth: group ``blocks`` with two arrays of equal rows, ``index`` (who a row is, 32 bytes as
-`sweep.plan.ledger_key` says) and ``sums`` (the block's sums).  Chunks are whole files that replace their predecessors
-in one step, the sums before the index that names them, so that a process killed at any instant leaves a ledger that is
+`sweep.plan.ledger_key` says) and ``sums`` (the block's sums), and ``samples`` where a study keeps them, the
+realisations of one row after those of another.  Chunks are whole files that replace their predecessors in one step,
+samples and sums before the index that names them, so that a process killed at any instant leaves a ledger that is
 merely shorter.  Only the client writes.
 """
 
@@ -42,7 +43,9 @@ class Store:
         self._rows_per_chunk = max(64, 2 ** int(np.log2(CHUNK_BYTES / (8 * max(width, 1)))))
         self._index = self._array("index", KEY_BYTES, "uint8", 0)
         self._sums = self._array("sums", width, "float64", np.nan)
-        self._samples = self._sample_array() if study.sampling.keep_samples else None
+        self._samples: zarr.Array[Any] | None = None
+        if study.sampling.keep_samples:
+            self._samples = self._array("samples", study.experiment.samples_width, "float64", np.nan)
         self.rows = self._read_index()
         self._next = 1 + max(self.rows.values(), default=-1)
         self._sample_ends = _ends_of_samples(np.asarray(self._index[: self._next]))
@@ -141,9 +144,6 @@ class Store:
         with warnings.catch_warnings():  # zarr-python#3709: consolidated metadata is not in the v3 specification yet
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             zarr.consolidate_metadata(self.path)
-
-    def _sample_array(self) -> zarr.Array[Any]:
-        return self._array("samples", self.study.experiment.samples_width, "float64", np.nan)
 
     def _array(self, name: str, width: int, dtype: str, fill: float) -> zarr.Array[Any]:
         try:

@@ -1,5 +1,6 @@
 """What runs on a worker: a task's blocks, one after the other, each to its sums."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ from sweep.plan import Block, generators
 class Task:
     """Blocks of points to compute, as plain values that pickle small.
 
-    ``items`` holds (parameters of the point, its digest, the block).
+    ``items`` holds (parameters of the point, its digest, the block); ``keep_samples`` asks for the realisations too.
     """
 
     experiment_reference: str
@@ -58,8 +59,7 @@ def run_block(
 ) -> NDArray[np.float64]:
     """Return the sums of one block, flat in the order of `Experiment.sums`."""
     total = np.zeros(experiment.sums_width)
-    for catalogue in range(block.first_catalogue, block.first_catalogue + block.n_cat):
-        rng, catalogue_rng = generators(seed, digest, catalogue, block.part)
+    for rng, catalogue_rng in _streams(digest, block, seed):
         sums = experiment.evaluate([parameters], block.n_sim, rng, catalogue_rng)
         total += np.concatenate([np.reshape(sums[name], -1) for name in experiment.sums], dtype=np.float64)
     return total
@@ -71,8 +71,13 @@ def sample_block(
     """Return the realisations of one block themselves, catalogue by catalogue, flat in the order of the outputs."""
     assert experiment.samples is not None, "a study that keeps samples was validated"
     rows = []
-    for catalogue in range(block.first_catalogue, block.first_catalogue + block.n_cat):
-        rng, catalogue_rng = generators(seed, digest, catalogue, block.part)
+    for rng, catalogue_rng in _streams(digest, block, seed):
         drawn = experiment.samples([parameters], block.n_sim, rng, catalogue_rng)
         rows.append(np.hstack([np.reshape(drawn[o.name], (block.n_sim, -1)) for o in experiment.sample_outputs]))
     return np.concatenate(rows)
+
+
+def _streams(digest: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:
+    """Yield the generators of a block's part of each of its catalogues, and of the catalogue."""
+    for catalogue in range(block.first_catalogue, block.first_catalogue + block.n_cat):
+        yield generators(seed, digest, catalogue, block.part)

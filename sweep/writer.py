@@ -63,7 +63,6 @@ class Writer:
         """Write the labelled dataset of everything taken so far, and return it."""
         begun = time.monotonic()
         study = self.plan.grid.study
-        self.store.flush()
         dataset = assemble(self.plan, self.store.rows, self.store.sums(), self.failures)
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, dataset["status"].values, self.store.samples))
