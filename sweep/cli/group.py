@@ -1,0 +1,43 @@
+"""The command group: turns what goes wrong in any command into a message and an exit code."""
+
+import sys
+from typing import Any
+
+import click
+
+EXIT_FAILED_POINTS = 1
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+
+
+class _Group(click.Group):
+    """Turns a SweepError of any command into one message and exit code 2."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        from sweep.contract import SweepError
+
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.echo("interrupted", err=True)
+            sys.exit(EXIT_INTERRUPTED)
+        except SweepError as error:
+            where = f"{error.where}: " if error.where else ""
+            if len(error.problems) == 1:
+                click.echo(f"error: {where}{error.problems[0]}", err=True)
+            else:
+                click.echo(f"error: {where}{len(error.problems)} problems", err=True)
+                for problem in error.problems:
+                    click.echo(f"  - {problem}", err=True)
+            sys.exit(EXIT_BAD_INPUT)
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="linksweep", prog_name="linksweep")
+def main() -> None:
+    """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
+
+    \b
+    sweep run quasars        the paper's Table 1, computed beside the published one
+    sweep list               the other built-in studies
+    """

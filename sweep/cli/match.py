@@ -1,0 +1,164 @@
+"""The command of the galaxy search."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sweep.cli.group import main
+from sweep.cli.options import json_option
+from sweep.cli.output import print_whole
+
+
+@main.command()
+@click.argument("stars", type=click.Path(path_type=Path))
+@click.argument("galaxies", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--supplement", type=click.Path(path_type=Path), help="More stars, whose matches are a class of their own."
+)
+@click.option(
+    "--radius", multiple=True, metavar="[NAME=]ARCSEC", help="Match radius, of all or of one catalogue.  [default: 5]"
+)
+@click.option(
+    "--error",
+    multiple=True,
+    metavar="[NAME=]ARCSEC",
+    help="Position error of each coordinate, instead of columns ra_error and dec_error.",
+)
+@click.option(
+    "--column",
+    multiple=True,
+    metavar="[NAME:]KEY=COLUMN",
+    help="The column with a quantity, of the stars or of the table NAME, e.g. ra=RAmdeg or pgc:PGC=pgc.",
+)
+@click.option("--epoch", type=float, default=2000.0, show_default=True, help="Julian year of the galaxy positions.")
+@click.option(
+    "--ref-epoch", multiple=True, metavar="[NAME=]YEAR", help="Epoch of the stars, instead of a column ref_epoch."
+)
+@click.option(
+    "--missing-pm",
+    type=click.Choice(["error", "zero"]),
+    default="error",
+    show_default=True,
+    help="What to do with stars that have no proper motion.",
+)
+@click.option(
+    "--merge-radius",
+    type=click.FloatRange(0.0, 3600.0, min_open=True),
+    metavar="ARCSEC",
+    help="Entries of two catalogues this close are one galaxy.  [default: the sum of their match radii]",
+)
+@click.option(
+    "--k-sigma",
+    type=click.FloatRange(0.0, min_open=True),
+    default=3.0,
+    show_default=True,
+    help="Uncertain: offset above this many sigma.",
+)
+@click.option(
+    "--crowding-radius",
+    type=click.FloatRange(0.0, 3600.0, min_open=True),
+    metavar="ARCSEC",
+    default=120.0,
+    show_default=True,
+    help="Uncertain: so many stars within this radius.",
+)
+@click.option(
+    "--crowding-stars",
+    type=click.IntRange(1),
+    default=3,
+    show_default=True,
+    help="Uncertain: at least this many other stars within the crowding radius.",
+)
+@click.option(
+    "--epoch-difference",
+    type=click.FloatRange(0.0, min_open=True),
+    metavar="YR",
+    default=20.0,
+    show_default=True,
+    help="Years to a second epoch, for the proper-motion error.",
+)
+@click.option(
+    "--second-epoch-error",
+    type=click.FloatRange(0.0),
+    metavar="MAS",
+    default=0.0,
+    show_default=True,
+    help="Position error of the second epoch.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("results/matches.ecsv"),
+    show_default=True,
+    help="The matches as ECSV.",
+)
+@click.option("--table", type=click.Path(path_type=Path), help="Also the paper's 46-byte table.")
+@click.option("--map", "sky_map", type=click.Path(path_type=Path), help="Also an all-sky map (.png, .svg or .pdf).")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@json_option
+def match(
+    stars: Path,
+    galaxies: tuple[Path, ...],
+    supplement: Path | None,
+    radius: tuple[str, ...],
+    error: tuple[str, ...],
+    column: tuple[str, ...],
+    epoch: float,
+    ref_epoch: tuple[str, ...],
+    missing_pm: Any,
+    merge_radius: float | None,
+    k_sigma: float,
+    crowding_radius: float,
+    crowding_stars: int,
+    epoch_difference: float,
+    second_epoch_error: float,
+    output: Path,
+    table: Path | None,
+    sky_map: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Find the galaxies in a star catalogue: cross-match STARS with one or more GALAXIES tables.
+
+    Tables are ECSV, FITS, VOTable, CSV, MRT or Parquet with the column names of the Gaia archive; options call a
+    table by its file name up to the first dot.
+
+    \b
+    sweep match tycho2.fits pgc.fits uzc.csv --supplement tycho2_suppl1.fits \\
+        --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
+        -o galaxies.ecsv --table galaxies.dat --map galaxies.png
+    """
+    from sweep.search.match import find_galaxies
+    from sweep.search.options import plan_search
+    from sweep.search.outputs import Outputs
+    from sweep.search.summary import summarise, summary_text
+
+    search = plan_search(
+        stars,
+        galaxies,
+        supplement,
+        radius=radius,
+        error=error,
+        ref_epoch=ref_epoch,
+        column=column,
+        missing_pm=missing_pm,
+        epoch=epoch,
+        k_sigma=k_sigma,
+        crowding_radius_arcsec=crowding_radius,
+        crowding_stars=crowding_stars,
+        merge_radius_arcsec=merge_radius,
+        epoch_difference_yr=epoch_difference,
+        second_epoch_error_mas=second_epoch_error,
+    )
+    outputs = Outputs(output, table, sky_map)
+    summary = summarise(find_galaxies(search, outputs, overwrite))
+    if as_json:
+        click.echo(json.dumps(summary, indent=1))
+    else:
+        for part in summary_text(summary):
+            print_whole(part)
+    for path in outputs.paths():
+        click.echo(f"wrote {path}", err=True)

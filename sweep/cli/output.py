@@ -1,0 +1,72 @@
+"""How commands print results: tables as wide as they are, JSON, sentences."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from sweep.study import Study
+
+
+def print_whole(renderable: Any) -> None:
+    """Print a table or text as wide as it is: a terminal may wrap it, but no number is cut."""
+    from rich.console import Console
+    from rich.measure import Measurement
+
+    terminal = Console(highlight=False)
+    endless = terminal.options.update(width=10_000)
+    needed = Measurement.get(terminal, endless, renderable).maximum
+    width = max(needed, terminal.width if sys.stdout.isatty() else 1)
+    Console(width=width, highlight=False).print(renderable, soft_wrap=False)
+
+
+def print_plan(study: "Study", store: Path, as_json: bool) -> None:
+    """Print what a run would do."""
+    from sweep.status import plan_report
+
+    report = plan_report(study, store)
+    if as_json:
+        click.echo(json.dumps(report, indent=1))
+    else:
+        for key, value in report.items():
+            click.echo(f"{key:14} {value:,}" if isinstance(value, (int, float)) else f"{key:14} {value}")
+
+
+def print_table(dataset: Any, table_format: str) -> None:
+    """Print the results of a dataset, and whether they are incomplete."""
+    from sweep import tables
+
+    if table_format == "text":
+        print_whole(tables.as_text(dataset))
+        if not dataset.attrs.get("complete"):
+            click.echo(
+                f"INCOMPLETE: {dataset.attrs.get('points_done')} of {dataset.attrs.get('points')} points are done"
+            )
+    else:
+        write = {"csv": tables.as_csv, "ecsv": tables.as_ecsv, "json": tables.as_json}[table_format]
+        click.echo(write(dataset).rstrip("\n"))
+
+
+def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -> None:
+    """Print a comparison with published numbers, and its remarks."""
+    from sweep import compare_tables
+
+    if table_format == "json":
+        click.echo(compare_tables.as_json(comparisons, remarks))
+        return
+    if table_format == "csv":
+        click.echo(compare_tables.as_csv(comparisons).rstrip("\n"))
+        for sentence in remarks:
+            click.echo(sentence, err=True)
+        return
+    print_whole(compare_tables.as_text(comparisons))
+    for sentence in ("", *compare_tables.notes(comparisons), *remarks, compare_tables.summary_line(comparisons)):
+        click.echo(sentence)
+
+
+def failures_in_words(failures: dict[int, str], store: Path) -> str:
+    """Return the sentence that ends a run in which points failed."""
+    return f"{len(failures)} point{'s' if len(failures) > 1 else ''} failed; `sweep status {store}` names them"

@@ -1,0 +1,92 @@
+"""Commands about the paper's numbers: compare and calibrate."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sweep.cli.group import EXIT_FAILED_POINTS, main
+from sweep.cli.options import json_option, resource_options, resources_of
+from sweep.cli.output import failures_in_words, print_comparisons, print_whole
+from sweep.cli.running import run_with_progress
+
+if TYPE_CHECKING:
+    from sweep.run import Resources
+
+
+@main.command()
+@click.argument("stores", nargs=-1, metavar="STORE...", type=click.Path(path_type=Path))
+@click.option("--all", "everything", is_flag=True, help="The whole paper: every built-in study, run where it is not.")
+@click.option(
+    "--results",
+    type=click.Path(path_type=Path),
+    help="Where --all has the stores.  [default: results]",
+)
+@resource_options
+@click.option("--format", "table_format", type=click.Choice(["text", "csv", "json"]), default="text", show_default=True)
+@json_option
+def compare(
+    stores: tuple[Path, ...],
+    everything: bool,
+    results: Path | None,
+    workers: int | None,
+    pool: Any,
+    scheduler: str | None,
+    table_format: str,
+    as_json: bool,
+) -> None:
+    """Compare the results in STORE with the published numbers and claims of its study.
+
+    The exit code is 1 if something is not reproduced or incomplete.
+
+    \b
+    sweep compare results/quasars.zarr
+    sweep compare --all --workers 4
+    """
+    from sweep.compare import all_is_well
+    from sweep.reproduce import compare_stores
+
+    if everything == bool(stores):
+        raise click.UsageError("name stores, or give --all")
+    if not everything and (results is not None or workers is not None or pool is not None or scheduler is not None):
+        raise click.UsageError("--results, --workers, --pool and --scheduler go with --all: nothing runs without it")
+    if everything:
+        stores = _run_what_is_missing(results or Path("results"), resources_of(workers, pool, scheduler))
+    comparisons, remarks = compare_stores(stores)
+    print_comparisons(comparisons, remarks, "json" if as_json else table_format)
+    if not all_is_well(comparisons):
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+def _run_what_is_missing(results: Path, resources: "Resources") -> tuple[Path, ...]:
+    """Return the stores of all built-in studies with something published, after running those that need it."""
+    from sweep.reproduce import published_studies, store_of, unfinished
+
+    studies = published_studies()
+    for study in unfinished(studies, results):
+        store = store_of(study, results)
+        click.echo(f"{study.name}:", err=True)
+        _, failures = run_with_progress(study, store, resources)
+        if failures:
+            click.echo(failures_in_words(failures, store), err=True)
+    return tuple(store_of(study, results) for study in studies)
+
+
+@main.command()
+@json_option
+def calibrate(as_json: bool) -> None:
+    """Refit the mission curves to the paper's tables: constants, uncertainties, residuals, and what equal weights give.
+
+    \b
+    sweep calibrate
+    sweep calibrate --json > calibration.json
+    """
+    from sweep.calibrate import as_text, calibration_report
+
+    report = calibration_report()
+    if as_json:
+        click.echo(json.dumps(report, indent=1))
+        return
+    print_whole(as_text(report))

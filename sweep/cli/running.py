@@ -1,0 +1,81 @@
+"""Commands that compute: run and plan."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sweep.cli.group import EXIT_FAILED_POINTS, EXIT_INTERRUPTED, main
+from sweep.cli.options import json_option, load, resource_options, resources_of, study_argument, study_options
+from sweep.cli.output import failures_in_words, print_plan, print_table
+
+if TYPE_CHECKING:
+    from sweep.run import Resources
+    from sweep.study import Study
+
+
+@main.command()
+@study_argument
+@study_options
+@resource_options
+@click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
+@json_option
+def run(
+    study: str,
+    settings: tuple[str, ...],
+    axes: tuple[str, ...],
+    store: Path | None,
+    workers: int | None,
+    pool: Any,
+    scheduler: str | None,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
+
+    After an interruption the same command goes on where it stopped.
+
+    \b
+    sweep run quasars
+    sweep run quasars --set n_cat=20 -o results/quick.zarr
+    sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4
+    """
+    resources = resources_of(workers, pool, scheduler)
+    loaded, path = load(study, settings, axes, store)
+    if dry_run:
+        print_plan(loaded, path, as_json)
+        return
+    dataset, failures = run_with_progress(loaded, path, resources)
+    print_table(dataset, "json" if as_json else "text")
+    click.echo(f"wrote {path}", err=True)
+    if failures:
+        click.echo(failures_in_words(failures, path), err=True)
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+@main.command()
+@study_argument
+@study_options
+@json_option
+def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Path | None, as_json: bool) -> None:
+    """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
+
+    \b
+    sweep plan grid --set n_cat=100
+    """
+    loaded, path = load(study, settings, axes, store)
+    print_plan(loaded, path, as_json)
+
+
+def run_with_progress(study: "Study", store: Path, resources: "Resources") -> tuple[Any, dict[int, str]]:
+    """Run a study with progress shown; an interruption ends the command."""
+    from sweep.progress import TerminalProgress
+    from sweep.run import RunInterruptedError, run_study
+
+    with TerminalProgress() as progress:
+        try:
+            return run_study(study, store, resources, progress)
+        except RunInterruptedError:
+            progress.say(f"interrupted; what was finished is kept in {store}, the same command goes on from there")
+            sys.exit(EXIT_INTERRUPTED)
