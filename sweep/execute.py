@@ -4,9 +4,9 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from itertools import islice
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import dask
@@ -16,14 +16,17 @@ from threadpoolctl import threadpool_limits
 from sweep.contract import SweepError
 from sweep.plan import Work
 from sweep.study import Study
-from sweep.worker import Task, TaskResult, run_task
+from sweep.worker import Failure, Task, TaskResult, run_task
 
 if TYPE_CHECKING:
     from distributed import Client
 
 Pool = Literal["serial", "threads", "processes"]
+Take = Callable[[int], list[list[Work]]]
+"""Gives up to so many tasks' work that can be done now; after a result has been taken there may be more."""
+
 Results = Iterator[tuple[list[Work], TaskResult]]
-Executor = Callable[[Iterable[list[Work]]], Results]
+Executor = Callable[[Take], Results]
 
 TASKS_IN_FLIGHT = 4
 """For each worker thread: enough that none waits, few enough that a grid of any size makes no large graph."""
@@ -47,7 +50,12 @@ def make_task(study: Study, works: list[Work]) -> Task:
 def serial(study: Study) -> Iterator[Executor]:
     """Give an executor that computes one task after the other in this process: the definition of the result."""
     with threadpool_limits(1):  # sums of products must not depend on the number of cores
-        yield lambda batches: ((works, run_task(make_task(study, works))) for works in batches)
+        yield partial(_one_by_one, study)
+
+
+def _one_by_one(study: Study, take: Take) -> Results:
+    while batches := take(1):
+        yield batches[0], run_task(make_task(study, batches[0]))
 
 
 @contextmanager
@@ -123,27 +131,26 @@ def _on_client(study: Study, client: "Client") -> Executor:
     except Exception as error:  # whatever keeps a worker from importing it
         raise SweepError(f"the workers cannot run linksweep: {type(error).__name__}: {error}") from error
 
-    def run(batches: Iterable[list[Work]]) -> Results:
-        queue = iter(batches)
+    def run(take: Take) -> Results:
         works_of: dict[Any, list[Work]] = {}
+        window = TASKS_IN_FLIGHT * max(1, sum(client.nthreads().values()))
 
-        def submit(count: int) -> list[Any]:
+        def submit() -> list[Any]:
             futures = []
-            for works in islice(queue, count):
+            for works in take(window - len(works_of)):
                 future = client.submit(run_task, make_task(study, works), pure=False)
                 works_of[future] = works
                 futures.append(future)
             return futures
 
-        window = TASKS_IN_FLIGHT * max(1, sum(client.nthreads().values()))
-        finished = as_completed(submit(window), loop=client.loop)
+        finished = as_completed(submit(), loop=client.loop)
         for future in finished:
             works = works_of.pop(future)
             failure = future.exception() if future.status != "finished" else None
             result = _lost(study, works, failure) if failure is not None else future.result()
             future.release()
-            finished.update(submit(1))
             yield works, result
+            finished.update(submit())  # after the result has been taken, since it may make more work known
 
     return run
 
@@ -152,6 +159,6 @@ def _lost(study: Study, works: list[Work], failure: BaseException) -> TaskResult
     """A task that Dask gave up on, for example because it killed its workers: all of its blocks failed, the rest goes
     on.
     """
-    message = f"{type(failure).__name__}: {failure}"
-    width = study.experiment.sums_width
-    return TaskResult(np.full((len(works), width), np.nan), dict.fromkeys(range(len(works)), message), {})
+    reason = Failure("killed", f"{type(failure).__name__}: {failure}")
+    sums = np.full((len(works), study.experiment.sums_width), np.nan)
+    return TaskResult(sums, np.zeros(len(works)), dict.fromkeys(range(len(works)), reason), {})

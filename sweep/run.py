@@ -2,6 +2,7 @@
 
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
@@ -79,7 +80,8 @@ def run_study(
             writer.write()  # so that there is a labelled, if empty, dataset from the start
         progress.start(survey, where)
         try:
-            for works, result in run(tasks(plan.pending(frozenset(writer.store.rows)))):
+            queue = tasks(plan.pending(frozenset(writer.store.rows)))
+            for works, result in run(lambda count: list(islice(queue, count))):
                 progress.advance(writer.take(works, result))
         except KeyboardInterrupt as stop:
             writer.write()

@@ -1,8 +1,10 @@
 """What runs on a worker: a task's blocks, one after the other, each to its sums."""
 
+import time
+import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +28,25 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Failure:
+    """Why a block has no sums: in a sentence, with the traceback where Python has one."""
+
+    kind: Literal["exception", "NaN", "killed", "time limit"]
+    message: str
+    traceback: str = ""
+
+
+@dataclass(frozen=True)
 class TaskResult:
-    """Sums of a task's blocks, (blocks, width), in its order; ``errors`` maps the number of a block that failed to
-    its message, ``samples`` that of one whose samples are kept to these, (realisations, width).
+    """Sums of a task's blocks, (blocks, width), in its order, and the seconds that each took, (blocks,).
+
+    ``failures`` maps the number of a block that failed to the reason, ``samples`` that of one whose samples are kept to
+    these, (realisations, width).
     """
 
     sums: NDArray[np.float64]
-    errors: dict[int, str]
+    seconds: NDArray[np.float64]
+    failures: dict[int, Failure]
     samples: dict[int, NDArray[np.float64]]
 
 
@@ -40,18 +54,21 @@ def run_task(task: Task) -> TaskResult:
     """Compute the blocks of a task; a block that raises is recorded and the rest goes on."""
     experiment = load_experiment(task.experiment_reference)
     sums = np.full((len(task.items), experiment.sums_width), np.nan)
-    errors: dict[int, str] = {}
+    seconds = np.zeros(len(task.items))
+    failures: dict[int, Failure] = {}
     samples: dict[int, NDArray[np.float64]] = {}
     for number, (parameters, digest, block) in enumerate(task.items):
+        begun = time.perf_counter()
         try:
             sums[number] = run_block(experiment, parameters, digest, block, task.seed)
             if np.isnan(sums[number]).all():
-                errors[number] = "all sums are NaN"
+                failures[number] = Failure("NaN", "all sums are NaN")
             elif task.keep_samples:
                 samples[number] = sample_block(experiment, parameters, digest, block, task.seed)
         except Exception as error:  # a point that fails must not take others with it
-            errors[number] = f"{type(error).__name__}: {error}"
-    return TaskResult(sums, errors, samples)
+            failures[number] = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
+        seconds[number] = time.perf_counter() - begun
+    return TaskResult(sums, seconds, failures, samples)
 
 
 def run_block(

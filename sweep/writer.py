@@ -41,12 +41,12 @@ class Writer:
 
     def take(self, works: Sequence[Work], result: TaskResult) -> PlanSize:
         """Add a task's results, and return how much that was."""
-        good = [i for i in range(len(works)) if i not in result.errors]
+        good = [i for i in range(len(works)) if i not in result.failures]
         self.store.append(
             [works[i].key for i in good], result.sums[good], [result.samples[i] for i in good if result.samples]
         )
-        for i, message in result.errors.items():
-            self.failures.setdefault(works[i].point.index, message)
+        for i, failure in result.failures.items():
+            self.failures.setdefault(works[i].point.index, failure.message)
         points = 0
         for work in works:
             self._remaining[work.point.index] -= 1

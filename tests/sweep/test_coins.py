@@ -1,6 +1,7 @@
 """The platform with a small experiment that is not astronomical."""
 
 import io
+import itertools
 
 import numpy as np
 import pytest
@@ -137,7 +138,9 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
             yield [work]
 
     with execute.dask_local(study, 2, "threads") as executor:
-        ahead = [drawn - received for received, _ in enumerate(executor(counted()), 1)]
+        queue = counted()
+        results = executor(lambda count: list(itertools.islice(queue, count)))
+        ahead = [drawn - received for received, _ in enumerate(results)]
     assert len(ahead) == plan.survey().total.blocks == 6 * 5 * 8
     assert max(ahead) <= 2 * execute.TASKS_IN_FLIGHT
 
