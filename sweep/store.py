@@ -10,7 +10,7 @@ merely shorter.  Only the client writes.
 import json
 import os
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from sweep.contract import SweepError
+from sweep.failures import Record, as_json, from_json
 from sweep.study import Study
 from sweep.tablefile import content_digest
 
@@ -53,6 +54,8 @@ class Store:
         self._tail_index = np.zeros((self._rows_per_chunk, KEY_BYTES), dtype=np.uint8)
         self._tail_sums = np.full((self._rows_per_chunk, width), np.nan)
         self._unwritten = 0
+        self.failures = self._read_failures()
+        self._failures_changed = False
         in_tail = self._next % self._rows_per_chunk
         if in_tail:
             start = self._next - in_tail
@@ -87,12 +90,26 @@ class Store:
             if at == self._rows_per_chunk - 1:
                 self.flush()
 
+    def fail(self, digest: bytes, record: Record) -> None:
+        """Remember that a point failed; durable after the next `flush`."""
+        self.failures[digest] = record
+        self._failures_changed = True
+
+    def forgive(self, digests: Iterable[bytes]) -> None:
+        """Forget failures of points, if there are any, so that they are computed again; durable after `flush`."""
+        for digest in digests:
+            self._failures_changed |= self.failures.pop(digest, None) is not None
+
     def flush(self) -> None:
         """Make everything appended so far durable; raises SweepError where that is not possible."""
         with _writing(self.path):
             self._flush()
 
     def _flush(self) -> None:
+        if self._failures_changed:
+            root = zarr.open_group(self.path, mode="r+", use_consolidated=False)
+            root.require_group("failures").attrs.put({"failures": as_json(self.failures)})
+            self._failures_changed = False
         if not self._unwritten:
             return
         self._flush_samples()
@@ -167,6 +184,15 @@ class Store:
                 str(self.path),
             )
         return array
+
+    def _read_failures(self) -> dict[bytes, Record]:
+        if not (self.path / "failures").exists():
+            return {}
+        try:
+            attributes = dict(zarr.open_group(self.path, path="failures", mode="r").attrs)
+        except (OSError, ValueError, TypeError) as error:
+            raise SweepError(f"the record of failed points is damaged: {error}", str(self.path)) from error
+        return from_json(cast(dict[str, Any], attributes.get("failures", {})), str(self.path))
 
     def _read_index(self) -> dict[bytes, int]:
         """Return the row of every finished block; a row whose sums never reached the disk does not count."""

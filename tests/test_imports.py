@@ -15,7 +15,7 @@ CORE = [
 ]
 SWEEP = [
     *("contract", "load", "tablefile", "study", "axes", "claims", "reader", "grid", "plan", "worker", "pin", "execute"),
-    *("provenance", "results", "store", "writer", "run", "status", "tables", "progress", "plots"),
+    *("provenance", "results", "failures", "store", "writer", "run", "status", "tables", "progress", "plots"),
     *("compare", "compare_tables", "reproduce"),
     *("calibrate", "__main__"),
 ]
