@@ -17,8 +17,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError
-from sweep.results import DONE, EXCLUDED, FAILED
 from sweep.study import Claim, Ratio, Reading, Slope, printed_rounding
+from sweep.tally import DONE, EXCLUDED, FAILED
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "incomplete"]
 VERDICTS: tuple[Verdict, ...] = ("reproduced", "within tolerance", "NOT reproduced", "incomplete")

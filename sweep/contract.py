@@ -166,8 +166,9 @@ class Evaluate(Protocol):
         """Return sums over ``n_sim`` realisations, each of shape (len(points), *shape declared in `Experiment.sums`).
 
         ``rng`` belongs to this block; ``catalogue_rng`` is the same for all blocks of one catalogue (an outer draw
-        that several blocks share).  All randomness must come from these two.  ``points`` share the draws; today there
-        is one at a time.
+        that several blocks share).  All randomness must come from these two.  ``points`` differ in parameters that are
+        `Experiment.shared` and are to use the same random numbers; elsewhere there is one at a time.  The sums of a
+        point must not depend, not in the last bit, on the others.
         """
         ...
 
@@ -200,7 +201,8 @@ class Experiment:
     dimension that an output uses, ``component_units`` the unit of each label where they differ, ``check`` a sentence
     about a point that cannot be computed (None if it can), ``cost`` the random numbers drawn per realisation.
     ``samples``, for studies that keep them, returns from equal generators the realisations that ``evaluate`` adds up,
-    each of ``sample_outputs`` of shape (points, n_sim, *dims).  A new ``version`` says that the same parameters now
+    each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names parameters that do not change the
+    random numbers that a block draws, only what is made of them.  A new ``version`` says that the same parameters now
     give other numbers: stores of another version are not continued.
     """
 
@@ -217,6 +219,7 @@ class Experiment:
     sample_outputs: tuple[Output, ...] = ()
     check: Callable[[Point], str | None] = _no_problem
     cost: Callable[[Point], float] = _one
+    shared: tuple[str, ...] = ()
 
     def parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError with a suggestion for an unknown name."""
@@ -233,6 +236,22 @@ class Experiment:
     def samples_width(self) -> int:
         """Number of floats of one kept realisation."""
         return sum(self.size_of(output) for output in self.sample_outputs)
+
+    def named(self, rows: Array) -> dict[str, Array]:
+        """Return sums by name, each of shape (rows, *shape), from rows of `sums_width` numbers."""
+        pieces: dict[str, Array] = {}
+        start = 0
+        for name, shape in self.sums.items():
+            size = math.prod(shape)
+            pieces[name] = rows[:, start : start + size].reshape(-1, *shape)
+            start += size
+        return pieces
+
+    def errors_of_headline(self) -> list[tuple[str, str]]:
+        """Return the headline outputs that have a Monte-Carlo error, and its name: ``X`` and ``X_mc_error``."""
+        names = {output.name for output in self.outputs}
+        headline = [output.name for output in self.outputs if output.headline]
+        return [(name, f"{name}_mc_error") for name in headline if f"{name}_mc_error" in names]
 
     def size_of(self, output: Output) -> int:
         """Return the number of floats of one value of an output."""

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from sweep.contract import SweepError
 from sweep.plan import Work
 from sweep.study import Study
-from sweep.worker import Failure, Task, TaskResult, run_task
+from sweep.worker import Failure, Task, TaskResult, Unit, run_task
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -42,8 +42,16 @@ back to the system each time costs a fifth of the run."""
 
 def make_task(study: Study, works: list[Work]) -> Task:
     """Return what a worker must know to do this work."""
-    items = tuple((work.point.parameters, work.point.digest, work.block) for work in works)
-    return Task(study.experiment_reference, study.sampling.seed, items, study.sampling.keep_samples)
+    defaults = study.experiment.defaults()
+    units = tuple(
+        Unit(
+            tuple({k: v for k, v in point.parameters.items() if v != defaults[k]} for point in work.points),
+            work.points[0].stream,
+            work.block,
+        )
+        for work in works
+    )
+    return Task(study.experiment_reference, study.sampling.seed, units, study.sampling.keep_samples)
 
 
 @contextmanager
@@ -160,5 +168,6 @@ def _lost(study: Study, works: list[Work], failure: BaseException) -> TaskResult
     on.
     """
     reason = Failure("killed", f"{type(failure).__name__}: {failure}")
-    sums = np.full((len(works), study.experiment.sums_width), np.nan)
-    return TaskResult(sums, np.zeros(len(works)), dict.fromkeys(range(len(works)), reason), {})
+    rows = sum(len(work.points) for work in works)
+    sums = np.full((rows, study.experiment.sums_width), np.nan)
+    return TaskResult(sums, np.zeros(rows), dict.fromkeys(range(rows), reason))

@@ -1,30 +1,36 @@
 """The grid of a study: dimensions, points and their digests."""
 
-import hashlib
 import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from hashlib import blake2b
 from typing import Any
 
+import numpy as np
+
+from sweep.byaxes import ByAxes
 from sweep.contract import SweepError, Value
 from sweep.study import Study
-from sweep.tablefile import content_digest
+from sweep.tablefile import as_json
 
 MAX_POINTS = 10_000_000
 MAX_PROBLEMS = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class GridPoint:
-    """One point: its place in the grid (C order), all its parameters, and the digest that names its random streams."""
+    """One point: its place in the grid (C order), all its parameters, the digest by which the ledger knows it, and the
+    one that names its random streams.
+    """
 
     index: int
     parameters: dict[str, Any]
     digest: bytes
+    stream: bytes
 
 
 @dataclass(frozen=True)
@@ -54,17 +60,73 @@ class Grid:
     def __len__(self) -> int:
         return math.prod(self.shape)
 
+    def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Yield index and parameters of the points that are not excluded, in C order."""
+        names, clauses = self._names, self.study.excluded
+        for index, combination in enumerate(itertools.product(*self._columns)):
+            parameters = self._fixed.copy()
+            parameters.update(zip(names, itertools.chain.from_iterable(combination), strict=True))
+            if not (clauses and self._excluded(parameters)):
+                yield index, parameters
+
     def points(self) -> Iterator[GridPoint]:
         """Yield the points that are not excluded, in C order."""
+        return itertools.starmap(self._point, self.parameters())
+
+    def point(self, index: int) -> GridPoint:
+        """Return the point at an index, excluded or not."""
+        places = np.unravel_index(index, self.shape)
+        values = (column[place] for column, place in zip(self._columns, places, strict=True))
+        flat = itertools.chain.from_iterable(values)
+        return self._point(index, self._fixed | dict(zip(self._names, flat, strict=True)))
+
+    def _point(self, index: int, parameters: dict[str, Any]) -> GridPoint:
+        digest = self._digest(parameters)
+        return GridPoint(index, parameters, digest, self._digest(parameters, shared=True) if self._shared else digest)
+
+    @cached_property
+    def _fixed(self) -> dict[str, Any]:
+        return self.study.experiment.defaults() | dict(self.study.fixed)
+
+    @cached_property
+    def _names(self) -> list[str]:
+        return [axis for axes in self.dimensions.values() for axis in axes]
+
+    @cached_property
+    def _columns(self) -> list[list[tuple[Value, ...]]]:
         study = self.study
-        defaults = study.experiment.defaults()
-        fixed = defaults | dict(study.fixed)
-        names = [axis for axes in self.dimensions.values() for axis in axes]
-        columns = [list(zip(*(study.axes[a] for a in axes), strict=True)) for axes in self.dimensions.values()]
-        for index, combination in enumerate(itertools.product(*columns)):
-            parameters = fixed | dict(zip(names, itertools.chain.from_iterable(combination), strict=True))
-            if not self._excluded(parameters):
-                yield GridPoint(index, parameters, point_digest(parameters, defaults))
+        return [list(zip(*(study.axes[a] for a in axes), strict=True)) for axes in self.dimensions.values()]
+
+    @cached_property
+    def _shared(self) -> frozenset[str]:
+        """Parameters that do not change a point's random numbers."""
+        study = self.study
+        return frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
+
+    @cached_property
+    def _texts(self) -> list[tuple[str, dict[Value, str]]]:
+        """Each parameter that may count in a digest, in order, with its text for each of its values."""
+        defaults, axes = self.study.experiment.defaults(), self.study.axes
+        values = {name: [value] for name, value in self._fixed.items()} | {n: list(v) for n, v in axes.items()}
+        return [
+            (name, {v: f"{json.dumps(name)}: {as_json(v)}" for v in values[name] if v != defaults[name]})
+            for name in sorted(values)
+            if any(v != defaults[name] for v in values[name])
+        ]
+
+    def _digest(self, parameters: dict[str, Any], shared: bool = False) -> bytes:
+        """Return 16 bytes that identify a point by its own parameters, whatever grid it is in.
+
+        Parameters at their default do not count, so that a parameter which a later version adds leaves old points what
+        they were.  ``shared`` leaves out those that do not change the random numbers too.
+        """
+        left_out = self._shared if shared else ()
+        own = [
+            text
+            for name, texts in self._texts
+            if name not in left_out and (text := texts.get(parameters[name])) is not None
+        ]
+        return blake2b(f"{{{', '.join(own)}}}".encode(), digest_size=16).digest()
 
     def _excluded(self, parameters: dict[str, Any]) -> bool:
         return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
@@ -84,9 +146,10 @@ def make_grid(study: Study) -> Grid:
     sentences = _repeated(grid)
     reasons: dict[str, int] = {}
     empty = True
-    for point in grid.points():
+    check = ByAxes(partial(_reason, study), study.axes)
+    for _, parameters in grid.parameters():
         empty = False
-        if (reason := _reason(study, point.parameters)) is None:
+        if (reason := check(parameters)) is None:
             continue
         if reason not in reasons and len(reasons) == MAX_PROBLEMS:
             reasons["... and other reasons; the rest of the grid was not checked"] = 0
@@ -114,7 +177,7 @@ def _repeated(grid: Grid) -> list[str]:
     return sentences
 
 
-def _reason(study: Study, parameters: dict[str, Any]) -> str | None:
+def _reason(study: Study, parameters: Mapping[str, Any]) -> str | None:
     try:
         return study.experiment.check(parameters)
     except Exception as error:  # whatever a user's check raises
@@ -124,13 +187,3 @@ def _reason(study: Study, parameters: dict[str, Any]) -> str | None:
 def describe(study: Study, parameters: dict[str, Any]) -> str:
     """Return a point's place on the axes in words: ``model=gaia,v_max=16.0``."""
     return ",".join(f"{name}={parameters[name]}" for name in study.axes) or "the only point"
-
-
-def point_digest(parameters: dict[str, Value], defaults: dict[str, Value]) -> bytes:
-    """Return 16 bytes that identify a point by its own parameters, whatever grid it is in.
-
-    Parameters at their default do not count, so that a parameter which a later version adds leaves old points what
-    they were.
-    """
-    own = {name: value for name, value in parameters.items() if value != defaults[name]}
-    return hashlib.blake2b(json.dumps(own, sort_keys=True, default=content_digest).encode(), digest_size=16).digest()

@@ -7,7 +7,8 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from sweep.plan import PlanSize, Survey
+from sweep.plan import PlanSize
+from sweep.tally import Survey
 
 LINE_EVERY_S = 5.0
 
@@ -35,6 +36,7 @@ class TerminalProgress:
         """Say what there is to do and where it is done."""
         self._survey = survey
         self._begun = self._said = time.monotonic()
+        self._cost_known = survey.pending.cost
         total, pending = survey.total, survey.pending
         self._points = total.points - pending.points
         held = f", {self._points:,} of them in the store already" if self._points else ""
@@ -54,16 +56,17 @@ class TerminalProgress:
             self._task = self._bar.add_task(self._description(), total=pending.cost)
             self._bar.start()
 
-    def advance(self, done: PlanSize) -> None:
-        """Count what was done."""
+    def advance(self, done: PlanSize, more: PlanSize) -> None:
+        """Count what was done, and what more there is to do."""
+        self._cost_known += more.cost
         self._points += done.points
         self._realisations += done.realisations
         self._cost += done.cost
         if self._bar is not None:
-            self._bar.update(self._task, advance=done.cost, description=self._description())
+            self._bar.update(self._task, advance=done.cost, total=self._cost_known, description=self._description())
         elif time.monotonic() - self._said > LINE_EVERY_S:
             self._said = time.monotonic()
-            left = (self._said - self._begun) * (self._survey.pending.cost / self._cost - 1.0)
+            left = (self._said - self._begun) * (self._cost_known / self._cost - 1.0)
             self.say(f"{self._description()}, {left:.0f} s left")
 
     def _description(self) -> str:

@@ -26,8 +26,11 @@ def provenance(study: Study) -> dict[str, Any]:
         "seed": study.sampling.seed,
         "n_sim": study.sampling.n_sim,
         "n_cat": study.sampling.n_cat,
+        **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
+        **({"common_random_numbers": 1} if study.sampling.common_random_numbers else {}),
+        "study_document": json.dumps(study.document),
         "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
-        "host": platform.node(),
+        "host": host(),
         "machine": f"{platform.system()} {platform.machine()}",
         "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "started": now(),
@@ -38,6 +41,11 @@ def provenance(study: Study) -> dict[str, Any]:
     if commit := git_commit():
         attributes["git_commit"] = commit
     return attributes
+
+
+def host() -> str:
+    """Return the name of this machine."""
+    return platform.node()
 
 
 def now() -> str:

@@ -17,7 +17,7 @@ from sweep.claims import Surroundings, checked_claim
 from sweep.contract import Experiment, Parameter, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, load_experiment
 from sweep.study import Claim, Condition, Published, Ratio, Reading, Sampling, Section, Slope, Study, Tolerance
-from sweep.tablefile import table_file
+from sweep.tablefile import TableFile, table_file
 
 MAX_FILE_BYTES = 1_000_000
 MAX_PROBLEMS = 50
@@ -171,8 +171,7 @@ class _Reader:
         zipped = self._zip(form, axes)
         excluded = tuple(self._exclusion(experiment, form, i, clause) for i, clause in enumerate(form.exclude))
         published = self._published(experiment, form, axes)
-        if form.sampling.keep_samples and experiment.samples is None:
-            self._problem(("sampling", "keep_samples"), f"the experiment {experiment.name!r} has no samples to keep")
+        self._sampling(experiment, form.sampling)
         claims = self._claims(experiment, form, axes)
         if self.problems:
             raise SweepError(self.problems, str(self.path))
@@ -191,7 +190,38 @@ class _Reader:
             claims=claims,
             text=self.text,
             overrides=self.overrides,
+            document=self._portable(form, fixed),
         )
+
+    def _portable(self, form: _Form, fixed: Mapping[str, Value]) -> dict[str, Any]:
+        """Return the document with places of files that hold from any directory."""
+        document = {**self.document, "experiment": absolute_reference(form.experiment, self.path.parent)}
+        if "fixed" in document:
+            paths = {name: value.path for name, value in fixed.items() if isinstance(value, TableFile)}
+            document["fixed"] = document["fixed"] | paths
+        if form.published is not None:
+            file = str((self.path.parent / form.published.file).resolve())
+            document["published"] = document["published"] | {"file": file}
+        return document
+
+    def _sampling(self, experiment: Experiment, sampling: Sampling) -> None:
+        if sampling.keep_samples and experiment.samples is None:
+            self._problem(("sampling", "keep_samples"), f"the experiment {experiment.name!r} has no samples to keep")
+        if sampling.common_random_numbers and not experiment.shared:
+            message = f"no parameter of the experiment {experiment.name!r} is known to leave its random numbers alone"
+            self._problem(("sampling", "common_random_numbers"), message)
+        if sampling.precision is None:
+            if sampling.max_n_sim is not None:
+                self._problem(("sampling", "max_n_sim"), "is the limit of a precision, and there is none")
+            return
+        if sampling.max_n_sim is not None and sampling.max_n_sim < sampling.n_sim:
+            message = f"{sampling.max_n_sim}: must be at least n_sim = {sampling.n_sim}, with which every point begins"
+            self._problem(("sampling", "max_n_sim"), message)
+        if sampling.keep_samples:
+            self._problem(("sampling", "precision"), "cannot go with keep_samples: points would keep different numbers")
+        if not experiment.errors_of_headline():
+            message = f"no headline result X of the experiment {experiment.name!r} has an error X_mc_error to judge by"
+            self._problem(("sampling", "precision"), message)
 
     @cached_property
     def _lines(self) -> dict[Place, int]:

@@ -9,47 +9,28 @@ from numpy.typing import NDArray
 
 from sweep.contract import Output
 from sweep.grid import Grid
-from sweep.plan import Plan
+from sweep.plan import Plan, ledger_key
 from sweep.study import Published, printed_rounding
-
-MISSING, DONE, FAILED, EXCLUDED = 0, 1, 2, 3
-STATUS_WORDS = ("missing", "done", "failed", "excluded")
+from sweep.tally import DONE, STATUS_WORDS, Tally
 
 Array = NDArray[np.float64]
 
 
-def assemble(plan: Plan, rows: Mapping[bytes, int], sums: Array, failures: Mapping[int, str]) -> xr.Dataset:
-    """Return the dataset of a plan from the ledger's ``rows`` and ``sums``; ``failures`` are points (by index) that
-    raised.
+def assemble(plan: Plan, tally: Tally) -> xr.Dataset:
+    """Return the dataset of a plan from what its tally holds.
 
-    A point has values when all its blocks are there; all others are NaN with a ``status`` that says why.  Blocks are
-    added in their own order, not in that of their arrival, so that the result is bitwise the same however it was
-    computed.
+    A point has values when all its blocks are there; all others are NaN with a ``status`` that says why.
     """
     grid = plan.grid
     study = grid.study
     experiment = study.experiment
-    total = np.zeros((len(grid), experiment.sums_width))
-    status = np.full(len(grid), EXCLUDED, dtype=np.int8)
-    n_done = np.zeros(len(grid), dtype=np.int64)
-    for work in plan.work():
-        index = work.point.index
-        if status[index] == EXCLUDED:
-            status[index] = DONE
-        row = rows.get(work.key)
-        if row is None:
-            status[index] = FAILED if index in failures else MISSING
-        else:
-            total[index] += sums[row]
-            n_done[index] += work.block.realisations
-
-    done = status == DONE
+    done = tally.status == DONE
     variables: dict[str, Any] = {}
+    results: Mapping[str, Array] = {}
     if done.any():
         n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        results = experiment.summarise(_split(experiment.sums, total[done]), n_done[done].astype(float), n_cat)
-    else:
-        results = {}
+        sums = experiment.named(tally.total[done])
+        results = experiment.summarise(sums, tally.realisations[done].astype(float), n_cat)
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already
@@ -59,9 +40,9 @@ def assemble(plan: Plan, rows: Mapping[bytes, int], sums: Array, failures: Mappi
             values[done] = results[output.name]
         variables[output.name] = _variable(grid, values, output)
     variables["n_sim_done"] = _variable(
-        grid, n_done, Output("n_sim_done", "", "realisations done, over all catalogues")
+        grid, tally.realisations.copy(), Output("n_sim_done", "", "realisations done, over all catalogues")
     )
-    variables["status"] = _variable(grid, status, Output("status", "", "state of the point"))
+    variables["status"] = _variable(grid, tally.status.copy(), Output("status", "", "state of the point"))
     variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
     variables |= _published(grid)
     return xr.Dataset(variables, coords=_coordinates(grid))
@@ -78,15 +59,16 @@ def assemble_samples(
     experiment, sampling = grid.study.experiment, grid.study.sampling
     kept = np.full((len(grid), sampling.n_cat, sampling.n_sim, experiment.samples_width), np.nan)
     flat_status = status.reshape(-1)
-    start: dict[tuple[int, int], int] = {}
-    for work in plan.work():
-        if flat_status[work.point.index] == DONE:
-            block, place = work.block, (work.point.index, work.block.group)
-            first = start.get(place, 0)
+    for point in grid.points():
+        if flat_status[point.index] != DONE:
+            continue
+        start: dict[int, int] = {}
+        for block in plan.blocks(plan.cost(point.parameters)):
+            first = start.get(block.group, 0)
             catalogues = slice(block.first_catalogue, block.first_catalogue + block.n_cat)
-            drawn = samples(work.key).reshape(block.n_cat, block.n_sim, -1)
-            kept[work.point.index, catalogues, first : first + block.n_sim] = drawn
-            start[place] = first + block.n_sim
+            drawn = samples(ledger_key(point.digest, block)).reshape(block.n_cat, block.n_sim, -1)
+            kept[point.index, catalogues, first : first + block.n_sim] = drawn
+            start[block.group] = first + block.n_sim
     variables: dict[str, Any] = {}
     column = 0
     for output in experiment.sample_outputs:
@@ -97,16 +79,6 @@ def assemble_samples(
         variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, attributes)
         column += size
     return variables
-
-
-def _split(shapes: Mapping[str, tuple[int, ...]], flat: Array) -> dict[str, Array]:
-    pieces: dict[str, Array] = {}
-    start = 0
-    for name, shape in shapes.items():
-        size = int(np.prod(shape))
-        pieces[name] = flat[:, start : start + size].reshape(-1, *shape)
-        start += size
-    return pieces
 
 
 def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:

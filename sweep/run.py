@@ -2,19 +2,22 @@
 
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
 import xarray as xr
 
 from sweep.contract import SweepError
 from sweep.execute import Executor, Pool, available_cores, dask_local, dask_scheduler, serial
 from sweep.grid import make_grid
-from sweep.plan import Plan, PlanSize, Survey, tasks
+from sweep.larger import part_of_larger
+from sweep.pending import Pending
+from sweep.plan import Plan, PlanSize
 from sweep.provenance import provenance
-from sweep.store import create_or_resume, done_rows
+from sweep.store import Store, create_or_resume, existing_store
 from sweep.study import Study
+from sweep.tally import Survey, Tally
 from sweep.writer import Writer
 
 SERIAL_COST = 5e7
@@ -40,8 +43,11 @@ class Progress(Protocol):
     def start(self, survey: Survey, where: str) -> None:
         """Work begins, at the place that ``where`` names."""
 
-    def advance(self, done: PlanSize) -> None:
-        """Tell that this much more is done."""
+    def advance(self, done: PlanSize, more: PlanSize) -> None:
+        """Tell that this much more is done, and that this much more is to be done than was known."""
+
+    def say(self, text: str) -> None:
+        """Tell something in a sentence."""
 
 
 class Silent:
@@ -50,7 +56,10 @@ class Silent:
     def start(self, survey: Survey, where: str) -> None:
         """Do nothing."""
 
-    def advance(self, done: PlanSize) -> None:
+    def advance(self, done: PlanSize, more: PlanSize) -> None:
+        """Do nothing."""
+
+    def say(self, text: str) -> None:
         """Do nothing."""
 
 
@@ -59,30 +68,45 @@ def plan_study(study: Study, store: Path) -> tuple[Plan, Survey]:
     input.
     """
     plan = Plan(make_grid(study))
-    return plan, plan.survey(done_rows(store, study))
+    return plan, _tally(plan, existing_store(store, study)).survey
 
 
 def run_study(
-    study: Study, store: Path, resources: Resources = Resources(), progress: Progress | None = None
-) -> tuple[xr.Dataset, dict[int, str]]:
-    """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by point
-    index.
+    study: Study,
+    store: Path,
+    resources: Resources = Resources(),
+    progress: Progress | None = None,
+    retry: bool = False,
+) -> tuple[xr.Dataset, dict[str, str]]:
+    """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
-    The same call after an interruption goes on where it stopped.  Raises SweepError for bad input before anything is
-    written, and RunInterruptedError on SIGINT with everything that was finished in the store.
+    The same call after an interruption goes on where it stopped.  Points that failed before are left as they are, or
+    with ``retry`` computed again.  Where the store holds a larger study it is left as it is, and these points of it are
+    returned.  Raises SweepError for bad input before anything is written, and RunInterruptedError on SIGINT with
+    everything that was finished in the store.
     """
     progress = progress or Silent()
-    plan, survey = plan_study(study, store)
-    where, executor = choose_executor(study, survey, resources)
+    plan = Plan(make_grid(study))
+    opened = existing_store(store, study)
+    if opened is not None and not retry and (part := part_of_larger(store, plan.grid)) is not None:
+        progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
+        return part, {}
+    if opened is not None and retry:
+        opened.forgive([point.digest for point in plan.grid.points()])
+    tally = _tally(plan, opened)
+    where, executor = choose_executor(study, tally.survey, resources)
     with executor as run:
-        writer = Writer(plan, survey.remaining, create_or_resume(store, study, provenance(study)))
-        if survey.pending.blocks:
+        opened = opened or create_or_resume(store, study, provenance(study))
+        if unused := len(opened.rows) - tally.survey.held.blocks:
+            progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
+        pending = Pending(plan, tally)
+        writer = Writer(plan, tally, pending, opened)
+        if tally.survey.pending.blocks:
             writer.write()  # so that there is a labelled, if empty, dataset from the start
-        progress.start(survey, where)
+        progress.start(tally.survey, where)
         try:
-            queue = tasks(plan.pending(frozenset(writer.store.rows)))
-            for works, result in run(lambda count: list(islice(queue, count))):
-                progress.advance(writer.take(works, result))
+            for works, result in run(pending.take):
+                progress.advance(*writer.take(works, result))
         except KeyboardInterrupt as stop:
             writer.write()
             raise RunInterruptedError from stop
@@ -90,7 +114,13 @@ def run_study(
             with suppress(SweepError):
                 writer.store.flush()
             raise
-        return writer.write(), writer.failures
+        return writer.write(), writer.failures()
+
+
+def _tally(plan: Plan, store: Store | None) -> Tally:
+    if store is None:
+        return Tally(plan, {}, np.empty((0, 0)))
+    return Tally(plan, store.rows, store.sums(), store.failures)
 
 
 def choose_executor(study: Study, survey: Survey, resources: Resources) -> tuple[str, AbstractContextManager[Executor]]:

@@ -10,10 +10,10 @@ import numpy as np
 
 from sweep.execute import available_cores
 from sweep.plan import TARGET
-from sweep.results import STATUS_WORDS
 from sweep.run import plan_study
 from sweep.store import finished_blocks, open_dataset
 from sweep.study import Study
+from sweep.tally import STATUS_WORDS
 
 
 def status_report(store: Path) -> dict[str, Any]:

@@ -247,12 +247,10 @@ def _writing(path: Path) -> Iterator[None]:
         raise SweepError(f"cannot be written: {reason}; what was finished before is kept", str(path)) from error
 
 
-def done_rows(path: Path, study: Study) -> Mapping[bytes, int]:
-    """Return which blocks the store at ``path`` holds, without writing; raises SweepError as `create_or_resume`."""
+def existing_store(path: Path, study: Study) -> Store | None:
+    """Return the store at ``path`` if there is one, without writing; raises SweepError as `create_or_resume`."""
     check_store(path, study)
-    if not (path / "blocks" / "sums" / "zarr.json").exists():
-        return {}
-    return Store(path, study).rows
+    return Store(path, study) if (path / "blocks" / "sums" / "zarr.json").exists() else None
 
 
 def check_store(path: Path, study: Study) -> None:

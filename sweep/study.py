@@ -17,6 +17,9 @@ Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
 
+MOST_SIMS = 1_000_000
+"""`Sampling.max_n_sim` where a study says nothing: enough for an error of 0.04 % of an RMS."""
+
 
 class Section(BaseModel):
     """A table of the study file: unknown keys and values of another type are errors."""
@@ -25,12 +28,25 @@ class Section(BaseModel):
 
 
 class Sampling(Section):
-    """How many realisations: ``n_sim`` for each of ``n_cat`` catalogues, from one ``seed``."""
+    """How many realisations: ``n_sim`` for each of ``n_cat`` catalogues, from one ``seed``.
+
+    With a ``precision`` a point gets at least ``n_sim`` and at most ``max_n_sim``, until the Monte-Carlo error of its
+    headline results is below such a share of them.  With ``common_random_numbers`` points that differ only in
+    parameters that do not change the random numbers draw the same ones.
+    """
 
     n_sim: Count = 1000
     n_cat: Count = 1
     seed: Seed = 0
     keep_samples: bool = False
+    precision: Tolerance | None = None
+    max_n_sim: Count | None = None
+    common_random_numbers: bool = False
+
+    @property
+    def most(self) -> int:
+        """The realisations of a catalogue at most, for a point that is to reach a precision."""
+        return max(self.n_sim, MOST_SIMS) if self.max_n_sim is None else self.max_n_sim
 
 
 @dataclass(frozen=True)
@@ -129,8 +145,10 @@ def printed_rounding(text: str) -> float:
 
 @dataclass(frozen=True)
 class Study:
-    """A validated study.  ``axes`` maps a parameter to its values; ``fixed`` holds the other parameters that it
-    sets.
+    """A validated study.  ``axes`` maps a parameter to its values; ``fixed`` holds the other parameters that it sets.
+
+    ``text`` is the file as written, ``document`` what a store needs to make the study again: overrides laid over it,
+    and places of files absolute.
     """
 
     name: str
@@ -147,6 +165,7 @@ class Study:
     claims: tuple[Claim, ...] = ()
     text: str = ""
     overrides: tuple[str, ...] = ()
+    document: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def meaning(self) -> dict[str, Any]:
         """Return what the numbers of any point mean beside its own parameters: if this differs, results cannot be
@@ -158,6 +177,7 @@ class Study:
             "experiment_version": self.experiment.version,
             "seed": self.sampling.seed,
             **({"keep_samples": True} if self.sampling.keep_samples else {}),
+            **({"common_random_numbers": True} if self.sampling.common_random_numbers else {}),
             "fixed": {k: v for k, v in sorted(self.fixed.items()) if v != defaults[k]},
         }
 
@@ -167,6 +187,7 @@ class Study:
             "axes": self.axes,
             "n_sim": self.sampling.n_sim,
             "n_cat": self.sampling.n_cat,
+            **({} if self.sampling.precision is None else {"precision": [self.sampling.precision, self.sampling.most]}),
             "zip": self.zipped,
             "exclude": [[vars(c) for c in clause] for clause in self.excluded],
         }

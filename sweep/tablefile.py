@@ -1,6 +1,7 @@
 """A table in a file as the value of a parameter: known by its content, read by astropy where it is needed."""
 
 import hashlib
+import json
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
@@ -106,6 +107,11 @@ def content_digest(value: object) -> str:
     if isinstance(value, TableFile):
         return f"sha256:{value.digest}"
     raise TypeError(f"{type(value).__name__} is no value of a parameter")
+
+
+def as_json(value: object) -> str:
+    """Return a parameter's value, or a mapping of such, as JSON with sorted keys."""
+    return json.dumps(value, sort_keys=True, default=content_digest)
 
 
 def _format(path: Path) -> str:

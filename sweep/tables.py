@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
-from sweep.results import STATUS_WORDS
+from sweep.tally import STATUS_WORDS
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -2,28 +2,36 @@
 
 import time
 import traceback
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Experiment
+from sweep.contract import Experiment, Point
 from sweep.load import load_experiment
 from sweep.plan import Block, generators
 
 
 @dataclass(frozen=True)
-class Task:
-    """Blocks of points to compute, as plain values that pickle small.
-
-    ``items`` holds (parameters of the point, its digest, the block); ``keep_samples`` asks for the realisations too.
+class Unit:
+    """A block of points that share its random numbers: their parameters (those that are not at their default), and the
+    name of the stream.
     """
+
+    points: tuple[dict[str, Any], ...]
+    stream: bytes
+    block: Block
+
+
+@dataclass(frozen=True)
+class Task:
+    """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too."""
 
     experiment_reference: str
     seed: int
-    items: tuple[tuple[dict[str, Any], bytes, Block], ...]
+    units: tuple[Unit, ...]
     keep_samples: bool = False
 
 
@@ -36,65 +44,97 @@ class Failure:
     traceback: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass
 class TaskResult:
-    """Sums of a task's blocks, (blocks, width), in its order, and the seconds that each took, (blocks,).
+    """Sums of a task, (rows, width), one row for each point of each unit in their order, and the seconds that each
+    took, (rows,).
 
-    ``failures`` maps the number of a block that failed to the reason, ``samples`` that of one whose samples are kept to
-    these, (realisations, width).
+    ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
+    samples are kept to these, (realisations, width).
     """
 
     sums: NDArray[np.float64]
     seconds: NDArray[np.float64]
-    failures: dict[int, Failure]
-    samples: dict[int, NDArray[np.float64]]
+    failures: dict[int, Failure] = field(default_factory=dict)
+    samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
 
 
 def run_task(task: Task) -> TaskResult:
-    """Compute the blocks of a task; a block that raises is recorded and the rest goes on."""
+    """Compute the blocks of a task; a point that raises is recorded and the rest goes on."""
     experiment = load_experiment(task.experiment_reference)
-    sums = np.full((len(task.items), experiment.sums_width), np.nan)
-    seconds = np.zeros(len(task.items))
-    failures: dict[int, Failure] = {}
-    samples: dict[int, NDArray[np.float64]] = {}
-    for number, (parameters, digest, block) in enumerate(task.items):
+    defaults = experiment.defaults()
+    rows = sum(len(unit.points) for unit in task.units)
+    result = TaskResult(np.full((rows, experiment.sums_width), np.nan), np.zeros(rows))
+    first = 0
+    for unit in task.units:
+        points = [defaults | own for own in unit.points]
         begun = time.perf_counter()
-        try:
-            sums[number] = run_block(experiment, parameters, digest, block, task.seed)
-            if np.isnan(sums[number]).all():
-                failures[number] = Failure("NaN", "all sums are NaN")
-            elif task.keep_samples:
-                samples[number] = sample_block(experiment, parameters, digest, block, task.seed)
-        except Exception as error:  # a point that fails must not take others with it
-            failures[number] = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
-        seconds[number] = time.perf_counter() - begun
-    return TaskResult(sums, seconds, failures, samples)
+        failures = _try(experiment, points, unit, task, result, first)
+        if failures and len(points) > 1:  # who of those that share the draw is to blame?
+            for number, point in enumerate(points):
+                _try(experiment, [point], unit, task, result, first + number)
+        result.seconds[first : first + len(points)] = (time.perf_counter() - begun) / len(points)
+        first += len(points)
+    return result
+
+
+def _try(
+    experiment: Experiment, points: list[dict[str, Any]], unit: Unit, task: Task, result: TaskResult, first: int
+) -> bool:
+    """Compute the rows of some points of a unit; return whether it raised."""
+    stop = first + len(points)
+    try:
+        sums = run_block(experiment, points, unit.stream, unit.block, task.seed)
+        if task.keep_samples:
+            samples = sample_block(experiment, points, unit.stream, unit.block, task.seed)
+            result.samples.update(zip(range(first, stop), samples, strict=True))
+    except Exception as error:  # a point that fails must not take others with it
+        reason = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
+        result.failures.update(dict.fromkeys(range(first, stop), reason))
+        return True
+    result.sums[first:stop] = sums
+    for row in range(first, stop):
+        result.failures.pop(row, None)
+        if np.isnan(result.sums[row]).any() and (names := _nan_results(experiment, result.sums[row], unit.block)):
+            result.failures[row] = Failure("NaN", f"{', '.join(names)}: not a number")
+    return False
+
+
+def _nan_results(experiment: Experiment, row: NDArray[np.float64], block: Block) -> list[str]:
+    """Return the headline results (all, if there are none) that these sums make NaN; some sums may be NaN rightly."""
+    n, n_cat = np.array([float(block.realisations)]), np.array([float(block.n_cat)])
+    results = experiment.summarise(experiment.named(row[None]), n, n_cat)
+    headline = [output.name for output in experiment.outputs if output.headline] or list(results)
+    return [name for name in headline if np.isnan(results[name]).any()]
 
 
 def run_block(
-    experiment: Experiment, parameters: dict[str, Any], digest: bytes, block: Block, seed: int
+    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
 ) -> NDArray[np.float64]:
-    """Return the sums of one block, flat in the order of `Experiment.sums`."""
-    total = np.zeros(experiment.sums_width)
-    for rng, catalogue_rng in _streams(digest, block, seed):
-        sums = experiment.evaluate([parameters], block.n_sim, rng, catalogue_rng)
-        total += np.concatenate([np.reshape(sums[name], -1) for name in experiment.sums], dtype=np.float64)
+    """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`."""
+    total = np.zeros((len(points), experiment.sums_width))
+    for rng, catalogue_rng in _streams(stream, block, seed):
+        sums = experiment.evaluate(points, block.n_sim, rng, catalogue_rng)
+        total += np.hstack([np.reshape(sums[name], (len(points), -1)) for name in experiment.sums], dtype=np.float64)
     return total
 
 
 def sample_block(
-    experiment: Experiment, parameters: dict[str, Any], digest: bytes, block: Block, seed: int
+    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
 ) -> NDArray[np.float64]:
-    """Return the realisations of one block themselves, catalogue by catalogue, flat in the order of the outputs."""
+    """Return the realisations of one block themselves, (points, realisations, width): catalogue by catalogue, flat in
+    the order of the outputs.
+    """
     assert experiment.samples is not None, "a study that keeps samples was validated"
     rows = []
-    for rng, catalogue_rng in _streams(digest, block, seed):
-        drawn = experiment.samples([parameters], block.n_sim, rng, catalogue_rng)
-        rows.append(np.hstack([np.reshape(drawn[o.name], (block.n_sim, -1)) for o in experiment.sample_outputs]))
-    return np.concatenate(rows)
+    for rng, catalogue_rng in _streams(stream, block, seed):
+        drawn = experiment.samples(points, block.n_sim, rng, catalogue_rng)
+        shape = (len(points), block.n_sim, -1)
+        rows.append(np.concatenate([np.reshape(drawn[o.name], shape) for o in experiment.sample_outputs], axis=2))
+    return np.concatenate(rows, axis=1)
 
 
-def _streams(digest: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:
+def _streams(stream: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:
     """Yield the generators of a block's part of each of its catalogues, and of the catalogue."""
     for catalogue in range(block.first_catalogue, block.first_catalogue + block.n_cat):
-        yield generators(seed, digest, catalogue, block.part)
+        yield generators(seed, stream, catalogue, block.part)

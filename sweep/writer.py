@@ -8,82 +8,100 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from sweep.grid import describe
+from sweep.grid import GridPoint, describe
+from sweep.pending import Pending
 from sweep.plan import Plan, PlanSize, Work
-from sweep.provenance import now, provenance
-from sweep.results import DONE, EXCLUDED, assemble, assemble_samples
+from sweep.provenance import host, now, provenance
+from sweep.results import assemble, assemble_samples
 from sweep.store import Store
-from sweep.worker import TaskResult
+from sweep.tally import DONE, EXCLUDED, FAILED, MISSING, Tally
+from sweep.worker import Failure, TaskResult
 
 FLUSH_EVERY_S = 1.0
 WRITE_EVERY_S = 5.0
 WRITE_SHARE = 0.05
 """The dataset is rewritten on the way so rarely that this takes at most such a share of the time."""
 
-MAX_FAILURES_KEPT = 1000
+MAX_FAILURES_NAMED = 1000
 
 
 class Writer:
-    """Takes the results of tasks in whatever order they arrive; ``remaining`` counts the blocks that each point still
-    needs.
-    """
+    """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``."""
 
-    def __init__(self, plan: Plan, remaining: NDArray[np.int32], store: Store) -> None:
-        """Start with an open store."""
-        self.plan, self.store = plan, store
-        self.failures: dict[int, str] = {}
-        self._remaining = remaining.copy()
+    def __init__(self, plan: Plan, tally: Tally, pending: Pending, store: Store) -> None:
+        """Start with an open store whose ledger the tally holds."""
+        self.plan, self.tally, self.store = plan, tally, store
+        self._pending = pending
         self._started = store.attributes.get("started", now())
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
 
-    def take(self, works: Sequence[Work], result: TaskResult) -> PlanSize:
-        """Add a task's results, and return how much that was."""
-        good = [i for i in range(len(works)) if i not in result.failures]
-        self.store.append(
-            [works[i].key for i in good], result.sums[good], [result.samples[i] for i in good if result.samples]
-        )
-        for i, failure in result.failures.items():
-            self.failures.setdefault(works[i].point.index, failure.message)
-        points = 0
-        for work in works:
-            self._remaining[work.point.index] -= 1
-            points += self._remaining[work.point.index] == 0
+    def take(self, works: Sequence[Work], result: TaskResult) -> tuple[PlanSize, PlanSize]:
+        """Add a task's results; return how much that was, and how much more they made known."""
+        done = more = PlanSize(0, 0, 0, 0.0)
+        rows = [
+            (point, work, key) for work in works for point, key in zip(work.points, work.ledger_keys(), strict=True)
+        ]
+        for number, (point, work, key) in enumerate(rows):
+            if (failure := result.failures.get(number)) is not None:
+                finished = self._fail(point, failure)
+            else:
+                sums = result.sums[number]
+                self.store.append([key], sums[None], [result.samples[number]] if result.samples else [])
+                added = [self.plan.work((point,), block) for block in self.tally.add(point, work.block, sums)]
+                self._pending.add(added)
+                more = sum((_size(0, w) for w in added), more)
+                finished = self.tally.status[point.index] == DONE
+            done += _size(int(finished), work)
         clock = time.monotonic()
         if clock - self._flushed > FLUSH_EVERY_S:
             self.store.flush()
             self._flushed = clock
         if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
             self.write()
-        return PlanSize(points, len(works), sum(w.block.realisations for w in works), sum(w.cost for w in works))
+        return done, more
 
     def write(self) -> xr.Dataset:
         """Write the labelled dataset of everything taken so far, and return it."""
         begun = time.monotonic()
         study = self.plan.grid.study
-        dataset = assemble(self.plan, self.store.rows, self.store.sums(), self.failures)
+        self.store.flush()
+        dataset = assemble(self.plan, self.tally)
         if study.sampling.keep_samples:
-            dataset = dataset.assign(assemble_samples(self.plan, dataset["status"].values, self.store.samples))
-        status = dataset["status"].values
-        points, done = int(np.sum(status != EXCLUDED)), int(np.sum(status == DONE))
+            dataset = dataset.assign(assemble_samples(self.plan, self.tally.status, self.store.samples))
+        points = int(np.count_nonzero(self.tally.status != EXCLUDED))
+        done = int(np.count_nonzero(self.tally.status == DONE))
         dataset.attrs = provenance(study) | {
             "started": self._started,
             "finished": now(),
             "points": points,
             "points_done": done,
             "complete": int(points == done),
-            "failures": json.dumps(self._failures_in_words()),
+            "failures": json.dumps(self.failures()),
         }
         self.store.write(dataset)
         self._written = time.monotonic()
         self._write_took = self._written - begun
         return dataset
 
-    def _failures_in_words(self) -> dict[str, str]:
-        first = sorted(self.failures)[:MAX_FAILURES_KEPT]
-        if not first:
-            return {}
-        points = {p.index: p for p in self.plan.grid.points() if p.index in self.failures}
-        return {describe(self.plan.grid.study, points[i].parameters): self.failures[i] for i in first}
+    def failures(self) -> dict[str, str]:
+        """Return the points of this study that failed, by their place on the axes, and why."""
+        grid, records = self.plan.grid, self.store.failures
+        failed = (grid.point(int(index)) for index in np.flatnonzero(self.tally.status == FAILED)[:MAX_FAILURES_NAMED])
+        return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in failed}
+
+    def _fail(self, point: GridPoint, failure: Failure) -> bool:
+        """Record why a point cannot be computed; return whether it was not given up already."""
+        if self.tally.status[point.index] != MISSING:
+            return False
+        self.tally.fail(point.index)
+        record = {"kind": failure.kind, "message": failure.message, "traceback": failure.traceback}
+        place = describe(self.plan.grid.study, point.parameters)
+        self.store.fail(point.digest, {"place": place, **record, "host": host(), "when": now()})
+        return True
+
+
+def _size(points: int, work: Work) -> PlanSize:
+    """Return the counts of one point's part of a work."""
+    return PlanSize(points, 1, work.block.realisations, work.cost / len(work.points))

@@ -14,8 +14,9 @@ CORE = [
     *("errors", "link", "simulate", "parameters", "scenario", "checks", "experiment", "calibration"),
 ]
 SWEEP = [
-    *("contract", "load", "tablefile", "study", "axes", "claims", "reader", "grid", "plan", "worker", "pin", "execute"),
-    *("provenance", "results", "failures", "store", "writer", "run", "status", "tables", "progress", "plots"),
+    *("contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
+    *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
+    *("provenance", "results", "failures", "store", "larger", "writer", "run", "status", "tables", "progress", "plots"),
     *("compare", "compare_tables", "reproduce"),
     *("calibrate", "__main__"),
 ]

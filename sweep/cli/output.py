@@ -67,6 +67,6 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
         click.echo(sentence)
 
 
-def failures_in_words(failures: dict[int, str], store: Path) -> str:
+def failures_in_words(failures: dict[str, str], store: Path) -> str:
     """Return the sentence that ends a run in which points failed."""
     return f"{len(failures)} point{'s' if len(failures) > 1 else ''} failed; `sweep status {store}` names them"

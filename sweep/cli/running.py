@@ -68,7 +68,7 @@ def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Pa
     print_plan(loaded, path, as_json)
 
 
-def run_with_progress(study: "Study", store: Path, resources: "Resources") -> tuple[Any, dict[int, str]]:
+def run_with_progress(study: "Study", store: Path, resources: "Resources") -> tuple[Any, dict[str, str]]:
     """Run a study with progress shown; an interruption ends the command."""
     from sweep.progress import TerminalProgress
     from sweep.run import RunInterruptedError, run_study

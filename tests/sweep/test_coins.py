@@ -1,16 +1,17 @@
 """The platform with a small experiment that is not astronomical."""
 
 import io
-import itertools
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from sweep.grid import make_grid
+from sweep.pending import Pending
 from sweep.plan import Plan, generators
 from sweep.reader import study_from_dict
 from sweep.run import Resources, plan_study, run_study
+from sweep.tally import Tally
 
 SERIAL = Resources(pool="serial")
 
@@ -63,7 +64,7 @@ def test_a_point_that_raises_is_recorded_and_the_rest_goes_on(coins, tmp_path, m
     monkeypatch.setattr("sweep.worker.load_experiment", lambda reference: broken)
     broken = type(study.experiment)(**{**vars(study.experiment), "evaluate": fail})
     dataset, failures = run(coins, tmp_path / "s.zarr")
-    assert list(failures.values()) == ["ZeroDivisionError: no coins left"]
+    assert failures == {"metal=tin,coins=5": "ZeroDivisionError: no coins left"}
     assert dataset["status"].sel(metal="tin", coins=5).item() == 2
     assert np.isnan(dataset["share"].sel(metal="tin", coins=5))
     assert int((dataset["status"] == 1).sum()) == 5
@@ -72,8 +73,10 @@ def test_a_point_that_raises_is_recorded_and_the_rest_goes_on(coins, tmp_path, m
 
     monkeypatch.undo()
     _, survey = plan_study(study, tmp_path / "s.zarr")
-    assert survey.pending.points == 1
-    dataset, failures = run(coins, tmp_path / "s.zarr")
+    assert survey.pending.points == 0
+    _, failures = run(coins, tmp_path / "s.zarr")
+    assert list(failures) == ["metal=tin,coins=5"]
+    dataset, failures = run_study(study, tmp_path / "s.zarr", SERIAL, retry=True)
     assert not failures
     assert dataset.attrs["complete"] == 1
 
@@ -127,21 +130,21 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
     from sweep import execute
 
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
-    monkeypatch.setattr("sweep.plan.TARGET", 1.0)  # one realisation a block, one block a task
+    monkeypatch.setattr("sweep.plan.TARGET", 1.0)  # one catalogue a block
+    monkeypatch.setattr("sweep.pending.TARGET", 1.0)  # one block a task
     plan = Plan(make_grid(study))
+    pending = Pending(plan, Tally(plan, {}, np.empty((0, 0))))
     drawn = 0
 
-    def counted():
+    def take(count):
         nonlocal drawn
-        for work in plan.work():
-            drawn += 1
-            yield [work]
+        tasks = pending.take(count)
+        drawn += len(tasks)
+        return tasks
 
     with execute.dask_local(study, 2, "threads") as executor:
-        queue = counted()
-        results = executor(lambda count: list(itertools.islice(queue, count)))
-        ahead = [drawn - received for received, _ in enumerate(results)]
-    assert len(ahead) == plan.survey().total.blocks == 6 * 5 * 8
+        ahead = [drawn - received for received, _ in enumerate(executor(take))]
+    assert len(ahead) == 6 * 8
     assert max(ahead) <= 2 * execute.TASKS_IN_FLIGHT
 
 
@@ -153,9 +156,9 @@ def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
 
 
 def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.worker.run_block", lambda *arguments: np.full(2, np.nan))
+    monkeypatch.setattr("sweep.worker.run_block", lambda *arguments: np.full((1, 2), np.nan))
     dataset, failures = run(coins, tmp_path / "s.zarr")
-    assert set(failures.values()) == {"all sums are NaN"}
+    assert set(failures.values()) == {"share: not a number"}
     assert (dataset["status"] == 2).all()
 
 

@@ -6,13 +6,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sweep.grid import make_grid
-from sweep.plan import MAX_CATALOGUES, MAX_SIMS, OVERHEAD, TARGET, Plan, generators, tasks
+from sweep.pending import Pending
+from sweep.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, TARGET, Plan, generators, ledger_key
 from sweep.reader import study_from_dict
+from sweep.tally import Tally
 from tests.conftest import COINS
 
 
 def plan_of(document, **sampling):
     return Plan(make_grid(study_from_dict(document | {"sampling": document["sampling"] | sampling})))
+
+
+def work_of(plan):
+    """All work of a plan, in order."""
+    nothing = Tally(plan, {}, np.empty((0, 0)))
+    return [work for task in Pending(plan, nothing).take(10**6) for work in task]
+
+
+def keys_of(document):
+    return [key for work in work_of(plan_of(document)) for key in work.ledger_keys()]
 
 
 def one_point(n_sim, n_cat):
@@ -43,24 +55,23 @@ def test_more_realisations_leave_whole_blocks_as_they_were(n_sim, n_cat, more_si
 
 def test_a_point_has_the_same_key_and_blocks_in_any_grid(coins):
     alone = {**coins, "axes": {"metal": ["tin"]}, "fixed": {"coins": 5, "chance": 0.4}}
-    keys_alone = [w.key for w in plan_of(alone).work()]
     keys = [
-        w.key
-        for w in plan_of(coins).work()
-        if w.point.parameters["metal"] == "tin" and w.point.parameters["coins"] == 5
+        work.ledger_keys()
+        for work in work_of(plan_of(coins))
+        if work.points[0].parameters["metal"] == "tin" and work.points[0].parameters["coins"] == 5
     ]
-    assert keys == keys_alone
+    assert [key for several in keys for key in several] == keys_of(alone)
 
 
 def test_a_default_that_is_written_out_is_the_same_point(coins):
     implicit = {**coins, "axes": {"coins": [1]}}
     explicit = {**implicit, "fixed": coins["fixed"] | {"metal": "gold"}}
-    assert [w.key for w in plan_of(implicit).work()] == [w.key for w in plan_of(explicit).work()]
+    assert keys_of(implicit) == keys_of(explicit)
 
 
 def test_an_integer_and_the_equal_float_are_the_same_point(coins):
     whole = {**coins, "fixed": {"coins": 1, "chance": 0.5}, "axes": {}}
-    assert [w.key for w in plan_of(whole | {"fixed": {"coins": 1.0}}).work()] == [w.key for w in plan_of(whole).work()]
+    assert keys_of(whole | {"fixed": {"coins": 1.0}}) == keys_of(whole)
 
 
 def test_streams_of_different_points_catalogues_and_parts_differ():
@@ -82,30 +93,38 @@ def test_streams_of_neighbours_are_uncorrelated():
 
 def test_tasks_hold_all_work_in_order_and_no_more_than_the_target(coins):
     plan = plan_of(coins, n_sim=300_000)
-    batches = list(tasks(plan.work()))
-    assert [w.key for batch in batches for w in batch] == [w.key for w in plan.work()]
+    batches = Pending(plan, Tally(plan, {}, np.empty((0, 0)))).take(10**6)
+    expected = [
+        ledger_key(point.digest, block)
+        for point in plan.grid.points()
+        for block in plan.blocks(plan.cost(point.parameters))
+    ]
+    assert [key for batch in batches for work in batch for key in work.ledger_keys()] == expected
     assert all(len(batch) == 1 or sum(w.cost for w in batch) <= TARGET for batch in batches)
     assert len(batches) < sum(map(len, batches)) / 50  # blocks of coins are small: many go into one task
 
 
 def test_small_points_share_a_task(coins):
     plan = plan_of(coins, n_sim=1, n_cat=1)
-    assert len(list(tasks(plan.work()))) == 1
+    assert len(Pending(plan, Tally(plan, {}, np.empty((0, 0)))).take(10)) == 1
 
 
 def test_a_block_is_bounded(coins):
     blocks = list(one_point(10**6, 100).blocks(cost=1.0))
     assert max(b.n_sim for b in blocks) == MAX_SIMS
     assert max(b.n_cat for b in blocks) == MAX_CATALOGUES
+    large = list(one_point(10**4, 10).blocks(cost=1e6))
+    assert all(b.n_cat == 1 and b.realisations * 1e6 <= LARGEST_BLOCK for b in large)
     assert all(b.n_sim == b.n_cat == 1 for b in one_point(10, 10).blocks(cost=1e9))
 
 
 def test_the_survey_counts_what_is_pending(coins):
     plan = plan_of(coins)
-    keys = [w.key for w in plan.work()]
-    survey = plan.survey(done=frozenset(keys[:3]))
+    keys = keys_of(coins)
+    survey = Tally(plan, {key: row for row, key in enumerate(keys[:3])}, np.ones((3, 2))).survey
     assert survey.total.points == 6
     assert survey.total.realisations == 6 * 20_000
+    assert survey.total.blocks == len(keys)
+    assert survey.held.blocks == 3
     assert survey.pending.blocks == len(keys) - 3
-    assert survey.remaining.sum() == len(keys) - 3
     assert survey.total.cost == pytest.approx(6 * (20_000 + 20 * 2 * OVERHEAD))

@@ -51,7 +51,7 @@ def test_samples_are_the_same_in_any_order_and_after_a_kill(kept, tmp_path):
         patch.setattr("sweep.writer.WRITE_EVERY_S", -1.0)
         patch.setattr("sweep.writer.WRITE_SHARE", 1e9)
         patch.setattr("sweep.writer.FLUSH_EVERY_S", -1.0)
-        patch.setattr("sweep.run.tasks", lambda pending: ([work] for work in pending))  # one block a task
+        patch.setattr("sweep.pending.TARGET", 1.0)  # one block a task
         calls = []
 
         def killed(self, dataset):

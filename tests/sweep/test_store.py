@@ -13,7 +13,7 @@ from sweep.contract import SweepError
 from sweep.provenance import provenance
 from sweep.reader import study_from_dict
 from sweep.run import Resources, run_study
-from sweep.store import check_store, create_or_resume, done_rows, open_dataset, read_attributes
+from sweep.store import check_store, create_or_resume, existing_store, open_dataset, read_attributes
 
 
 @pytest.fixture
@@ -90,7 +90,7 @@ def test_a_directory_left_by_a_kill_before_the_first_write_is_free(tmp_path, stu
 def test_a_store_made_up_to_its_root_is_resumed(tmp_path, study):
     open_store(tmp_path / "s.zarr", study)
     shutil.rmtree(tmp_path / "s.zarr" / "blocks")
-    assert done_rows(tmp_path / "s.zarr", study) == {}
+    assert existing_store(tmp_path / "s.zarr", study) is None
     dataset, _ = run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
     assert dataset.attrs["complete"] == 1
 
@@ -124,12 +124,31 @@ def test_a_fixed_value_may_become_an_axis_and_keeps_its_numbers(tmp_path, coins,
     assert xr.open_zarr(tmp_path / "s.zarr")["share"].shape == (2, 3, 2)
 
 
-def test_a_smaller_study_shows_its_part_and_the_ledger_keeps_the_rest(tmp_path, coins, study):
+def test_a_smaller_study_leaves_the_larger_store_as_it_is(tmp_path, coins, study):
+    whole, _ = run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+    before = contents(tmp_path / "s.zarr")
+    smaller = study_from_dict(coins | {"axes": {"metal": ["tin"], "coins": [20, 5]}})
+    part, _ = run_study(smaller, tmp_path / "s.zarr", Resources(pool="serial"))
+    xr.testing.assert_equal(part["share"], whole["share"].sel(metal=["tin"], coins=[20, 5]))
+    axis_less = {"axes": {"coins": [5]}, "fixed": coins["fixed"] | {"metal": "tin"}}
+    part, _ = run_study(study_from_dict(coins | axis_less), tmp_path / "s.zarr", Resources(pool="serial"))
+    xr.testing.assert_equal(part["share"].drop_vars("metal"), whole["share"].sel(metal="tin", coins=[5], drop=True))
+    shorter = study_from_dict(coins | {"sampling": coins["sampling"] | {"n_sim": 10, "n_cat": 2}})
+    part, _ = run_study(shorter, tmp_path / "s.zarr", Resources(pool="serial"))
+    assert (part["n_sim_done"] == 20_000).all()
+    assert contents(tmp_path / "s.zarr") == before
+
+
+def contents(store):
+    return {path: path.read_bytes() for path in store.rglob("*") if path.is_file()}
+
+
+def test_a_study_that_is_smaller_and_larger_keeps_the_blocks_that_it_does_not_use(tmp_path, coins, study):
     run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
-    smaller = study_from_dict(coins | {"axes": {"metal": ["tin"], "coins": [5]}})
-    run_study(smaller, tmp_path / "s.zarr", Resources(pool="serial"))
-    assert xr.open_zarr(tmp_path / "s.zarr")["share"].shape == (1, 1)
-    assert len(done_rows(tmp_path / "s.zarr", study)) == 6 * 4
+    other = study_from_dict(coins | {"axes": {"metal": ["tin"], "coins": [5, 6]}})
+    run_study(other, tmp_path / "s.zarr", Resources(pool="serial"))
+    assert xr.open_zarr(tmp_path / "s.zarr")["share"].shape == (1, 2)
+    assert len(open_store(tmp_path / "s.zarr", study).rows) == 7 * 4
 
 
 def test_a_newer_format_is_refused_politely(tmp_path, study):

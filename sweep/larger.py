@@ -1,0 +1,63 @@
+"""Whether a store holds a larger study already, and which of its points a smaller one asks for."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.grid import Grid
+from sweep.store import open_dataset
+from sweep.tally import DONE
+
+
+def part_of_larger(store: Path, grid: Grid) -> xr.Dataset | None:
+    """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, an axis
+    more, more realisations or catalogues.  None where something is missing there, or there is nothing more.
+    """
+    study = grid.study
+    try:
+        dataset = open_dataset(store)
+    except SweepError:
+        return None
+    if study.excluded or "sample" in dataset.dims or not _enough_realisations(dataset.attrs, grid):
+        return None
+    part = dataset
+    for name, coordinate in dataset.coords.items():
+        if name in study.experiment.defaults() and name not in study.axes and coordinate.ndim:
+            value = dict(study.fixed).get(str(name), study.experiment.defaults()[str(name)])
+            places = np.flatnonzero(coordinate.values == value)
+            if len(places) != 1 or coordinate.dims[0] not in part.dims:
+                return None
+            part = part.isel({coordinate.dims[0]: places[0]})
+    for dimension, axes in grid.dimensions.items():
+        places_of = _places(part, dimension, axes, grid)
+        if places_of is None:
+            return None
+        part = part.isel({dimension: places_of})
+    if not bool((part["status"] == DONE).all()) or set(part["status"].dims) != set(grid.dimensions):
+        return None
+    fewer = part["status"].size < dataset["status"].size
+    less = any(dataset.attrs[key] > getattr(study.sampling, key) for key in ("n_sim", "n_cat"))
+    return part.transpose(*grid.dimensions, ...) if fewer or less else None
+
+
+def _enough_realisations(attributes: dict[str, Any], grid: Grid) -> bool:
+    sampling = grid.study.sampling
+    if attributes.get("precision") is not None or sampling.precision is not None:
+        same = attributes.get("precision") == sampling.precision
+        return same and all(attributes[key] == getattr(sampling, key) for key in ("n_sim", "n_cat"))
+    return bool(attributes["n_sim"] >= sampling.n_sim and attributes["n_cat"] >= sampling.n_cat)
+
+
+def _places(dataset: xr.Dataset, dimension: str, axes: tuple[str, ...], grid: Grid) -> list[int] | None:
+    """Return where along a dimension of the dataset the values of a study's axes stand, or None where one does not."""
+    if any(name not in dataset.coords or dataset[name].dims != (dimension,) for name in axes):
+        return None
+    stored = list(zip(*(dataset[name].values.tolist() for name in axes), strict=True))
+    wanted = zip(*(grid.study.axes[name] for name in axes), strict=True)
+    try:
+        return [stored.index(values) for values in wanted]
+    except ValueError:
+        return None
