@@ -135,14 +135,15 @@ class Plan:
         shared = max(costs) + SHARED * (sum(costs) - max(costs))
         return Work(points, block, block.realisations * shared + block.n_cat * len(points) * OVERHEAD)
 
-    def size(self, parameters: dict[str, Any]) -> PlanSize:
-        """Return the counts of a whole point, by arithmetic."""
-        sampling, cost = self.grid.study.sampling, self.cost(parameters)
+    def size(self, cost: float, points: int = 1) -> PlanSize:
+        """Return the counts of whole points that cost the same, by arithmetic."""
+        sampling = self.grid.study.sampling
         sims, catalogues = self.block_shape(cost)
         parts = self.parts(cost)
         realisations = sampling.n_cat * (sampling.n_sim if sampling.precision is None else parts * sims)
         work = realisations * cost + sampling.n_cat * parts * OVERHEAD
-        return PlanSize(1, parts * -(-sampling.n_cat // catalogues), realisations, work)
+        blocks = parts * -(-sampling.n_cat // catalogues)
+        return PlanSize(points, points * blocks, points * realisations, points * work)
 
     def check_size(self, blocks: int) -> None:
         """Raise SweepError for more than `MAX_BLOCKS` blocks: such a study would not end, and its ledger not fit."""

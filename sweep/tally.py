@@ -1,6 +1,7 @@
 """The tally of a run: the sums of each point so far, and which blocks it still needs."""
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -62,10 +63,13 @@ class Tally:
     def _survey(self, sums: Array) -> Survey:
         total = all_held = pending = PlanSize(0, 0, 0, 0.0)
         if not self._rows and not self._failed:  # as fast as a grid of a million points needs
+            costs: Counter[float] = Counter()
             for index, parameters in self.plan.grid.parameters():
                 self.status[index] = MISSING
-                total += self.plan.size(parameters)
-                self.plan.check_size(total.blocks)
+                costs[self.plan.cost(parameters)] += 1
+            for cost, points in costs.items():
+                total += self.plan.size(cost, points)
+            self.plan.check_size(total.blocks)
             return Survey(total, all_held, total)
         for point in self.plan.grid.points():
             self.status[point.index] = FAILED if point.digest in self._failed else MISSING
