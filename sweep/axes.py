@@ -85,12 +85,12 @@ def override(document: dict[str, Any], option: str, problems: list[str], as_axis
     if as_axis:
         section, other, parsed = "axes", "fixed", _parse_axis_option(value)
     elif sampling_key in Sampling.model_fields:
-        section, other, key, parsed = "sampling", "", sampling_key, _parse_value(value)
+        section, other, key, parsed = "sampling", "", sampling_key, parse_value(value)
     elif key == "title":
         document[key] = value
         return (key,)
     else:
-        section, other, key, parsed = "fixed", "axes", key.removeprefix("fixed."), _parse_value(value)
+        section, other, key, parsed = "fixed", "axes", key.removeprefix("fixed."), parse_value(value)
     for table in (section, other):
         if table and not isinstance(document.get(table, {}), dict):
             return ()  # the form's own check will say what is wrong with this section
@@ -99,7 +99,8 @@ def override(document: dict[str, Any], option: str, problems: list[str], as_axis
     return section, key
 
 
-def _parse_value(text: str) -> Any:
+def parse_value(text: str) -> Any:
+    """Return a value as TOML would read it, or the text itself where it is a bare word."""
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -114,11 +115,11 @@ def _parse_axis_option(text: str) -> Any:
         start, stop, last = parts
         if last.startswith("log"):
             return {
-                "start": _parse_value(start),
-                "stop": _parse_value(stop),
-                "num": _parse_value(last[3:]),
+                "start": parse_value(start),
+                "stop": parse_value(stop),
+                "num": parse_value(last[3:]),
                 "spacing": "log",
             }
-        return {"start": _parse_value(start), "stop": _parse_value(stop), "step": _parse_value(last)}
-    listed = _parse_value(text)
-    return listed if isinstance(listed, list) else [_parse_value(part.strip()) for part in text.split(",")]
+        return {"start": parse_value(start), "stop": parse_value(stop), "step": parse_value(last)}
+    listed = parse_value(text)
+    return listed if isinstance(listed, list) else [parse_value(part.strip()) for part in text.split(",")]

@@ -40,14 +40,16 @@ def part_of_larger(store: Path, grid: Grid) -> xr.Dataset | None:
         return None
     fewer = part["status"].size < dataset["status"].size
     less = any(dataset.attrs[key] > getattr(study.sampling, key) for key in ("n_sim", "n_cat"))
+    less |= dataset.attrs.get("precision") != study.sampling.precision
     return part.transpose(*grid.dimensions, ...) if fewer or less else None
 
 
 def _enough_realisations(attributes: dict[str, Any], grid: Grid) -> bool:
     sampling = grid.study.sampling
-    if attributes.get("precision") is not None or sampling.precision is not None:
-        same = attributes.get("precision") == sampling.precision
-        return same and all(attributes[key] == getattr(sampling, key) for key in ("n_sim", "n_cat"))
+    stored = attributes.get("precision")
+    if stored is not None or sampling.precision is not None:  # by how much a point was realised depends on all of these
+        fine_enough = stored is not None and sampling.precision is not None and stored <= sampling.precision
+        return fine_enough and all(attributes[key] == getattr(sampling, key) for key in ("n_sim", "n_cat"))
     return bool(attributes["n_sim"] >= sampling.n_sim and attributes["n_cat"] >= sampling.n_cat)
 
 

@@ -25,6 +25,7 @@ SHARED = 0.15
 MAX_BLOCKS = 10_000_000
 
 MAX_SIMS = 512
+FIRST_SIMS = 64
 MAX_CATALOGUES = 16
 
 LARGEST_BLOCK = 2**28
@@ -101,18 +102,37 @@ class Plan:
         numbers each.
 
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
-        they are; only a last, partial block is computed again.  With a precision to reach there are no partial parts.
+        they are; only a last, partial block is computed again.
         """
         sampling = self.grid.study.sampling
-        sims, catalogues = self.block_shape(cost)
-        n_sim = sampling.n_sim if sampling.precision is None else sims * self.parts(cost, sampling.most)
+        _, catalogues = self.block_shape(cost)
         for group, first in enumerate(range(0, sampling.n_cat, catalogues)):
+            n_cat = min(catalogues, sampling.n_cat - first)
             for part in range(self.parts(cost)) if parts is None else parts:
-                yield Block(group, part, first, min(catalogues, sampling.n_cat - first), min(sims, n_sim - part * sims))
+                n_sim = self.realisations(cost, part + 1) - self.realisations(cost, part)
+                yield Block(group, part, first, n_cat, n_sim)
 
     def parts(self, cost: float, n_sim: int | None = None) -> int:
-        """Return into how many parts so many realisations are cut (those of the study by default)."""
-        return -(-(n_sim or self.grid.study.sampling.n_sim) // self.block_shape(cost)[0])
+        """Return into how many parts so many realisations (those of the study by default) of a catalogue are cut."""
+        sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
+        wanted = n_sim or sampling.n_sim
+        if sampling.precision is None or wanted >= sims:
+            return -(-wanted // sims) + (0 if sampling.precision is None else _doublings(sims))
+        return 1 + max(0, math.ceil(math.log2(wanted / min(FIRST_SIMS, sims))))
+
+    def realisations(self, cost: float, parts: int) -> int:
+        """Return how many realisations of a catalogue the first ``parts`` hold.
+
+        All parts are of the same size but for the last, which holds what is left.  With a precision to reach there is
+        no such remainder, but the first parts are small and double the number of realisations each.
+        """
+        sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
+        if sampling.precision is None:
+            return min(parts * sims, sampling.n_sim)
+        whole = parts - _doublings(sims)
+        if whole > 0:
+            return sims * whole
+        return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
 
     def block_shape(self, cost: float) -> tuple[int, int]:
         """Return how many realisations of how many catalogues a whole block holds."""
@@ -138,9 +158,9 @@ class Plan:
     def size(self, cost: float, points: int = 1) -> PlanSize:
         """Return the counts of whole points that cost the same, by arithmetic."""
         sampling = self.grid.study.sampling
-        sims, catalogues = self.block_shape(cost)
+        _, catalogues = self.block_shape(cost)
         parts = self.parts(cost)
-        realisations = sampling.n_cat * (sampling.n_sim if sampling.precision is None else parts * sims)
+        realisations = sampling.n_cat * self.realisations(cost, parts)
         work = realisations * cost + sampling.n_cat * parts * OVERHEAD
         blocks = parts * -(-sampling.n_cat // catalogues)
         return PlanSize(points, points * blocks, points * realisations, points * work)
@@ -174,6 +194,11 @@ def generators(seed: int, name: bytes, catalogue: int, part: int) -> tuple[np.ra
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(*words, *place))))
 
     return stream(catalogue, 1, part), stream(catalogue, 0)
+
+
+def _doublings(sims: int) -> int:
+    """Return in how many steps parts that double reach their whole size."""
+    return (sims // FIRST_SIMS).bit_length() - 1 if sims > FIRST_SIMS else 0
 
 
 def _power_of_two(ratio: float, most: int) -> int:

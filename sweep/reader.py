@@ -1,10 +1,12 @@
 """From a study file to a Study: finds it, reads it, and reports every problem at once."""
 
 import csv
+import json
 import re
 import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from importlib import resources
 from pathlib import Path
@@ -101,6 +103,26 @@ def study_from_dict(document: Mapping[str, Any], name: str = "study") -> Study:
     `load_study`.
     """
     return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}).study()
+
+
+def study_of_attributes(attributes: Mapping[str, Any], where: str) -> Study:
+    """Return the study whose results have these attributes; raises SweepError as `load_study`, for example where the
+    file of its experiment is gone.
+
+    Published numbers are left out if their file is.
+    """
+    try:
+        document = json.loads(attributes["study_document"])
+        text, overrides, name = (str(attributes[key]) for key in ("study", "study_overrides", "study_name"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SweepError("does not say which study it holds", where) from error
+    if "published" in document and not Path(document["published"]["file"]).is_file():
+        del document["published"]
+    changed: dict[Place, str] = {
+        (table, key): "" for table in ("axes", "fixed") for key in document.get(table, {}) if overrides
+    }
+    laid_over = (overrides,) if overrides else ()
+    return replace(_Reader(document, text, Path(where), [], laid_over, changed).study(), name=name)
 
 
 def _option(text: str) -> str:

@@ -1,5 +1,6 @@
 """Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
 
+from collections.abc import Collection
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,10 +81,10 @@ def run_study(
 ) -> tuple[xr.Dataset, dict[str, str]]:
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
-    The same call after an interruption goes on where it stopped.  Points that failed before are left as they are, or
-    with ``retry`` computed again.  Where the store holds a larger study it is left as it is, and these points of it are
-    returned.  Raises SweepError for bad input before anything is written, and RunInterruptedError on SIGINT with
-    everything that was finished in the store.
+    The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
+    ``retry`` they, and only they, are computed again.  Where the store holds a larger study it is left as it is, and
+    these points of it are returned.  Raises SweepError for bad input before anything is written, and
+    RunInterruptedError on SIGINT with everything that was finished in the store.
     """
     progress = progress or Silent()
     plan = Plan(make_grid(study))
@@ -91,9 +92,13 @@ def run_study(
     if opened is not None and not retry and (part := part_of_larger(store, plan.grid)) is not None:
         progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
         return part, {}
+    again = None
     if opened is not None and retry:
-        opened.forgive([point.digest for point in plan.grid.points()])
-    tally = _tally(plan, opened)
+        again = opened.failures.keys() & {point.digest for point in plan.grid.points()}
+        opened.forgive(again)
+        if not again:
+            progress.say(f"no point in {store} has failed")
+    tally = _tally(plan, opened, again)
     where, executor = choose_executor(study, tally.survey, resources)
     with executor as run:
         opened = opened or create_or_resume(store, study, provenance(study))
@@ -117,10 +122,10 @@ def run_study(
         return writer.write(), writer.failures()
 
 
-def _tally(plan: Plan, store: Store | None) -> Tally:
+def _tally(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Tally:
     if store is None:
         return Tally(plan, {}, np.empty((0, 0)))
-    return Tally(plan, store.rows, store.sums(), store.failures)
+    return Tally(plan, store.rows, store.sums(), store.failures, only)
 
 
 def choose_executor(study: Study, survey: Survey, resources: Resources) -> tuple[str, AbstractContextManager[Executor]]:

@@ -47,13 +47,20 @@ class Tally:
     ``status`` (points,) are indexed as the grid.
     """
 
-    def __init__(self, plan: Plan, rows: Mapping[bytes, int], sums: Array, failed: Collection[bytes] = ()) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        rows: Mapping[bytes, int],
+        sums: Array,
+        failed: Collection[bytes] = (),
+        only: Collection[bytes] | None = None,
+    ) -> None:
         """Start with the ``rows`` of a ledger and their ``sums``, and the points (by digest) that ``failed``.
 
-        Raises SweepError for a plan of too many blocks.
+        With ``only`` nothing is missing but these points.  Raises SweepError for a plan of too many blocks.
         """
         grid = plan.grid
-        self.plan, self._rows, self._failed = plan, rows, failed
+        self.plan, self._rows, self._failed, self._only = plan, rows, failed, only
         self.total = np.zeros((len(grid), grid.study.experiment.sums_width))
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), EXCLUDED, dtype=np.int8)
@@ -77,7 +84,7 @@ class Tally:
             total += held + left
             all_held += held
             self.plan.check_size(total.blocks)
-            if self.status[point.index] == MISSING:
+            if self._is_wanted(point):
                 pending += left
         return Survey(total, all_held, pending)
 
@@ -101,8 +108,11 @@ class Tally:
 
     def missing(self, point: GridPoint) -> Iterator[Block]:
         """Yield the blocks of a point that the ledger did not hold at the start, as far as they are known now."""
-        if self.status[point.index] == MISSING:
+        if self._is_wanted(point):
             yield from (b for b in self._blocks(point) if ledger_key(point.digest, b) not in self._rows)
+
+    def _is_wanted(self, point: GridPoint) -> bool:
+        return self.status[point.index] == MISSING and (self._only is None or point.digest in self._only)
 
     def add(self, point: GridPoint, block: Block, row: Array) -> list[Block]:
         """Add one block's sums; return the blocks that the point needs beyond those known so far."""
@@ -151,7 +161,8 @@ class Tally:
         sampling, precision = study.sampling, study.sampling.precision
         if precision is None:
             return parts
-        n = np.array([float(sampling.n_cat * parts * self.plan.block_shape(cost)[0])])
+        n_sim = self.plan.realisations(cost, parts)
+        n = np.array([float(sampling.n_cat * n_sim)])
         results = study.experiment.summarise(
             study.experiment.named(self.total[index : index + 1]), n, np.array([float(sampling.n_cat)])
         )
@@ -160,5 +171,5 @@ class Tally:
         worst = max(float(np.max(error)) for error in errors)
         if math.isnan(worst) or worst <= precision:
             return parts
-        needed = parts * min((worst / precision) ** 2, LARGEST_STEP)
-        return min(max(parts + 1, math.ceil(needed)), self.plan.parts(cost, sampling.most))
+        needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
+        return min(max(parts + 1, self.plan.parts(cost, needed)), self.plan.parts(cost, sampling.most))

@@ -16,11 +16,24 @@ CORE = [
 SWEEP = [
     *("contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
     *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
-    *("provenance", "results", "failures", "store", "larger", "writer", "run", "status", "tables", "progress", "plots"),
-    *("compare", "compare_tables", "reproduce"),
+    *(
+        "provenance",
+        "results",
+        "failures",
+        "store",
+        "larger",
+        "writer",
+        "run",
+        "revisit",
+        "status",
+        "tables",
+        "progress",
+        "plots",
+    ),
+    *("compare", "compare_tables", "paper"),
     *("calibrate", "__main__"),
 ]
-CLI = ["group", "options", "output", "running", "reading", "paper", "about", "match"]
+CLI = ["group", "options", "output", "running", "again", "reading", "paper", "about", "match"]
 SEARCH = [
     *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
 ]

@@ -46,7 +46,7 @@ def compare(
     sweep compare --all --workers 4
     """
     from sweep.compare import all_is_well
-    from sweep.reproduce import compare_stores
+    from sweep.paper import compare_stores
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")
@@ -62,7 +62,7 @@ def compare(
 
 def _run_what_is_missing(results: Path, resources: "Resources") -> tuple[Path, ...]:
     """Return the stores of all built-in studies with something published, after running those that need it."""
-    from sweep.reproduce import published_studies, store_of, unfinished
+    from sweep.paper import published_studies, store_of, unfinished
 
     studies = published_studies()
     for study in unfinished(studies, results):

@@ -68,14 +68,16 @@ def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Pa
     print_plan(loaded, path, as_json)
 
 
-def run_with_progress(study: "Study", store: Path, resources: "Resources") -> tuple[Any, dict[str, str]]:
+def run_with_progress(
+    study: "Study", store: Path, resources: "Resources", retry: bool = False
+) -> tuple[Any, dict[str, str]]:
     """Run a study with progress shown; an interruption ends the command."""
     from sweep.progress import TerminalProgress
     from sweep.run import RunInterruptedError, run_study
 
     with TerminalProgress() as progress:
         try:
-            return run_study(study, store, resources, progress)
+            return run_study(study, store, resources, progress, retry)
         except RunInterruptedError:
             progress.say(f"interrupted; what was finished is kept in {store}, the same command goes on from there")
             sys.exit(EXIT_INTERRUPTED)

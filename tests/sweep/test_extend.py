@@ -1,0 +1,85 @@
+"""A study that grows computes only what is new, and ends with the bits of a fresh run of the larger study."""
+
+import random
+
+import pytest
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.reader import study_from_dict
+from sweep.run import Resources, plan_study, run_study
+
+SERIAL = Resources(pool="serial")
+
+
+def run(document, path):
+    return run_study(study_from_dict(document), path, SERIAL)[0]
+
+
+def pending(document, path):
+    return plan_study(study_from_dict(document), path)[1].pending
+
+
+def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tmp_path):
+    """Chains of edits: axis values, a new axis, more realisations, more catalogues, one after the other."""
+    rng = random.Random(11)
+    for chain in range(6):
+        document = coins | {"axes": {"coins": [5]}, "fixed": {}, "sampling": {"n_sim": 300, "n_cat": 3, "seed": 7}}
+        store = tmp_path / f"{chain}.zarr"
+        run(document, store)
+        for _ in range(4):
+            axes, sampling = dict(document["axes"]), dict(document["sampling"])
+            kind = rng.choice(["value", "axis", "n_sim", "n_cat", "order"])
+            if kind == "value":
+                axes["coins"] = rng.sample([*axes["coins"], max(axes["coins"]) + 3], len(axes["coins"]) + 1)
+            elif kind == "axis" and "metal" not in axes:
+                axes = {"metal": ["tin", "gold"]} | axes  # gold is the default: these points are there already
+            elif kind == "order":
+                axes = dict(reversed(axes.items()))
+            else:
+                key = "n_cat" if kind == "n_cat" else "n_sim"
+                sampling[key] += rng.randint(1, 400)
+            before = pending(document, store)
+            document = document | {"axes": axes, "sampling": sampling}
+            grown = run(document, store)
+            fresh = run(document, tmp_path / f"{chain}-{rng.random()}.zarr")
+            assert before.blocks == 0
+            xr.testing.assert_identical(grown.drop_attrs(), fresh.drop_attrs())
+
+
+def test_a_new_axis_with_the_old_value_keeps_the_old_points(coins, tmp_path):
+    run(coins | {"fixed": {"chance": 0.4}}, tmp_path / "s.zarr")
+    wider = coins | {"axes": coins["axes"] | {"chance": [0.3, 0.4]}, "fixed": {}}
+    assert pending(wider, tmp_path / "s.zarr").points == 6
+    run(wider, tmp_path / "s.zarr")
+
+
+def test_more_realisations_leave_whole_blocks(coins, tmp_path):
+    run(coins | {"sampling": {"n_sim": 1024, "n_cat": 16, "seed": 7}}, tmp_path / "s.zarr")
+    more = coins | {"sampling": {"n_sim": 1536, "n_cat": 16, "seed": 7}}
+    assert pending(more, tmp_path / "s.zarr").realisations == 6 * 16 * 512
+
+
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        ({"sampling": {"n_sim": 1000, "n_cat": 20, "seed": 8}}, "seed: 7 in the store, 8 in the study"),
+        ({"fixed": {"chance": 0.5}}, "fixed.chance: 0.4 in the store, 0.5 in the study"),
+    ],
+)
+def test_a_change_of_meaning_is_refused_with_the_differences(coins, tmp_path, change, difference):
+    run(coins, tmp_path / "s.zarr")
+    with pytest.raises(SweepError) as refused:
+        run(coins | change, tmp_path / "s.zarr")
+    assert "give another store with -o" in refused.value.problems[0]
+    assert difference in refused.value.problems
+    run(coins | change, tmp_path / "other.zarr")
+
+
+def test_another_version_of_the_experiment_is_refused(coins, tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    run(coins, tmp_path / "s.zarr")
+    newer = replace(study_from_dict(coins), experiment=replace(study_from_dict(coins).experiment, version=2))
+    with pytest.raises(SweepError, match="experiment_version: 1 in the store, 2 in the study"):
+        run_study(newer, tmp_path / "s.zarr", SERIAL)

@@ -1,0 +1,123 @@
+"""Realisations until a point is as precise as the study asks, the same number in every run."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.contract import Experiment, Output, Parameter, SweepError
+from sweep.reader import study_from_dict
+from sweep.run import Resources, RunInterruptedError, run_study
+
+SERIAL = Resources(pool="serial")
+
+
+def walk(points, n_sim, rng, catalogue_rng):
+    """Normal deviates about ``mean`` with ``scatter``: the relative error of their mean is known in closed form."""
+    draws = [rng.normal(p["mean"], p["scatter"], n_sim) for p in points]
+    return {"sum": [d.sum() for d in draws], "squares": [(d**2).sum() for d in draws]}
+
+
+def summary(sums, n, n_cat):
+    mean = sums["sum"] / n
+    return {"level": mean, "level_mc_error": np.sqrt((sums["squares"] / n - mean**2) / n)}
+
+
+experiment = Experiment(
+    name="level",
+    version=1,
+    parameters=(Parameter("mean", "float", 10.0, "mean"), Parameter("scatter", "float", 1.0, "scatter", above=0.0)),
+    sums={"sum": (), "squares": ()},
+    outputs=(Output("level", "m", "mean", headline=True), Output("level_mc_error", "m", "its error")),
+    evaluate=walk,
+    summarise=summary,
+)
+
+
+def study(tmp_path=None, **sampling):
+    return study_from_dict(
+        {
+            "title": "Levels",
+            "experiment": f"{__file__}:experiment",
+            "axes": {"scatter": [0.01, 1.0, 10.0]},
+            "sampling": {"n_sim": 100, "seed": 3, "precision": 0.01} | sampling,
+        }
+    )
+
+
+def test_every_point_gets_what_it_needs_and_not_much_more(tmp_path):
+    dataset, _ = run_study(study(), tmp_path / "s.zarr", SERIAL)
+    reached = (dataset["level_mc_error"] / dataset["level"]).values
+    assert np.all(reached <= 0.01)
+    needed = (np.array([0.01, 1.0, 10.0]) / 10.0 / 0.01) ** 2  # realisations, from the law of the mean
+    done = dataset["n_sim_done"].values
+    assert done.tolist()[:2] == [128, 128]  # the least is 100, in parts of 64, 64, 128, 256, 512, 512, ...
+    assert needed[2] <= done[2] * 1.1
+    assert done[2] <= 1.2 * needed[2] + 512
+    assert dataset.attrs["precision"] == 0.01
+
+
+def test_there_is_a_most(tmp_path):
+    dataset, _ = run_study(study(max_n_sim=3000), tmp_path / "s.zarr", SERIAL)
+    assert dataset["n_sim_done"].values.tolist()[2] == 3072
+    assert dataset.attrs["complete"] == 1
+
+
+@pytest.mark.parametrize("resources", [Resources(workers=2, pool="threads"), Resources(workers=2, pool="processes")])
+def test_the_numbers_do_not_depend_on_who_computes_them(tmp_path, resources):
+    serial, _ = run_study(study(), tmp_path / "serial.zarr", SERIAL)
+    other, _ = run_study(study(), tmp_path / "other.zarr", resources)
+    xr.testing.assert_identical(serial.drop_attrs(), other.drop_attrs())
+
+
+def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
+    whole, _ = run_study(study(), tmp_path / "whole.zarr", SERIAL)
+    from sweep.worker import run_block
+
+    for stop_at in (1, 4, 5, 9, 13):
+        blocks = []
+
+        def stopped(*arguments, blocks=blocks, stop_at=stop_at):
+            blocks.append(1)
+            if len(blocks) > stop_at:
+                raise KeyboardInterrupt
+            return run_block(*arguments)
+
+        monkeypatch.setattr("sweep.worker.run_block", stopped)
+        with pytest.raises(RunInterruptedError):
+            run_study(study(), tmp_path / "s.zarr", SERIAL)
+        monkeypatch.undo()
+    resumed, _ = run_study(study(), tmp_path / "s.zarr", SERIAL)
+    xr.testing.assert_identical(whole.drop_attrs(), resumed.drop_attrs())
+
+
+def test_a_finer_precision_goes_on_and_a_coarser_one_leaves_the_store_alone(tmp_path):
+    run_study(study(precision=0.05), tmp_path / "s.zarr", SERIAL)
+    finer, _ = run_study(study(), tmp_path / "s.zarr", SERIAL)
+    fresh, _ = run_study(study(), tmp_path / "fresh.zarr", SERIAL)
+    xr.testing.assert_identical(finer.drop_attrs(), fresh.drop_attrs())
+    again, _ = run_study(study(precision=0.05), tmp_path / "s.zarr", SERIAL)
+    assert again["n_sim_done"].values.tolist() == finer["n_sim_done"].values.tolist()
+    assert xr.open_zarr(tmp_path / "s.zarr").attrs["precision"] == 0.01
+
+
+@pytest.mark.parametrize(
+    ("sampling", "message"),
+    [
+        ({"precision": 0.0}, "sampling.precision: input should be greater than 0"),
+        ({"max_n_sim": 50}, "sampling.max_n_sim: 50: must be at least n_sim = 100"),
+        ({"keep_samples": True}, "no samples to keep"),
+    ],
+)
+def test_what_cannot_be_is_said(sampling, message):
+    with pytest.raises(SweepError, match=message):
+        study(**sampling)
+
+
+def test_an_experiment_without_errors_cannot_be_precise(coins):
+    with pytest.raises(SweepError, match="no headline result X of the experiment 'coins' has an error X_mc_error"):
+        study_from_dict(coins | {"sampling": {"precision": 0.1}})
+
+
+def test_a_limit_needs_a_precision(coins):
+    with pytest.raises(SweepError, match=r"sampling.max_n_sim: is the limit of a precision, and there is none"):
+        study_from_dict(coins | {"sampling": {"max_n_sim": 10}})
