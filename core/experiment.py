@@ -9,7 +9,7 @@ from core.checks import check
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, UNITS
 from core.scenario import catalogue_size, errors_at_limit, scenario
-from core.simulate import BlockSums, sample, simulate
+from core.simulate import BlockSums, simulate
 from sweep.contract import Experiment, Point
 
 Array = NDArray[np.float64]
@@ -31,16 +31,19 @@ SUMS: Mapping[str, tuple[int, ...]] = {
 def evaluate(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Return the sums of `SUMS` for one catalogue and ``n_sim`` realisations of its errors, one row a point."""
-    rows = [_sums(simulate(scenario(point), n_sim, rng, catalogue_rng), n_sim) for point in points]
-    return {name: np.array([row[name] for row in rows]) for name in SUMS}
+    """Return the sums of `SUMS` for one catalogue of each point and ``n_sim`` realisations of its errors, one row a
+    point.
+    """
+    return _by_name(simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng), n_sim)
 
 
 def samples(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Return the estimates themselves, shape (points, n_sim, 6), of the realisations that `evaluate` adds up."""
-    return {"estimate": np.array([sample(scenario(point), n_sim, rng, catalogue_rng)[:, :6] for point in points])}
+    """Return what `evaluate` returns and the estimates that it adds up, shape (points, n_sim, 6)."""
+    blocks = simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng, keep_estimates=True)
+    estimates = [block.estimates[:, :6] for block in blocks if block.estimates is not None]
+    return _by_name(blocks, n_sim) | {"estimate": np.array(estimates)}
 
 
 def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Array]:
@@ -86,6 +89,12 @@ def cost(point: Point) -> float:
     """Return how many normal deviates one realisation takes."""
     reference, satellite = (np.any(sigma) for sigma in errors_at_limit(point))
     return float(4 * (int(reference) + int(satellite)) * catalogue_size(point))
+
+
+def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:
+    """Return the sums of `SUMS`, one row a block."""
+    rows = [_sums(block, n_sim) for block in blocks]
+    return {name: np.array([row[name] for row in rows]) for name in SUMS}
 
 
 def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:

@@ -24,6 +24,10 @@ there.
 """
 
 
+SMALLEST_EIGENVALUE = 1e-12
+"""Of a normal matrix scaled to a diagonal of 1, below which the link is rank deficient."""
+
+
 class LinkError(ValueError):
     """The link cannot be solved; the message names the object or the cause."""
 
@@ -42,12 +46,7 @@ def design_matrix(
     Raises LinkError for a source at a pole, where ra is undefined.
     """
     cos_dec = np.cos(dec)
-    if np.any(cos_dec < POLE_LIMIT):
-        at = tuple(np.argwhere(cos_dec < POLE_LIMIT)[0])
-        raise LinkError(
-            f"object {at[-1]} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec[at])} deg): "
-            "ra is undefined there"
-        )
+    require_off_poles(dec, cos_dec)
     p, q, _ = triad(ra, dec)
     p, q = np.moveaxis(p, 0, -1), np.moveaxis(q, 0, -1)
     design = np.zeros((4, *np.shape(ra), 9 if glide else 6))
@@ -60,6 +59,22 @@ def design_matrix(
         design[2, ..., 0], design[2, ..., 1] = -pmdec * eta_x, -pmdec * eta_y
         design[3, ..., 0], design[3, ..., 1] = pmra * eta_x, pmra * eta_y
     return design
+
+
+def require_off_poles(dec: Array, cos_dec: Array) -> None:
+    """Raise LinkError for the first object (last axis of ``dec``, rad) at a pole, where ra is undefined."""
+    at_pole = cos_dec < POLE_LIMIT
+    if np.any(at_pole):
+        at = tuple(np.argwhere(at_pole)[0])
+        raise pole_error(int(at[-1]), float(dec[at]))
+
+
+def pole_error(item: int, dec: float) -> LinkError:
+    """Return the error that names the object at a pole."""
+    return LinkError(
+        f"object {item} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec)} deg): "
+        "ra is undefined there"
+    )
 
 
 def paper_design_matrix(ra: Array, dec: Array, mu_alpha: Array, mu_delta: Array) -> Array:
@@ -164,18 +179,57 @@ def normal_inverse(normal: Array) -> Array:
     """Return the inverse of normal matrices A^T W A of shape (..., K, K), scaled first so that units do not matter.
 
     For a sky that determines the link the condition is of order 1 and this equals the SVD to rounding (a test says how
-    well). Raises LinkError where the smallest eigenvalue of a scaled matrix, whose diagonal is 1, is not above 1e-12.
+    well). Raises LinkError where the smallest eigenvalue of a scaled matrix, whose diagonal is 1, is not above
+    `SMALLEST_EIGENVALUE`.
     """
     diagonal = np.einsum("...ii->...i", normal)
     if not np.all(diagonal > 0.0):
         raise LinkError("the link is rank deficient: an unknown has no weight at all")
     scale = 1.0 / np.sqrt(diagonal)
     scaled = normal * scale[..., :, None] * scale[..., None, :]
-    smallest = np.linalg.eigvalsh(scaled)[..., 0]
-    if not np.all(smallest > 1e-12):
-        raise LinkError("the link is rank deficient: the objects do not determine all unknowns")
+    require_rank(scaled)
     inverse: Array = np.linalg.inv(scaled) * scale[..., :, None] * scale[..., None, :]
     return inverse
+
+
+def solve_normal(normal: Array, right: Array) -> Array:
+    """Return x of ``normal`` x = ``right``, shapes (K, K, rows) and (K, rows), as `normal_inverse` would give it.
+
+    All rows together, elimination without pivots on matrices scaled to a diagonal of 1, which is Cholesky's and as
+    stable.  Raises LinkError as `normal_inverse`.  The pivots give the determinant, and since the other eigenvalues
+    cannot multiply to more than (K/(K-1))^(K-1), it bounds the smallest one from below: eigenvalues themselves are
+    only computed where that bound does not decide.
+    """
+    unknowns = len(normal)
+    diagonal = np.einsum("kkr->kr", normal)
+    if not np.all(diagonal > 0.0):
+        raise LinkError("the link is rank deficient: an unknown has no weight at all")
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = normal * scale[:, None] * scale
+    solved = right * scale
+    upper = scaled.copy()
+    with np.errstate(all="ignore"):  # a pivot of zero is told from the determinant
+        for k in range(unknowns - 1):
+            factor = upper[k, k + 1 :] / upper[k, k]
+            upper[k + 1 :, k + 1 :] -= factor[:, None] * upper[k, k + 1 :]
+            solved[k + 1 :] -= factor * solved[k]
+        pivots = np.einsum("kkr->kr", upper)
+        bound = np.prod(pivots, axis=0) / (unknowns / (unknowns - 1.0)) ** (unknowns - 1)
+        unclear = ~(np.all(pivots > 0.0, axis=0) & (bound > SMALLEST_EIGENVALUE))
+    if np.any(unclear):
+        require_rank(np.moveaxis(scaled[..., unclear], -1, 0))
+    for k in reversed(range(unknowns)):
+        solved[k] /= upper[k, k]
+        solved[:k] -= upper[:k, k] * solved[k]
+    return np.asarray(solved * scale)
+
+
+def require_rank(scaled: Array) -> None:
+    """Raise LinkError where the smallest eigenvalue of a matrix (..., K, K) with a diagonal of 1 is not above
+    `SMALLEST_EIGENVALUE`.
+    """
+    if not np.all(np.linalg.eigvalsh(scaled)[..., 0] > SMALLEST_EIGENVALUE):
+        raise LinkError("the link is rank deficient: the objects do not determine all unknowns")
 
 
 def _require(good: NDArray[np.bool_], what: str) -> None:

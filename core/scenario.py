@@ -10,7 +10,7 @@ from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import CatalogueErrors, ErrorModel, MagnitudeErrors, NoErrors, NormalErrors
 from core.missions import MISSIONS
 from core.quasars import V_MAX, quasar_count, quasars
-from core.simulate import Scenario, TrueVector, Vector
+from core.setup import Scenario, TrueVector, Vector
 from core.table_catalogue import catalogue_from_table
 from sweep.contract import Point
 

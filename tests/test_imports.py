@@ -11,7 +11,21 @@ ROOT = Path(__file__).parent.parent
 CORE = [
     *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),
     *("missions", "radio_stars", "catalogue", "quasars", "table_catalogue"),
-    *("errors", "link", "simulate", "parameters", "scenario", "checks", "experiment", "calibration"),
+    *(
+        "errors",
+        "link",
+        "noise",
+        "setup",
+        "fixed_design",
+        "normal_sums",
+        "full_path",
+        "simulate",
+        "parameters",
+        "scenario",
+        "checks",
+        "experiment",
+        "calibration",
+    ),
 ]
 SWEEP = [
     *("contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),

@@ -11,7 +11,8 @@ from core.constants import MAS
 from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
 from core.experiment import link, scenario
 from core.missions import MISSIONS, PyGaia
-from core.simulate import _Noise, simulate
+from core.noise import Noise
+from core.simulate import simulate
 
 CATALOGUE = synthetic(np.random.default_rng(1), 50, 5.0, 15.0)
 
@@ -73,7 +74,9 @@ def test_drawn_noise_has_the_covariance_that_is_asked_for(model, correlated):
     n_obj, n_draws = 4, 40_000
     catalogue = with_own_errors(n_obj, correlated)
     sigma = model.standard_errors(catalogue)
-    noise = _Noise(sigma, model.correlation(catalogue)).draw(np.random.default_rng(3), n_draws)
+    drawn = Noise.of(model, catalogue)
+    normals = np.random.default_rng(3).standard_normal((n_obj, 4, n_draws))
+    noise = (drawn.standardised(normals, 0) * drawn.sigma[..., None]).transpose(2, 1, 0)
     own = correlated and isinstance(model, CatalogueErrors)
     asked = np.zeros((4, n_obj, 4, n_obj))
     for k in range(n_obj):  # different objects are independent
@@ -115,7 +118,7 @@ def test_simulated_errors_are_normal_around_zero(side):
     point = link.defaults() | {"n_obj": 3, "satellite_errors": "normal", "reference_errors": "normal"}
     point |= {f"{other}_error_scale": 1e-6, f"{side}_sigma_pos": 5.0, f"{side}_sigma_pm": 0.3}
     rng = np.random.default_rng(2)
-    blocks = [simulate(scenario(point), 1, rng, np.random.default_rng(3)) for _ in range(n_sim)]
+    blocks = [simulate([scenario(point)], 1, rng, np.random.default_rng(3))[0] for _ in range(n_sim)]
     error = np.array([block.error for block in blocks]) / np.sqrt(blocks[0].predicted_variance)
     assert np.all(np.abs(error.mean(axis=0)) < 4 / np.sqrt(n_sim))
     assert np.all(np.abs(error.std(axis=0) - 1.0) < 4 / np.sqrt(2 * n_sim))
@@ -133,11 +136,11 @@ def test_correlated_errors_come_out_as_predicted(sides, weighting):
     catalogue = with_own_errors(3)
     point = scenario(link.defaults() | {"weighting": weighting})
     point = replace(point, draw_catalogue=lambda _: catalogue, reference_errors=errors[0], satellite_errors=errors[1])
-    sums = simulate(point, n_sim, np.random.default_rng(4), np.random.default_rng(5))
+    (sums,) = simulate([point], n_sim, np.random.default_rng(4), np.random.default_rng(5))
     predicted = sums.predicted_variance / n_sim
     realised = np.diag(sums.error_products) / n_sim
     assert np.all(np.abs(realised / predicted - 1.0) < 4 * np.sqrt(2 / n_sim))
     assert np.all(np.abs(sums.error / n_sim) < 4 * np.sqrt(predicted / n_sim))
     alone = replace(point, draw_catalogue=lambda _: replace(catalogue, correlation=None))
-    without = simulate(alone, 1, np.random.default_rng(4), np.random.default_rng(5)).predicted_variance
+    without = simulate([alone], 1, np.random.default_rng(4), np.random.default_rng(5))[0].predicted_variance
     assert np.any(np.abs(without / predicted - 1.0) > 0.1)  # so the correlations have been there

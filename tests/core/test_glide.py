@@ -12,7 +12,8 @@ from core.errors import NoErrors, NormalErrors
 from core.experiment import link, scenario
 from core.frames import position, triad
 from core.link import LinkError, design_matrix, solve
-from core.simulate import Scenario, TrueVector, sample, simulate
+from core.setup import Scenario, TrueVector
+from core.simulate import simulate
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]
 NONE = TrueVector((0.0, 0.0, 0.0))
@@ -28,7 +29,8 @@ def gliding(n_obj, sky=UNIFORM, **changes):
 def leaks(scenario, n_cat, seed=1):
     """The estimates of many catalogues in units of the glide; shape (n_cat, K)."""
     catalogues = np.random.default_rng(seed)
-    estimates = np.concatenate([sample(scenario, 1, np.random.default_rng(0), catalogues) for _ in range(n_cat)])
+    blocks = [simulate([scenario], 1, np.random.default_rng(0), catalogues, keep_estimates=True) for _ in range(n_cat)]
+    estimates = np.concatenate([block.estimates for (block,) in blocks])
     return estimates * MAS / np.linalg.norm(GLIDE)
 
 
@@ -118,7 +120,7 @@ def test_noise_does_not_change_the_leak(reference):
     fixed = gliding(400, sky)
     noisy = replace(fixed, reference_errors=reference, satellite_errors=NormalErrors(1.0, 0.002))
     leak, sums = (
-        simulate(s, n, np.random.default_rng(5), np.random.default_rng(6)) for s, n in ((fixed, 1), (noisy, n_sim))
+        simulate([s], n, np.random.default_rng(5), np.random.default_rng(6))[0] for s, n in ((fixed, 1), (noisy, n_sim))
     )
     mc_error = np.sqrt(sums.predicted_variance / n_sim)
     assert np.all(np.abs(sums.error / n_sim - leak.error)[3:] < 4 * mc_error[3:])

@@ -14,8 +14,10 @@ from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
 from core.frames import exact_differences, triad
 from core.link import LinkError, combined_error, design_matrix, solve
 from core.missions import MISSIONS
+from core.noise import ROWS, TILE
 from core.quasars import quasars
-from core.simulate import CHUNK, TILE, Scenario, TrueVector, sample, simulate
+from core.setup import Scenario, TrueVector
+from core.simulate import simulate
 
 EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS
 TRUTH_MAS = np.concatenate([EPSILON, OMEGA]) / MAS
@@ -29,7 +31,11 @@ def scenario(n_obj, mean_pm_mas_yr=0.0, **changes):
 
 
 def run(scenario, n_sim, seed=1, catalogue_seed=2):
-    return simulate(scenario, n_sim, np.random.default_rng(seed), np.random.default_rng(catalogue_seed))
+    return simulate([scenario], n_sim, np.random.default_rng(seed), np.random.default_rng(catalogue_seed))[0]
+
+
+def sample(scenario, n_sim, rng, catalogue_rng):
+    return simulate([scenario], n_sim, rng, catalogue_rng, keep_estimates=True)[0].estimates
 
 
 def summed_by_plain_loop(scenario, n_sim, seed=1, catalogue_seed=2):
@@ -43,10 +49,8 @@ def summed_by_plain_loop(scenario, n_sim, seed=1, catalogue_seed=2):
     p, q, _ = triad(catalogue.ra, catalogue.dec)
     y[2:] -= np.stack([p.T @ scenario.aberration, q.T @ scenario.aberration])
     truth = np.concatenate([TRUTH_MAS, -np.array(scenario.aberration)[: 3 * scenario.solve_glide] / MAS])
-    noisy_reference = bool(np.any(sigma_ref))
-    draw = both_sides_by_chunk if noisy_reference else satellite_by_tile
     solutions = []
-    for normals in draw(rng, n_sim, len(catalogue)):
+    for normals in both_sides(rng, n_sim, len(catalogue)):
         shift, satellite = (errors(*side) for side in zip(sides, normals, [catalogue] * 2, strict=True))
         seen = true + shift / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
         design = design_matrix(*seen, corrections=scenario.corrections, glide=scenario.solve_glide)
@@ -64,21 +68,14 @@ def errors(model, normals, catalogue):
     return np.stack([np.linalg.cholesky(c) @ n for c, n in zip(covariances, normals.T, strict=True)], axis=1)
 
 
-def satellite_by_tile(rng, n_sim, n_obj):
-    width = min(TILE, 4 * n_obj)
-    rows = CHUNK // width
-    for start in range(0, n_sim, rows):
-        shape = min(rows, n_sim - start), width
-        tiles = [rng.standard_normal((shape[0], min(width, 4 * n_obj - at))) for at in range(0, 4 * n_obj, width)]
-        for normals in np.concatenate(tiles, axis=1):
-            yield np.zeros((4, n_obj)), normals.reshape(4, n_obj)
-
-
-def both_sides_by_chunk(rng, n_sim, n_obj):
-    rows = max(1, CHUNK // (8 * n_obj))
-    for start in range(0, n_sim, rows):
-        shape = min(rows, n_sim - start), 4, n_obj
-        yield from zip(rng.standard_normal(shape), rng.standard_normal(shape), strict=True)
+def both_sides(rng, n_sim, n_obj):
+    """Yield the normals (4, N) of the reference and of the satellite: a stream of each for every chunk of realisations,
+    object by object.
+    """
+    for start in range(0, n_sim, ROWS):
+        shape = n_obj, 4, min(ROWS, n_sim - start)
+        satellite, reference = (stream.standard_normal(shape) for stream in rng.spawn(2))
+        yield from zip(reference.transpose(2, 1, 0), satellite.transpose(2, 1, 0), strict=True)
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
@@ -88,7 +85,7 @@ def both_sides_by_chunk(rng, n_sim, n_obj):
 def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, corrections, solve_glide):
     point = scenario(n_obj, 100.0, reference_errors=reference_errors, weighting=weighting, corrections=corrections)
     point = replace(point, aberration=tuple(GLIDE), solve_glide=solve_glide)
-    assert n_sim > CHUNK // min(TILE, 4 * n_obj)  # several chunks, and for 1500 objects two tiles
+    assert n_sim > ROWS or 4 * n_obj * n_sim > TILE  # several chunks or several tiles
     sums = run(point, n_sim)
     error, products, chi2, solution = summed_by_plain_loop(point, n_sim)
     sigma = solution.formal_error / MAS
@@ -104,9 +101,8 @@ def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, correc
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), NormalErrors(0.4, 0.7)])
+@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), NormalErrors(0.4, 0.7), NoErrors()])
 def test_correlated_errors_equal_the_plain_loop(weighting, reference_errors):
-    """Both sides are drawn in one order, so the correlated errors are the same numbers."""
     n_obj, n_sim = 20, 500
     factor = np.tril(np.random.default_rng(3).uniform(0.3, 1.0, (n_obj, 4, 4)))
     factor /= np.linalg.norm(factor, axis=2, keepdims=True)
@@ -179,26 +175,13 @@ def test_realised_errors_are_the_predicted_ones(weighting, reference_errors, n_s
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_both_paths_agree_for_a_tiny_noise_of_the_reference(weighting):
-    """With one realisation the noisy path draws the 4 N normals of the reference first, then the same satellite."""
+    """The satellite's normals are a stream of their own, so they do not change."""
     point = scenario(30, 100.0, weighting=weighting)
-    for seed in range(20):
-        ahead = np.random.default_rng(seed)
-        ahead.standard_normal(4 * 30)
-        fixed = simulate(point, 1, ahead, np.random.default_rng(2))
-        noisy = run(replace(point, reference_errors=NormalErrors(1e-12, 1e-12)), 1, seed)
-        sigma = np.sqrt(fixed.predicted_variance)
-        assert np.all(np.abs(noisy.error - fixed.error) < 1e-9 * sigma)
-        assert noisy.chi2 == pytest.approx(fixed.chi2, rel=1e-9)
-
-
-def test_blocks_drawn_from_one_generator_add_up():
-    """Realisations follow each other in the stream while one fits in a tile, so chunks do not show."""
-    point = scenario(30)
-    rng = np.random.default_rng(1)
-    parts = [simulate(point, n, rng, np.random.default_rng(2)) for n in (1, 299, 700)]
-    whole = run(point, 1000)
-    for name in ("error", "error_products", "chi2", "predicted_variance", "n_obj"):
-        np.testing.assert_allclose(sum(getattr(p, name) for p in parts), getattr(whole, name), rtol=1e-9, atol=1e-9)
+    fixed = run(point, 1000)
+    noisy = run(replace(point, reference_errors=NormalErrors(1e-12, 1e-12)), 1000)
+    sigma = np.sqrt(fixed.predicted_variance)
+    assert np.all(np.abs(noisy.error - fixed.error) < 1e-9 * np.sqrt(1000) * sigma)
+    assert noisy.chi2 == pytest.approx(fixed.chi2, rel=1e-9)
 
 
 def test_the_two_generators_decide_different_things():
@@ -213,11 +196,11 @@ def test_the_two_generators_decide_different_things():
 
 @pytest.mark.parametrize(
     ("reference_errors", "few", "many"),
-    [(NoErrors(), 200, 4000), (NormalErrors(1.0, 1.0), 50, 1000)],
+    [(NoErrors(), 2 * ROWS, 8 * ROWS), (NormalErrors(1.0, 1.0), 2 * ROWS, 4 * ROWS)],
     ids=["fixed", "noisy"],
 )
 def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, few, many):
-    point = scenario(500, reference_errors=reference_errors)
+    point = scenario(200, reference_errors=reference_errors)
 
     def peak(n_sim):
         run(point, 1)

@@ -1,0 +1,93 @@
+"""Unit normals in the order that every link draws them, and the errors that one side makes of them.
+
+Realisations come in chunks of `ROWS`, each with a stream of its own for the satellite and one for the reference.  A
+stream runs through the objects: 4 observables of object 0 in all realisations of the chunk, then object 1.  So what
+object i gets depends neither on how many objects follow nor on what the other side or another point needs.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.catalogue import Catalogue
+from core.errors import ErrorModel
+
+Array = NDArray[np.float64]
+
+ROWS = 512
+"""Realisations drawn at a time."""
+
+TILE = 65536
+"""Normals drawn at a time: 512 KiB stay in a core's own cache."""
+
+
+def chunks(n_sim: int) -> Iterator[int]:
+    """Yield the numbers of realisations of each chunk."""
+    for start in range(0, n_sim, ROWS):
+        yield min(ROWS, n_sim - start)
+
+
+def tile_objects(rows: int) -> int:
+    """Return how many objects have a tile's normals; of ``rows`` alone, so that a point's tiles are its own."""
+    return max(1, TILE // (4 * rows))
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Unit normals (objects, 4, rows) of the objects from ``start`` on, one side's."""
+
+    start: int
+    normals: Array
+    _squares: dict[int, float] = field(default_factory=dict)
+
+    def of(self, n_obj: int) -> Array:
+        """Return the part that belongs to a catalogue of ``n_obj`` objects."""
+        return self.normals[: max(0, n_obj - self.start)]
+
+    def squares(self, n_obj: int) -> float:
+        """Return the sum of squares of that part, computed once for all points that have as many objects in it."""
+        part = self.of(n_obj)
+        if len(part) not in self._squares:
+            self._squares[len(part)] = float(np.vdot(part, part))
+        return self._squares[len(part)]
+
+
+def tiles(rng: np.random.Generator, rows: int, n_obj: int) -> Iterator[Tile]:
+    """Yield the unit normals of ``n_obj`` objects; a tile is valid until the next one."""
+    # of the full size even for few objects: where an array begins must not depend on who shares it
+    buffer = np.empty((tile_objects(rows), 4, rows))
+    for start in range(0, n_obj, len(buffer)):
+        part = buffer[: n_obj - start]
+        rng.standard_normal(out=part)
+        yield Tile(start, part)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Errors of one side: standard errors (N, 4) and, where they are correlated, Cholesky factors (N, 4, 4)."""
+
+    sigma: Array
+    factor: Array | None
+
+    @staticmethod
+    def of(model: ErrorModel, catalogue: Catalogue) -> "Noise":
+        """Return the errors that a model gives the objects of a catalogue."""
+        correlation = model.correlation(catalogue)
+        sigma = np.ascontiguousarray(model.standard_errors(catalogue).T)
+        return Noise(sigma, None if correlation is None else np.asarray(np.linalg.cholesky(correlation)))
+
+    def __bool__(self) -> bool:
+        return bool(np.any(self.sigma))
+
+    def standardised(self, normals: Array, start: int) -> Array:
+        """Return errors in units of their sigma from the unit normals (m, 4, rows) of the objects from ``start`` on."""
+        return normals if self.factor is None else self.factor[start : start + len(normals)] @ normals
+
+    def variance_through(self, gain: Array) -> Array:
+        """Return the variance of each unknown from these errors; ``gain`` (N, 4, K), result (K,)."""
+        scaled = self.sigma[..., None] * gain
+        if self.factor is not None:
+            scaled = np.swapaxes(self.factor, 1, 2) @ scaled
+        return np.asarray(np.einsum("nik,nik->k", scaled, scaled))

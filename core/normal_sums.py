@@ -1,0 +1,155 @@
+"""Normal equations added up over objects, for many realisations at once, without their design matrices.
+
+With s, c of ra and S, C of dec (p = (-s, c, 0), q = (-S c, -S s, C), eta = (c, s, 0)/C) the entries of q q^T and p p^T
+are linear in 1 and seven products of these, those of q p^T in five more.  One matrix product with the weights of the
+four observables gives all blocks that proper motions do not enter; those of A21 take a few sums of products.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+RA, DEC, PMRA, PMDEC = range(4)
+
+
+class Seen(NamedTuple):
+    """Noisy reference objects, each (m, rows): sin and cos of ra and dec, proper motions, and these over cos dec."""
+
+    s: Array
+    c: Array
+    sin_dec: Array
+    cos_dec: Array
+    pmra: Array
+    pmdec: Array
+    pmra_turn: Array
+    pmdec_turn: Array
+
+
+class NormalSums:
+    """A^T W A and A^T W y of ``rows`` realisations; at most ``objects`` objects are added at a time."""
+
+    def __init__(self, objects: int, rows: int, corrections: bool, glide: bool) -> None:
+        unknowns = 9 if glide else 6
+        self.corrections, self.glide = corrections, glide
+        self.total_weight = np.zeros(4)
+        self.products = np.empty((12 if glide else 7, objects, rows))
+        self.product_sums = np.zeros((len(self.products), 4, rows))
+        self.turns = np.zeros((3, unknowns, rows))  # upper rows of A^T W A, those of epsilon, as far as A21 adds to it
+        self.right = np.zeros((unknowns, rows))
+
+    def add(self, seen: Seen, weights: Array, weighted: Array) -> None:
+        """Add objects with ``weights`` (m, 4, 1) and weighted differences ``weighted`` (m, 4, rows)."""
+        self.total_weight += weights[..., 0].sum(axis=0)
+        products = self._products(seen)
+        self.product_sums += weights[..., 0].T @ products
+        self._add_right(self.right[:3], seen, weighted[:, RA], weighted[:, DEC])
+        self._add_right(self.right[3:6], seen, weighted[:, PMRA], weighted[:, PMDEC])
+        if self.glide:
+            self._add_right(self.right[6:], seen, weighted[:, PMDEC], -weighted[:, PMRA])
+        if self.corrections:
+            self._add_turns(seen, products, weights, weighted)
+
+    def equations(self) -> tuple[Array, Array]:
+        """Return A^T W A, shape (K, K, rows), and A^T W y, shape (K, rows)."""
+        unknowns = len(self.right)
+        normal = np.zeros((unknowns, *self.right.shape))
+        normal[:3, :3] = self._squares(RA, DEC)
+        normal[3:6, 3:6] = self._squares(PMRA, PMDEC)
+        if self.glide:
+            normal[6:, 6:] = self._squares(PMDEC, PMRA)
+            normal[3:6, 6:] = self._crossed(PMRA) - np.swapaxes(self._crossed(PMDEC), 0, 1)
+        normal[:3] += self.turns
+        for k in range(1, unknowns):
+            normal[k, :k] = normal[:k, k]
+        return normal, self.right
+
+    def _products(self, seen: Seen) -> Array:
+        s, c, sin_dec, cos_dec = seen[:4]
+        products = self.products[:, : len(s)]
+        cc, cs, ss = products[:3]
+        np.multiply(c, c, out=cc)
+        np.multiply(c, s, out=cs)
+        np.multiply(sin_dec, sin_dec, out=ss)
+        np.multiply(ss, cc, out=products[3])
+        np.multiply(ss, cs, out=products[4])
+        mixed = sin_dec * cos_dec
+        np.multiply(mixed, c, out=products[5])
+        np.multiply(mixed, s, out=products[6])
+        if self.glide:
+            products[7] = sin_dec
+            np.multiply(sin_dec, cc, out=products[8])
+            np.multiply(sin_dec, cs, out=products[9])
+            np.multiply(cos_dec, c, out=products[10])
+            np.multiply(cos_dec, s, out=products[11])
+        return products
+
+    def _squares(self, along_q: int, along_p: int) -> Array:
+        """Return sum(w q q^T + w' p p^T), w and w' the weights of two observables; shape (3, 3, rows)."""
+        ss, ss_cc, ss_cs, sc_c, sc_s = self.product_sums[2:7, along_q]
+        whole, other = self.total_weight[[along_q, along_p]]
+        cc_p, cs_p = self.product_sums[:2, along_p]
+        xy, xz, yz = ss_cs - cs_p, -sc_c, -sc_s
+        return np.array(
+            [[ss_cc + other - cc_p, xy, xz], [xy, ss - ss_cc + cc_p, yz], [xz, yz, whole - ss]],
+        )
+
+    def _crossed(self, observable: int) -> Array:
+        """Return sum(w q p^T), w the weights of an observable; shape (3, 3, rows)."""
+        sin_dec, s_cc, s_cs, cos_c, cos_s = self.product_sums[7:, observable]
+        none = np.zeros_like(sin_dec)
+        return np.array([[s_cs, -s_cc, none], [sin_dec - s_cc, -s_cs, none], [-cos_s, cos_c, none]])
+
+    def _add_right(self, right: Array, seen: Seen, along_q: Array, along_p: Array) -> None:
+        """Add sum(q a - p b) of a and b of shape (m, rows)."""
+        s, c, sin_dec, cos_dec = seen[:4]
+        down = sin_dec * along_q
+        right[0] += _dot(s, along_p) - _dot(c, down)
+        right[1] -= _dot(c, along_p) + _dot(s, down)
+        right[2] += _dot(cos_dec, along_q)
+
+    def _add_turns(self, seen: Seen, products: Array, weights: Array, weighted: Array) -> None:
+        """Add the terms of A21, whose rows are -pmdec eta and pmra eta in the third and fourth observable."""
+        s, c, sin_dec = seen[:3]
+        cc, cs = products[:2]
+        turns, right = self.turns, self.right
+        u, v = seen.pmdec_turn, seen.pmra_turn
+        wu, wv = weights[:, PMRA] * u, weights[:, PMDEC] * v
+
+        eta_eta = wu * u
+        eta_eta += wv * v
+        xx, xy = _dot(eta_eta, cc), _dot(eta_eta, cs)
+        turns[0, 0] += xx
+        turns[0, 1] += xy
+        turns[1, 1] += eta_eta.sum(axis=0) - xx
+
+        right_turn = v * weighted[:, PMDEC]
+        right_turn -= u * weighted[:, PMRA]
+        right[0] += _dot(right_turn, c)
+        right[1] += _dot(right_turn, s)
+
+        motion = weights[:, PMRA] * seen.pmdec
+        _add_turned(turns[:, 3:6], wu * sin_dec, wv, cc, cs)
+        turns[0, 5] -= _dot(motion, c)
+        turns[1, 5] -= _dot(motion, s)
+        if self.glide:
+            motion = weights[:, PMDEC] * seen.pmra
+            _add_turned(turns[:, 6:], -wv * sin_dec, wu, cc, cs)
+            turns[0, 8] += _dot(motion, c)
+            turns[1, 8] += _dot(motion, s)
+
+
+def _add_turned(block: Array, a: Array, b: Array, cc: Array, cs: Array) -> None:
+    """Add sum((c, s) (a c + b s, a s - b c)^T), the x and y columns of eta (-u q - v p)^T and eta (v q - u p)^T."""
+    xx, xy = _dot(a, cc) + _dot(b, cs), _dot(a, cs) - _dot(b, cc)
+    block[0, 0] += xx
+    block[0, 1] += xy
+    block[1, 0] += xy + b.sum(axis=0)
+    block[1, 1] += a.sum(axis=0) - xx
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Return the sum over objects of a b; shape (rows,)."""
+    return np.asarray(np.einsum("or,or->r", a, b))
