@@ -200,8 +200,8 @@ class Experiment:
     ``sums`` gives the shape of each additive quantity that ``evaluate`` returns, ``coordinates`` the labels of each
     dimension that an output uses, ``component_units`` the unit of each label where they differ, ``check`` a sentence
     about a point that cannot be computed (None if it can), ``cost`` the random numbers drawn per realisation.
-    ``samples``, for studies that keep them, returns from equal generators the realisations that ``evaluate`` adds up,
-    each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names parameters that do not change the
+    ``samples``, for studies that keep them, returns what ``evaluate`` does and the realisations that it adds up, each
+    of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names parameters that do not change the
     random numbers that a block draws, only what is made of them.  A new ``version`` says that the same parameters now
     give other numbers: stores of another version are not continued.
     """

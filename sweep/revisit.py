@@ -71,7 +71,7 @@ def compute(plan: Plan) -> xr.Dataset:
         while tasks := pending.take(1):
             for work in tasks[0]:
                 points = [point.parameters for point in work.points]
-                rows = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
+                rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
                 for point, row in zip(work.points, rows, strict=True):
                     pending.add(plan.work((point,), block) for block in tally.add(point, work.block, row))
     return assemble(plan, tally)

@@ -55,7 +55,6 @@ def plan_report(study: Study, store: Path) -> dict[str, Any]:
     samples = study.experiment.samples_width * survey.total.realisations if study.sampling.keep_samples else 0
     result_mb = 8e-6 * (floats + samples)
     ledger_mb = 8e-6 * (study.experiment.sums_width * survey.total.blocks + samples)
-    evaluations = 2 if study.sampling.keep_samples else 1
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {len(study.axes[name])}" for name in grid.dimensions) or "one point",
@@ -68,7 +67,7 @@ def plan_report(study: Study, store: Path) -> dict[str, Any]:
         "result_mb": round(result_mb, 3),
         "ledger_mb": round(ledger_mb, 3),
         "memory_mb": round(result_mb + ledger_mb, 3),
-        "seconds": round(evaluations * survey.pending.cost / (_normals_per_second() * available_cores()), 1),
+        "seconds": round(survey.pending.cost / (_normals_per_second() * available_cores()), 1),
         "store": str(store),
     }
 

@@ -84,15 +84,14 @@ def _try(
     """Compute the rows of some points of a unit; return whether it raised."""
     stop = first + len(points)
     try:
-        sums = run_block(experiment, points, unit.stream, unit.block, task.seed)
-        if task.keep_samples:
-            samples = sample_block(experiment, points, unit.stream, unit.block, task.seed)
-            result.samples.update(zip(range(first, stop), samples, strict=True))
+        sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
     except Exception as error:  # a point that fails must not take others with it
         reason = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
         result.failures.update(dict.fromkeys(range(first, stop), reason))
         return True
     result.sums[first:stop] = sums
+    if task.keep_samples:
+        result.samples.update(zip(range(first, stop), samples, strict=True))
     for row in range(first, stop):
         result.failures.pop(row, None)
         if np.isnan(result.sums[row]).any() and (names := _nan_results(experiment, result.sums[row], unit.block)):
@@ -109,29 +108,23 @@ def _nan_results(experiment: Experiment, row: NDArray[np.float64], block: Block)
 
 
 def run_block(
-    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
-) -> NDArray[np.float64]:
-    """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`."""
-    total = np.zeros((len(points), experiment.sums_width))
-    for rng, catalogue_rng in _streams(stream, block, seed):
-        sums = experiment.evaluate(points, block.n_sim, rng, catalogue_rng)
-        total += np.hstack([np.reshape(sums[name], (len(points), -1)) for name in experiment.sums], dtype=np.float64)
-    return total
-
-
-def sample_block(
-    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
-) -> NDArray[np.float64]:
-    """Return the realisations of one block themselves, (points, realisations, width): catalogue by catalogue, flat in
-    the order of the outputs.
+    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int, keep_samples: bool = False
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, where
+    they are to be kept, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
+    the outputs.
     """
-    assert experiment.samples is not None, "a study that keeps samples was validated"
-    rows = []
+    evaluate = experiment.samples if keep_samples and experiment.samples is not None else experiment.evaluate
+    kept = experiment.sample_outputs if keep_samples else ()
+    total = np.zeros((len(points), experiment.sums_width))
+    samples = [np.empty((len(points), 0, experiment.samples_width))]
     for rng, catalogue_rng in _streams(stream, block, seed):
-        drawn = experiment.samples(points, block.n_sim, rng, catalogue_rng)
-        shape = (len(points), block.n_sim, -1)
-        rows.append(np.concatenate([np.reshape(drawn[o.name], shape) for o in experiment.sample_outputs], axis=2))
-    return np.concatenate(rows, axis=1)
+        drawn = evaluate(points, block.n_sim, rng, catalogue_rng)
+        total += np.hstack([np.reshape(drawn[name], (len(points), -1)) for name in experiment.sums], dtype=np.float64)
+        if kept:
+            shape = (len(points), block.n_sim, -1)
+            samples.append(np.concatenate([np.reshape(drawn[o.name], shape) for o in kept], axis=2))
+    return total, np.concatenate(samples, axis=1)
 
 
 def _streams(stream: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:
