@@ -1,11 +1,13 @@
 """Runs tasks: a serial reference that defines what is meant, and Dask."""
 
+import asyncio
 import logging
 import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import Future
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,7 +21,7 @@ from sweep.study import Study
 from sweep.worker import Failure, Task, TaskResult, Unit, run_task
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 Pool = Literal["serial", "threads", "processes"]
 Take = Callable[[int], list[list[Work]]]
@@ -32,6 +34,9 @@ TASKS_IN_FLIGHT = 4
 """For each worker thread: enough that none waits, few enough that a grid of any size makes no large graph."""
 
 CONNECT_TIMEOUT_S = 10
+
+PATIENCE_S = 0.5
+"""What workers get to finish in when a run is stopped."""
 
 LOOPBACK = "127.0.0.1"
 
@@ -82,25 +87,50 @@ def dask_local(study: Study, workers: int, pool: Pool) -> Iterator[Executor]:
             dask.config.set({f"distributed.nanny.pre-spawn-environ.{k}": v for k, v in environment.items()})
         )
         stack.enter_context(threadpool_limits(1))
-        with _children_ignore_interrupts():
-            cluster = stack.enter_context(LocalCluster(**options))
+        cluster = stack.enter_context(_deaf_to_interrupts(partial(LocalCluster, **options)))
         client = stack.enter_context(cluster.get_client())
+        stack.enter_context(_prompt_end(cluster))
         yield _on_client(study, client)
 
 
-@contextmanager
-def _children_ignore_interrupts() -> Iterator[None]:
-    """Let processes that start in this block ignore SIGINT: a Ctrl-C in a terminal goes to all of them, but is the
-    client's to answer (distributed#1925).
+def _deaf_to_interrupts(make: Callable[[], "LocalCluster"]) -> "LocalCluster":
+    """Start a cluster whose processes do not get SIGINT and SIGHUP: a terminal sends them to all of them, but they
+    are the client's to answer (distributed#1925).
+
+    They inherit the signal mask of the thread that starts them, which is not this one, so that this one can be
+    interrupted meanwhile.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from multiprocessing import resource_tracker
+
+    made: Future[LocalCluster] = Future()
+
+    def start() -> None:
+        if hasattr(signal, "pthread_sigmask"):
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
+            resource_tracker.ensure_running()  # before the other: where it starts, it unblocks SIGINT in this thread
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            made.set_result(make())
+        except BaseException as error:
+            made.set_exception(error)
+
+    threading.Thread(target=start, name="start-cluster", daemon=True).start()
+    return made.result()
+
+
+@contextmanager
+def _prompt_end(cluster: "LocalCluster") -> Iterator[None]:
+    """Where an exception ends the run, do not wait for blocks under way: nobody will take their results."""
+
+    async def close_workers() -> None:
+        await asyncio.gather(*(worker.close(timeout=PATIENCE_S) for worker in cluster.workers.values()))
+
     try:
         yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+    except BaseException:
+        with suppress(TimeoutError):
+            cluster.sync(close_workers)
+        raise
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import sys
 import time
+from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
@@ -20,6 +21,7 @@ class TerminalProgress:
         """Write to standard error."""
         self._console = Console(stderr=True)
         self._bar: Progress | None = None
+        self._started = False
         self._points = self._realisations = 0
         self._cost = 0.0
 
@@ -34,7 +36,7 @@ class TerminalProgress:
 
     def start(self, survey: Survey, where: str) -> None:
         """Say what there is to do and where it is done."""
-        self._survey = survey
+        self._survey, self._started = survey, True
         self._begun = self._said = time.monotonic()
         self._cost_known = survey.pending.cost
         total, pending = survey.total, survey.pending
@@ -68,6 +70,16 @@ class TerminalProgress:
             self._said = time.monotonic()
             left = (self._said - self._begun) * (self._cost_known / self._cost - 1.0)
             self.say(f"{self._description()}, {left:.0f} s left")
+
+    def stopped(self, signal: str, store: Path) -> None:
+        """Say what an interrupted run leaves, and how to go on."""
+        how = "interrupted" if signal == "SIGINT" else f"stopped by {signal}"
+        done = (
+            f"{self._realisations:,} realisations of this run are kept in {store}"
+            if self._started
+            else "nothing was begun"
+        )
+        self.say(f"{how}; {done}; the same command goes on from there")
 
     def _description(self) -> str:
         elapsed = max(time.monotonic() - self._begun, 1e-9)

@@ -58,10 +58,9 @@ def git_commit() -> str | None:
     folder = Path(__file__).parent.parent
 
     def git(*arguments: str) -> str:
-        run = subprocess.run(
-            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=5, check=True
-        )
-        return run.stdout.strip()
+        # without optional locks: an interruption kills it, and it would leave its lock in the checkout
+        command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
 
     try:
         if Path(git("rev-parse", "--show-toplevel")).resolve() != folder.resolve():

@@ -12,6 +12,7 @@ import xarray as xr
 from sweep.contract import SweepError
 from sweep.execute import Executor, Pool, available_cores, dask_local, dask_scheduler, serial
 from sweep.grid import make_grid
+from sweep.interrupt import watched
 from sweep.larger import part_of_larger
 from sweep.pending import Pending
 from sweep.plan import Plan, PlanSize
@@ -23,10 +24,6 @@ from sweep.writer import Writer
 
 SERIAL_COST = 5e7
 """Below this many random numbers (half a second) starting a cluster takes longer than the work."""
-
-
-class RunInterruptedError(Exception):
-    """The user stopped the run; what was done is in the store."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +81,7 @@ def run_study(
     The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
     ``retry`` they, and only they, are computed again.  Where the store holds a larger study it is left as it is, and
     these points of it are returned.  Raises SweepError for bad input before anything is written, and
-    RunInterruptedError on SIGINT with everything that was finished in the store.
+    RunInterruptedError on SIGINT, SIGTERM and SIGHUP with everything that was finished in the store.
     """
     progress = progress or Silent()
     plan = Plan(make_grid(study))
@@ -100,26 +97,26 @@ def run_study(
             progress.say(f"no point in {store} has failed")
     tally = _tally(plan, opened, again)
     where, executor = choose_executor(study, tally.survey, resources)
-    with executor as run:
+    with watched() as interruptions, executor as run:
         opened = opened or create_or_resume(store, study, provenance(study))
         if unused := len(opened.rows) - tally.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         pending = Pending(plan, tally)
-        writer = Writer(plan, tally, pending, opened)
-        if tally.survey.pending.blocks:
-            writer.write()  # so that there is a labelled, if empty, dataset from the start
-        progress.start(tally.survey, where)
+        writer = Writer(plan, tally, pending, opened, interruptions.held)
         try:
+            if tally.survey.pending.blocks:
+                writer.write()  # so that there is a labelled, if empty, dataset from the start
+            progress.start(tally.survey, where)
             for works, result in run(pending.take):
                 progress.advance(*writer.take(works, result))
-        except KeyboardInterrupt as stop:
-            writer.write()
-            raise RunInterruptedError from stop
+            return writer.write(), writer.failures()
+        except KeyboardInterrupt:
+            writer.stop()
+            raise
         except BaseException:
             with suppress(SweepError):
                 writer.store.flush()
             raise
-        return writer.write(), writer.failures()
 
 
 def _tally(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Tally:

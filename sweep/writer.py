@@ -4,7 +4,8 @@ then.
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import xarray as xr
@@ -23,19 +24,34 @@ WRITE_EVERY_S = 5.0
 WRITE_SHARE = 0.05
 """The dataset is rewritten on the way so rarely that this takes at most such a share of the time."""
 
+LONG_WRITE_BYTES = 2**26
+LONG_WRITE_POINTS = 100_000
+"""A dataset that is larger, or of more points, takes a second or more: an interruption does not wait for it."""
+
 MAX_FAILURES_NAMED = 1000
 
 
 class Writer:
-    """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``."""
+    """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``.
 
-    def __init__(self, plan: Plan, tally: Tally, pending: Pending, store: Store) -> None:
+    ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        tally: Tally,
+        pending: Pending,
+        store: Store,
+        held: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
         """Start with an open store whose ledger the tally holds."""
         self.plan, self.tally, self.store = plan, tally, store
-        self._pending = pending
+        self._pending, self._held = pending, held
         self._started = store.attributes.get("started", now())
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
+        self._long_write = False
 
     def take(self, works: Sequence[Work], result: TaskResult) -> tuple[PlanSize, PlanSize]:
         """Add a task's results; return how much that was, and how much more they made known."""
@@ -43,21 +59,22 @@ class Writer:
         rows = [
             (point, work, key) for work in works for point, key in zip(work.points, work.ledger_keys(), strict=True)
         ]
-        for number, (point, work, key) in enumerate(rows):
-            if (failure := result.failures.get(number)) is not None:
-                finished = self._fail(point, failure)
-            else:
-                sums = result.sums[number]
-                self.store.append([key], sums[None], [result.samples[number]] if result.samples else [])
-                added = [self.plan.work((point,), block) for block in self.tally.add(point, work.block, sums)]
-                self._pending.add(added)
-                more = sum((_size(0, w) for w in added), more)
-                finished = self.tally.status[point.index] == DONE
-            done += _size(int(finished), work)
         clock = time.monotonic()
-        if clock - self._flushed > FLUSH_EVERY_S:
-            self.store.flush()
-            self._flushed = clock
+        with self._held():
+            for number, (point, work, key) in enumerate(rows):
+                if (failure := result.failures.get(number)) is not None:
+                    finished = self._fail(point, failure)
+                else:
+                    sums = result.sums[number]
+                    self.store.append([key], sums[None], [result.samples[number]] if result.samples else [])
+                    added = [self.plan.work((point,), block) for block in self.tally.add(point, work.block, sums)]
+                    self._pending.add(added)
+                    more = sum((_size(0, w) for w in added), more)
+                    finished = self.tally.status[point.index] == DONE
+                done += _size(int(finished), work)
+            if clock - self._flushed > FLUSH_EVERY_S:
+                self.store.flush()
+                self._flushed = clock
         if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
             self.write()
         return done, more
@@ -66,7 +83,8 @@ class Writer:
         """Write the labelled dataset of everything taken so far, and return it."""
         begun = time.monotonic()
         study = self.plan.grid.study
-        self.store.flush()
+        with self._held():
+            self.store.flush()
         dataset = assemble(self.plan, self.tally)
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, self.tally.status, self.store.samples))
@@ -80,10 +98,22 @@ class Writer:
             "complete": int(points == done),
             "failures": json.dumps(self.failures()),
         }
-        self.store.write(dataset)
+        self._long_write = dataset.nbytes > LONG_WRITE_BYTES or dataset["status"].size > LONG_WRITE_POINTS
+        with nullcontext() if self._long_write else self._held():
+            self.store.write(dataset)
         self._written = time.monotonic()
         self._write_took = self._written - begun
         return dataset
+
+    def stop(self) -> None:
+        """After an interruption: make everything durable, and write the dataset once more unless that takes long.
+
+        Where it is not, the dataset is that of an earlier moment, and the next run makes it anew from the ledger.
+        """
+        with self._held():
+            self.store.flush()
+        if not self._long_write:
+            self.write()
 
     def failures(self) -> dict[str, str]:
         """Return the points of this study that failed, by their place on the axes, and why."""

@@ -49,8 +49,8 @@ def start_sweep():
     """A function that starts `sweep` as a process of its own; what still runs at the end of the test is killed."""
     started = []
 
-    def start(*arguments, **options):
-        command = [sys.executable, "-m", "sweep", *map(str, arguments)]
+    def start(*arguments, command=(sys.executable, "-m", "sweep"), **options):
+        command = [*map(str, command), *map(str, arguments)]
         environment = os.environ | {"PYTHONWARNINGS": "default"}
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, **options

@@ -28,7 +28,7 @@ CORE = [
     ),
 ]
 SWEEP = [
-    *("contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
+    *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
     *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
     *(
         "provenance",
@@ -47,7 +47,7 @@ SWEEP = [
     *("compare", "compare_tables", "paper"),
     *("calibrate", "__main__"),
 ]
-CLI = ["group", "options", "output", "running", "again", "reading", "paper", "about", "match"]
+CLI = ["group", "options", "output", "stopping", "running", "again", "reading", "paper", "about", "match"]
 SEARCH = [
     *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
 ]

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.cli.group import EXIT_FAILED_POINTS, EXIT_INTERRUPTED, main
+from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.options import json_option, load, resource_options, resources_of, study_argument, study_options
 from sweep.cli.output import failures_in_words, print_plan, print_table
+from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
 
 if TYPE_CHECKING:
     from sweep.run import Resources
@@ -72,12 +73,13 @@ def run_with_progress(
     study: "Study", store: Path, resources: "Resources", retry: bool = False
 ) -> tuple[Any, dict[str, str]]:
     """Run a study with progress shown; an interruption ends the command."""
+    from sweep.interrupt import RunInterruptedError
     from sweep.progress import TerminalProgress
-    from sweep.run import RunInterruptedError, run_study
+    from sweep.run import run_study
 
-    with TerminalProgress() as progress:
+    with a_signal_ends_the_command(), TerminalProgress() as progress:
         try:
             return run_study(study, store, resources, progress, retry)
-        except RunInterruptedError:
-            progress.say(f"interrupted; what was finished is kept in {store}, the same command goes on from there")
-            sys.exit(EXIT_INTERRUPTED)
+        except RunInterruptedError as stop:
+            progress.stopped(stop.signal.name, store)
+            end_stopped(stop.signal)

@@ -1,0 +1,69 @@
+"""How a command that computes ends when it is stopped: soon, whatever its workers are at, and leaving no process."""
+
+import atexit
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import NoReturn
+
+LAST_SECOND = 1.0
+"""What Python's own clean-up may take before the process ends without it."""
+
+NO_LEAK_WARNING = "ignore:resource_tracker"
+"""For the process that removes the semaphores which an end in haste leaves, and would tell the user of them."""
+
+
+@contextmanager
+def a_signal_ends_the_command() -> Iterator[None]:
+    """Let SIGINT, SIGTERM and SIGHUP end the process at once in this block.
+
+    A run inside the block answers the first of them itself and in order; what arrives here is impatience, or came
+    before the work.
+    """
+    from sweep.interrupt import SIGNALS
+
+    sys.warnoptions.append(NO_LEAK_WARNING)
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number, handler in before.items():
+        if handler not in (signal.SIG_IGN, None):
+            signal.signal(number, _leave_at_once)
+    try:
+        yield
+    finally:
+        sys.warnoptions.remove(NO_LEAK_WARNING)
+        for number, handler in before.items():
+            if handler is not None:
+                signal.signal(number, handler)
+
+
+def end_stopped(number: int) -> NoReturn:
+    """End the process with the exit code of a signal; workers that still compute are not waited for."""
+    _kill_children()
+    if distributed := sys.modules.get("distributed"):  # its own clean-up waits ten seconds for a half-started cluster
+        atexit.unregister(distributed.deploy.spec.close_clusters)
+    threading.Thread(target=_leave_after, args=(LAST_SECOND, 128 + number), daemon=True).start()
+    sys.exit(128 + number)
+
+
+def _leave_after(seconds: float, code: int) -> None:
+    time.sleep(seconds)
+    os._exit(code)
+
+
+def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
+    _kill_children()
+    with suppress(OSError):
+        show_cursor = "\x1b[?25h" if os.isatty(2) else ""  # a progress bar hides it
+        os.write(2, f"{show_cursor}stopped at once\n".encode())
+    os._exit(128 + number)
+
+
+def _kill_children() -> None:
+    for child in multiprocessing.active_children():
+        child.kill()

@@ -1,0 +1,98 @@
+"""Ctrl-C and the signals of batch systems end a run in order: never in the middle of a write to the ledger."""
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Any
+
+SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+AGAIN_S = 0.02
+
+
+class RunInterruptedError(Exception):
+    """The user or the system stopped the run with ``signal``; what was done is in the store."""
+
+    def __init__(self, number: int) -> None:
+        self.signal = signal.Signals(number)
+        super().__init__(self.signal.name)
+
+
+class Interruptions:
+    """The signals that stop a run: the first raises KeyboardInterrupt, the second is answered as without a run."""
+
+    def __init__(self) -> None:
+        """Start with none received and nothing watched."""
+        self.received: int | None = None
+        self._holding = self._owed = self._lost = False
+        self._before: dict[int, Any] = {}
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Put a signal off to the end of this block, which must be short."""
+        self._holding = True
+        try:
+            yield
+        finally:
+            self._holding = False
+        if self._owed:
+            self._owed = False
+            raise KeyboardInterrupt
+
+    def watch(self) -> None:
+        """Begin to answer signals."""
+        for number in SIGNALS:
+            before = signal.getsignal(number)
+            if before not in (signal.SIG_IGN, None):  # nohup asks to be left alone; None is not Python's to restore
+                self._before[number] = before
+                signal.signal(number, self._answer)
+        self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
+
+    def restore(self) -> None:
+        """Leave signals to whoever answered them before."""
+        for number, before in self._before.items():
+            signal.signal(number, before)
+        if sys.unraisablehook == self._unraisable:
+            sys.unraisablehook = self._unraisable_before
+        self._before = {}
+
+    def _answer(self, number: int, frame: FrameType | None) -> None:
+        if self.received is not None and not self._lost:
+            signal.signal(number, self._before.pop(number))
+            signal.raise_signal(number)
+            return
+        self.received, self._lost, self._owed = number, False, self._holding
+        if not self._holding:
+            raise KeyboardInterrupt
+
+    def _unraisable(self, what: Any) -> None:
+        """Send a signal again whose KeyboardInterrupt Python dropped, because a finaliser or a callback of the garbage
+        collector was running.
+        """
+        if self.received is None or not issubclass(what.exc_type, KeyboardInterrupt):
+            self._unraisable_before(what)
+            return
+        self._lost = True
+        main = threading.main_thread().ident
+        threading.Timer(AGAIN_S, signal.pthread_kill, (main, self.received)).start()
+
+
+@contextmanager
+def watched() -> Iterator[Interruptions]:
+    """Let the first SIGINT, SIGTERM or SIGHUP raise KeyboardInterrupt in this block, and leave it as
+    RunInterruptedError.
+
+    Only the main thread can answer signals: in another one this does nothing.
+    """
+    interruptions = Interruptions()
+    if threading.current_thread() is threading.main_thread():
+        interruptions.watch()
+    try:
+        yield interruptions
+    except KeyboardInterrupt as stop:
+        raise RunInterruptedError(interruptions.received or signal.SIGINT) from stop
+    finally:
+        interruptions.restore()
