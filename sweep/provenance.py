@@ -2,6 +2,7 @@
 
 import json
 import platform
+import shlex
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -32,7 +33,7 @@ def provenance(study: Study) -> dict[str, Any]:
         "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
         "host": host(),
         "machine": f"{platform.system()} {platform.machine()}",
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": command_line(),
         "started": now(),
     }
     if study.claims:
@@ -46,6 +47,11 @@ def provenance(study: Study) -> dict[str, Any]:
 def host() -> str:
     """Return the name of this machine."""
     return platform.node()
+
+
+def command_line() -> str:
+    """Return the command that started this process, as a person would type it."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def now() -> str:

@@ -14,10 +14,11 @@ from sweep.execute import Executor, Pool, available_cores, dask_local, dask_sche
 from sweep.grid import make_grid
 from sweep.interrupt import watched
 from sweep.larger import part_of_larger
+from sweep.lock import locked
 from sweep.pending import Pending
 from sweep.plan import Plan, PlanSize
 from sweep.provenance import provenance
-from sweep.store import Store, create_or_resume, existing_store
+from sweep.store import Store, check_store, create_or_resume, existing_store
 from sweep.study import Study
 from sweep.tally import Survey, Tally
 from sweep.writer import Writer
@@ -75,48 +76,60 @@ def run_study(
     resources: Resources = Resources(),
     progress: Progress | None = None,
     retry: bool = False,
+    break_lock: bool = False,
 ) -> tuple[xr.Dataset, dict[str, str]]:
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
     The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
     ``retry`` they, and only they, are computed again.  Where the store holds a larger study it is left as it is, and
-    these points of it are returned.  Raises SweepError for bad input before anything is written, and
-    RunInterruptedError on SIGINT, SIGTERM and SIGHUP with everything that was finished in the store.
+    these points of it are returned.  Raises SweepError for bad input before anything is written, and for a store that
+    another process writes to (``break_lock`` as `locked` says); RunInterruptedError on SIGINT, SIGTERM and SIGHUP with
+    everything that was finished in the store.
     """
     progress = progress or Silent()
     plan = Plan(make_grid(study))
-    opened = existing_store(store, study)
-    if opened is not None and not retry and (part := part_of_larger(store, plan.grid)) is not None:
+    check_store(store, study)
+    if not retry and (part := part_of_larger(store, plan.grid)) is not None:
         progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
         return part, {}
-    again = None
-    if opened is not None and retry:
-        again = opened.failures.keys() & {point.digest for point in plan.grid.points()}
-        opened.forgive(again)
-        if not again:
-            progress.say(f"no point in {store} has failed")
-    tally = _tally(plan, opened, again)
-    where, executor = choose_executor(study, tally.survey, resources)
-    with watched() as interruptions, executor as run:
-        opened = opened or create_or_resume(store, study, provenance(study))
-        if unused := len(opened.rows) - tally.survey.held.blocks:
-            progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-        pending = Pending(plan, tally)
-        writer = Writer(plan, tally, pending, opened, interruptions.held)
-        try:
-            if tally.survey.pending.blocks:
-                writer.write()  # so that there is a labelled, if empty, dataset from the start
-            progress.start(tally.survey, where)
-            for works, result in run(pending.take):
-                progress.advance(*writer.take(works, result))
-            return writer.write(), writer.failures()
-        except KeyboardInterrupt:
-            writer.stop()
-            raise
-        except BaseException:
-            with suppress(SweepError):
-                writer.store.flush()
-            raise
+    with watched() as interruptions, locked(store, break_lock=break_lock):
+        opened = existing_store(store, study)
+        again = None
+        if retry:
+            again = _forgive(opened, plan)
+            if not again:
+                progress.say(f"no point in {store} has failed")
+        tally = _tally(plan, opened, again)
+        where, executor = choose_executor(study, tally.survey, resources)
+        with executor as run:
+            opened = opened or create_or_resume(store, study, provenance(study))
+            if unused := len(opened.rows) - tally.survey.held.blocks:
+                progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
+            pending = Pending(plan, tally)
+            writer = Writer(plan, tally, pending, opened, interruptions.held)
+            try:
+                if tally.survey.pending.blocks:
+                    writer.write()  # so that there is a labelled, if empty, dataset from the start
+                progress.start(tally.survey, where)
+                for works, result in run(pending.take):
+                    progress.advance(*writer.take(works, result))
+                return writer.write(), writer.failures()
+            except KeyboardInterrupt:
+                writer.stop()
+                raise
+            except BaseException:
+                with suppress(SweepError):
+                    writer.store.flush()
+                raise
+
+
+def _forgive(store: Store | None, plan: Plan) -> frozenset[bytes]:
+    """Forget the failures of a plan's points, and return their digests."""
+    if store is None:
+        return frozenset()
+    failed = frozenset(store.failures.keys() & {point.digest for point in plan.grid.points()})
+    store.forgive(failed)
+    return failed
 
 
 def _tally(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Tally:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from sweep.execute import available_cores
+from sweep.lock import holder
 from sweep.plan import TARGET
 from sweep.run import plan_study
 from sweep.store import finished_blocks, open_dataset
@@ -24,6 +25,7 @@ def status_report(store: Path) -> dict[str, Any]:
     return {
         "title": attributes["title"],
         "complete": bool(attributes["complete"]),
+        "running": str(holder(store) or "no"),
         "points": {word: int(np.sum(codes == code)) for code, word in enumerate(STATUS_WORDS)},
         "blocks in the ledger": finished_blocks(store),
         "realisations done": int(dataset["n_sim_done"].sum()),

@@ -11,40 +11,15 @@ ROOT = Path(__file__).parent.parent
 CORE = [
     *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),
     *("missions", "radio_stars", "catalogue", "quasars", "table_catalogue"),
-    *(
-        "errors",
-        "link",
-        "noise",
-        "setup",
-        "fixed_design",
-        "normal_sums",
-        "full_path",
-        "simulate",
-        "parameters",
-        "scenario",
-        "checks",
-        "experiment",
-        "calibration",
-    ),
+    *("errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "simulate"),
+    *("parameters", "scenario", "checks", "experiment", "calibration"),
 ]
 SWEEP = [
     *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
     *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
-    *(
-        "provenance",
-        "results",
-        "failures",
-        "store",
-        "larger",
-        "writer",
-        "run",
-        "revisit",
-        "status",
-        "tables",
-        "progress",
-        "plots",
-    ),
-    *("compare", "compare_tables", "paper"),
+    *("provenance", "bucket", "location", "lock"),
+    *("results", "failures", "store", "larger", "writer", "run", "revisit"),
+    *("status", "tables", "progress", "plots", "compare", "compare_tables", "paper"),
     *("calibrate", "__main__"),
 ]
 CLI = ["group", "options", "output", "stopping", "running", "again", "reading", "paper", "about", "match"]
@@ -59,6 +34,7 @@ ONLY_IN = {
     "pydantic": {"sweep.study", "sweep.reader"},
     "astropy": {"sweep.tables", "sweep.tablefile", "sweep.search.columns", "sweep.search.ecsv"},
     "pygaia": {"core.missions"},
+    "obstore": {"sweep.bucket"},
 }
 # The platform knows nothing of astrometry; the calibration and the galaxy search are commands
 # beside it, not a part of it.  Only the command line knows the search.

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import json_option, resource_options, resources_of, store_argument
+from sweep.cli.options import break_lock_option, json_option, resource_options, resources_of, store_argument
 from sweep.cli.output import failures_in_words, print_table
 from sweep.cli.running import run_with_progress
 
@@ -17,8 +17,9 @@ from sweep.cli.running import run_with_progress
 @main.command()
 @store_argument
 @resource_options
+@break_lock_option
 @json_option
-def retry(store: Path, as_json: bool, **resources: Any) -> None:
+def retry(store: Path, break_lock: bool, as_json: bool, **resources: Any) -> None:
     """Compute the failed points in STORE again, and only those.
 
     \b
@@ -26,7 +27,8 @@ def retry(store: Path, as_json: bool, **resources: Any) -> None:
     """
     from sweep.revisit import study_of
 
-    dataset, failures = run_with_progress(study_of(store), store, resources_of(**resources), retry=True)
+    wanted = resources_of(**resources)
+    dataset, failures = run_with_progress(study_of(store), store, wanted, retry=True, break_lock=break_lock)
     print_table(dataset, "json" if as_json else "text")
     if failures:
         click.echo(failures_in_words(failures, store), err=True)

@@ -16,6 +16,12 @@ study_argument = click.argument("study")
 store_argument = click.argument("store", type=click.Path(path_type=Path))
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a script.")
 
+break_lock_option = click.option(
+    "--break-lock",
+    is_flag=True,
+    help="Go on although another host seems to write to the store; make sure that it does not.",
+)
+
 
 def _store_path(_context: click.Context, _parameter: click.Parameter, value: str | None) -> Path | None:
     if value == "":

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import json_option, load, resource_options, resources_of, study_argument, study_options
+from sweep.cli.options import (
+    break_lock_option,
+    json_option,
+    load,
+    resource_options,
+    resources_of,
+    study_argument,
+    study_options,
+)
 from sweep.cli.output import failures_in_words, print_plan, print_table
 from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
 
@@ -20,6 +28,7 @@ if TYPE_CHECKING:
 @study_argument
 @study_options
 @resource_options
+@break_lock_option
 @click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
 @json_option
 def run(
@@ -30,6 +39,7 @@ def run(
     workers: int | None,
     pool: Any,
     scheduler: str | None,
+    break_lock: bool,
     dry_run: bool,
     as_json: bool,
 ) -> None:
@@ -47,7 +57,7 @@ def run(
     if dry_run:
         print_plan(loaded, path, as_json)
         return
-    dataset, failures = run_with_progress(loaded, path, resources)
+    dataset, failures = run_with_progress(loaded, path, resources, break_lock=break_lock)
     print_table(dataset, "json" if as_json else "text")
     click.echo(f"wrote {path}", err=True)
     if failures:
@@ -70,7 +80,7 @@ def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Pa
 
 
 def run_with_progress(
-    study: "Study", store: Path, resources: "Resources", retry: bool = False
+    study: "Study", store: Path, resources: "Resources", *, retry: bool = False, break_lock: bool = False
 ) -> tuple[Any, dict[str, str]]:
     """Run a study with progress shown; an interruption ends the command."""
     from sweep.interrupt import RunInterruptedError
@@ -79,7 +89,7 @@ def run_with_progress(
 
     with a_signal_ends_the_command(), TerminalProgress() as progress:
         try:
-            return run_study(study, store, resources, progress, retry)
+            return run_study(study, store, resources, progress, retry, break_lock)
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             end_stopped(stop.signal)

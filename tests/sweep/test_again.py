@@ -7,8 +7,9 @@ import pytest
 import xarray as xr
 
 from sweep import worker
+from sweep.interrupt import RunInterruptedError
 from sweep.reader import study_from_dict
-from sweep.run import Resources, RunInterruptedError, run_study
+from sweep.run import Resources, run_study
 
 EXPERIMENT = Path(__file__).with_name("coins.py").read_text()
 FRAGILE = EXPERIMENT.replace(

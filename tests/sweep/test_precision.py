@@ -5,8 +5,9 @@ import pytest
 import xarray as xr
 
 from sweep.contract import Experiment, Output, Parameter, SweepError
+from sweep.interrupt import RunInterruptedError
 from sweep.reader import study_from_dict
-from sweep.run import Resources, RunInterruptedError, run_study
+from sweep.run import Resources, run_study
 
 SERIAL = Resources(pool="serial")
 

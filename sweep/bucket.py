@@ -1,0 +1,216 @@
+"""A store in a bucket: the same files as in a folder, as objects of S3 or of anything that speaks its language."""
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from functools import cached_property
+from ipaddress import ip_address
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+from sweep.contract import SweepError
+
+if TYPE_CHECKING:
+    from obstore.store import S3Store
+
+AT_ONCE = 16
+"""Requests under way at a time: an answer takes tens of milliseconds, whatever its size."""
+
+TIMEOUT = timedelta(seconds=15)
+"""How long a request is tried again after dropped connections and errors of the server."""
+
+ADDRESS = re.compile(r"s3:/{1,2}(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])/+(?P<prefix>[^/].*?)/*")
+
+
+def bucket_at(address: str) -> "Bucket":
+    """Return the place that an address ``s3://BUCKET/NAME`` names; raises SweepError for one that is no such address,
+    and where obstore is not installed.
+    """
+    found = ADDRESS.fullmatch(address)
+    if found is None or any(part in ("", ".", "..") for part in found["prefix"].split("/")):
+        raise SweepError(
+            "cannot be a store: its address must be s3://BUCKET/NAME, with a bucket of 3 to 63 small letters, digits, "
+            "dots and dashes",
+            address,
+        )
+    try:
+        import obstore  # noqa: F401
+    except ImportError as error:
+        raise SweepError(f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})", address) from error
+    return Bucket(found["bucket"], found["prefix"])
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """All objects of a bucket whose names begin with a prefix and a slash; credentials and endpoint are those of the
+    usual environment variables.
+    """
+
+    bucket: str
+    prefix: str
+
+    def __str__(self) -> str:
+        return f"s3://{self.bucket}/{self.prefix}".rstrip("/")
+
+    @property
+    def name(self) -> str:
+        """The last part of the prefix."""
+        return self.prefix.rpartition("/")[2]
+
+    @property
+    def parent(self) -> "Bucket":
+        """What is around the prefix."""
+        return Bucket(self.bucket, self.prefix.rpartition("/")[0])
+
+    @cached_property
+    def objects(self) -> "S3Store":
+        """The bucket as obstore has it, under the prefix; Zarr's ObjectStore takes it too."""
+        from obstore.store import S3Store
+
+        return S3Store(
+            self.bucket,
+            prefix=self.prefix or None,
+            client_options={
+                "allow_http": _is_loopback() or os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true"),
+                "connect_timeout": TIMEOUT / 3,
+                "timeout": timedelta(seconds=60),
+            },
+            retry_config={
+                "max_retries": 100,
+                "retry_timeout": TIMEOUT,
+                "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=2), "base": 2},
+            },
+        )
+
+    def get(self, key: str) -> bytes | None:
+        """Return the content of an object, None where there is none."""
+        import obstore
+
+        with self._errors(missing_is_none=True):
+            return bytes(obstore.get(self.objects, key).bytes())
+        return None
+
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes | None]:
+        """Return the contents of objects, some at a time."""
+        names = list(keys)
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            return dict(zip(names, pool.map(self.get, names), strict=True))
+
+    def put(self, key: str, content: bytes) -> None:
+        """Write or replace an object."""
+        import obstore
+
+        with self._errors():
+            obstore.put(self.objects, key, content)
+
+    def put_all(self, files: Mapping[str, bytes]) -> None:
+        """Write objects, some at a time."""
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            for _ in pool.map(self.put, files.keys(), files.values()):
+                pass
+
+    def create(self, key: str, content: bytes) -> bool:
+        """Write an object unless there is one: a put that the server refuses in that case."""
+        import obstore
+        from obstore.exceptions import AlreadyExistsError, PreconditionError
+
+        try:
+            with self._errors():
+                obstore.put(self.objects, key, content, mode="create")
+        except (AlreadyExistsError, PreconditionError):
+            return False
+        return True
+
+    def swap(self, key: str, old: bytes, new: bytes) -> bool:
+        """Replace an object that still holds ``old``: a put that the server refuses if it has changed since it was
+        read.
+        """
+        import obstore
+        from obstore.exceptions import PreconditionError
+
+        try:
+            with self._errors(missing_is_none=True):
+                answer = obstore.get(self.objects, key)
+                if bytes(answer.bytes()) != old:
+                    return False
+                obstore.put(self.objects, key, new, mode={"e_tag": answer.meta["e_tag"]})
+                return True
+        except PreconditionError:
+            pass
+        return False
+
+    def delete(self, key: str) -> None:
+        """Remove an object if there is one."""
+        import obstore
+
+        with self._errors(missing_is_none=True):
+            obstore.delete(self.objects, key)
+
+    def keys(self, under: str = "") -> list[str]:
+        """Return the names of all objects that begin with ``under``."""
+        import obstore
+
+        with self._errors():
+            return sorted(entry["path"] for page in obstore.list(self.objects, under or None) for entry in page)
+
+    def is_free(self) -> bool:
+        """Return whether there is no object."""
+        import obstore
+
+        with self._errors():
+            return not any(page for page in obstore.list(self.objects, chunk_size=1))
+
+    def obstacle(self) -> str | None:
+        """Nothing can be told without trying."""
+        return None
+
+    @contextmanager
+    def _errors(self, *, missing_is_none: bool = False) -> Iterator[None]:
+        """Turn what goes wrong on the way to the server into an OSError of one sentence.
+
+        A precondition that does not hold is left to the caller.
+        """
+        from obstore import exceptions
+
+        try:
+            yield
+        except (exceptions.AlreadyExistsError, exceptions.PreconditionError):
+            raise
+        except (exceptions.BaseError, FileNotFoundError) as error:
+            if "NoSuchBucket" in str(error):
+                raise FileNotFoundError(f"there is no bucket {self.bucket!r}") from error
+            if not isinstance(error, FileNotFoundError):
+                raise OSError(_explained(error)) from error
+            if not missing_is_none:
+                raise
+
+
+def _explained(error: Exception) -> str:
+    from obstore import exceptions
+
+    text = str(error)
+    endpoint = _endpoint() or "AWS"
+    if isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError):
+        return f"{endpoint} refuses these credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY)"
+    if "169.254.169.254" in text:
+        return "there are no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+    if "BadScheme" in text:
+        return f"{endpoint} is not encrypted; AWS_ALLOW_HTTP=true allows that"
+    reason = text.strip().splitlines()[0].rpartition(" - ")[2]
+    return f"{endpoint} does not answer as it should: {reason[:300]}"
+
+
+def _endpoint() -> str:
+    return os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
+
+
+def _is_loopback() -> bool:
+    host = urlsplit(_endpoint()).hostname or ""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

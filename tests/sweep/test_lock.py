@@ -1,0 +1,213 @@
+"""One run at a time writes to a store.  Holders are real processes."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, replace
+
+import pytest
+import xarray as xr
+import zarr
+
+from sweep import lock
+from sweep.contract import SweepError
+from sweep.location import located
+from sweep.lock import Holder, holder, locked
+
+HOLD = """
+import sys, time
+from sweep.lock import locked
+with locked(sys.argv[1]):
+    print("held", flush=True)
+    time.sleep(float(sys.argv[2]))
+"""
+
+
+@pytest.fixture
+def hold():
+    """A function that starts a process which holds the lock of a place, and returns it."""
+    started = []
+
+    def start(place, seconds=300.0):
+        command = [sys.executable, "-c", HOLD, str(place), str(seconds)]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout.readline() == "held\n", process.communicate()[1]
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def held_by(place, **changes):
+    """Leave a lock as a process of this host would that has ended, with changes."""
+    with locked(place):
+        mine = holder(place)
+    there = replace(mine, pid=2**22 + 1, token="other", **changes)  # above any process number of Linux
+    location = located(place)
+    location.parent.put(f"{location.name}.lock", json.dumps(asdict(there)).encode())
+    return there
+
+
+def lock_file(place):
+    location = located(place)
+    return location.parent.get(f"{location.name}.lock")
+
+
+def test_it_is_beside_the_store_and_gone_afterwards(place):
+    assert holder(place) is None
+    with locked(place):
+        assert holder(place).pid == os.getpid()
+        assert located(place).keys() == []
+        assert lock_file(place) is not None
+    assert lock_file(place) is None
+    with pytest.raises(ZeroDivisionError), locked(place):
+        raise ZeroDivisionError
+    assert lock_file(place) is None
+
+
+def test_the_second_is_told_who_has_it(place, hold):
+    process = hold(place)
+    assert holder(place).pid == process.pid
+    for break_lock in (False, True):  # never broken while its holder is known to run
+        words = rf"is being written by process {process.pid} on .*, since 20.* \(-c"
+        with pytest.raises(SweepError, match=words) as told, locked(place, break_lock=break_lock):
+            pass
+        assert told.value.where == place
+    assert process.poll() is None
+
+
+def test_the_lock_of_a_killed_process_is_taken_over(place, hold):
+    process = hold(place)
+    process.kill()
+    process.wait()
+    assert lock_file(place) is not None
+    assert holder(place) is None
+    with locked(place):
+        assert holder(place).pid == os.getpid()
+    assert lock_file(place) is None
+
+
+def test_a_process_that_is_not_reaped_has_ended(place, hold):
+    process = hold(place)
+    process.kill()
+    deadline = time.monotonic() + 30
+    while holder(place) is not None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert process.returncode is None  # still a zombie of ours
+    assert holder(place) is None
+
+
+def test_a_later_process_of_the_same_number_does_not_hold_it(place):
+    with locked(place):
+        mine = holder(place)
+    held_by(place)
+    location = located(place)
+    stale = replace(mine, started=str(int(mine.started) - 1), token="other")
+    location.parent.put(f"{location.name}.lock", json.dumps(asdict(stale)).encode())
+    assert holder(place) is None
+    with locked(place):
+        assert holder(place).pid == os.getpid()
+
+
+@pytest.mark.parametrize("change", [{"host": "elsewhere"}, {"boot": "another boot"}])
+def test_a_lock_that_cannot_be_judged_is_broken_only_on_request(place, change):
+    other = held_by(place, **change)
+    assert holder(place) == other
+    with pytest.raises(SweepError, match=r"cannot be told from here.*--break-lock"), locked(place):
+        pass
+    assert holder(place) == other
+    with locked(place, break_lock=True):
+        assert holder(place).pid == os.getpid()
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"host": 1}'])
+def test_a_damaged_lock_is_broken_only_on_request(place, content):
+    location = located(place)
+    location.parent.put(f"{location.name}.lock", content)
+    with pytest.raises(SweepError, match=r"damaged.*--break-lock"), locked(place):
+        pass
+    with locked(place, break_lock=True):
+        assert holder(place).pid == os.getpid()
+
+
+def test_of_many_that_find_a_stale_lock_one_gets_it(place):
+    """Each leaves its mark while it holds the lock: no two are ever inside at once."""
+    inside, most, refused = [], [], []
+
+    def enter(number):
+        try:
+            with locked(place):
+                inside.append(number)
+                most.append(len(inside))
+                time.sleep(0.05)
+                inside.remove(number)
+                return True
+        except SweepError as error:
+            refused.append(error.problems[0])
+            return False
+
+    for _ in range(5):
+        held_by(place)
+        with ThreadPoolExecutor(8) as pool:
+            entered = list(pool.map(enter, range(8)))
+        assert any(entered)
+    assert max(most) == 1
+    assert all("is being written by" in problem for problem in refused)
+
+
+def test_a_holder_whose_lock_was_broken_leaves_that_of_the_next(place):
+    with locked(place):
+        other = Holder("elsewhere", "", 1, "", "2026-01-01", "sweep run", "other")
+        location = located(place)
+        location.parent.put(f"{location.name}.lock", json.dumps(asdict(other)).encode())
+    assert holder(place) == other
+
+
+def test_a_system_without_proc_asks_for_the_process(tmp_path, monkeypatch):
+    monkeypatch.setattr(lock, "_start_of", lambda pid: "")
+    place = tmp_path / "s.zarr"
+    with locked(place):
+        assert holder(place).pid == os.getpid()
+    held_by(place)
+    assert holder(place) is None
+
+
+def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, start_sweep, sweep):
+    store = tmp_path / "s.zarr"
+    long = ("--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")
+    first = start_sweep("run", link_study, "-o", store, *long)
+    deadline = time.monotonic() + 60
+    while not (store / "status").exists():
+        assert time.monotonic() < deadline, "the first run writes nothing"
+        time.sleep(0.05)
+    code, out, err = sweep("run", link_study, "-o", store, *long)
+    assert (code, out) == (2, "")
+    assert f"{store}: is being written by process {first.pid} on " in err
+    assert "sweep run" in err or "__main__.py run" in err
+    code, out, err = sweep("status", store)
+    assert code == 0, err
+    assert f"process {first.pid} on " in out
+    first.send_signal(signal.SIGINT)
+    assert first.wait(timeout=60) == 130
+    assert not (tmp_path / "s.zarr.lock").exists()
+    code, out, err = sweep("status", store)
+    assert "running: no" in out
+
+
+def test_plain_readers_do_not_see_the_lock(tmp_path, coins):
+    from sweep.reader import study_from_dict
+    from sweep.run import Resources, run_study
+
+    store = tmp_path / "s.zarr"
+    run_study(study_from_dict(coins), store, Resources(pool="serial"))
+    with locked(store):
+        names = {name for name, _ in zarr.open_group(store, mode="r").members()}
+        assert "share" in names
+        assert set(xr.open_zarr(store).data_vars) <= names
