@@ -53,6 +53,10 @@ class FullSums:
         self.path = path
         self.objects = min(max(1, ELEMENTS // rows), n_obj)
         self.squares = 0.0
+        # written to again and again: temporary arrays would cost more than the arithmetic
+        self.errors = np.empty((3, self.objects, 4, rows))
+        self.seen = np.empty((len(Seen._fields), self.objects, rows))
+        self.scratch = np.empty((3, self.objects, rows))
         self.sums = [NormalSums(self.objects, rows, scenario.corrections, scenario.solve_glide) for _ in path.weights]
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
@@ -79,65 +83,84 @@ class FullSums:
     def _add(self, start: int, reference: Array, satellite: Array | None) -> None:
         path, setup = self.path, self.path.setup
         part = slice(start, start + len(reference))
-        shift = setup.reference.standardised(reference, start) * path.reference_sigma[part]
-        misclosure = shift + path.differences[part]
+        shift, misclosure, weighted = self.errors[:, : len(reference)]
+        np.multiply(setup.reference.standardised(reference, start), path.reference_sigma[part], out=shift)
+        np.add(shift, path.differences[part], out=misclosure)
         if satellite is not None:
-            misclosure -= setup.satellite.standardised(satellite, start) * path.satellite_sigma[part]
+            noise = setup.satellite.standardised(satellite, start)
+            misclosure -= np.multiply(noise, path.satellite_sigma[part], out=weighted)
         seen = self._seen(part, shift)
         self._subtract_truth(seen, misclosure)
         for sums, weights in zip(self.sums, path.weights, strict=True):
-            weighted = misclosure * weights[part]
-            sums.add(seen, weights[part], weighted)
+            sums.add(seen, weights[part], np.multiply(misclosure, weights[part], out=weighted))
         self.squares += float(np.vdot(weighted, misclosure))  # the last weights are those of chi2
 
     def _seen(self, part: slice, shift: Array) -> Seen:
-        path = self.path
-        d_ra, d_dec = shift[:, 0] / path.cos_dec[part], shift[:, 1]
+        path, seen, scratch = self.path, Seen(*self.seen[:, : len(shift)]), self.scratch[:, : len(shift)]
+        d_ra, d_dec = np.divide(shift[:, 0], path.cos_dec[part], out=scratch[0]), shift[:, 1]
         if path.small[part].all():
-            s, c = _turned(path.sin_ra[part], path.cos_ra[part], d_ra)
-            sin_dec, cos_dec = _turned(path.sin_dec[part], path.cos_dec[part], d_dec)
+            _turn(path.sin_ra[part], path.cos_ra[part], d_ra, scratch[1:], seen.s, seen.c)
+            _turn(path.sin_dec[part], path.cos_dec[part], d_dec, scratch[1:], seen.sin_dec, seen.cos_dec)
         else:
             ra, dec = path.ra[part] + d_ra, path.dec[part] + d_dec
-            s, c, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
-        if cos_dec.min() < POLE_LIMIT:
-            at = tuple(np.argwhere(cos_dec < POLE_LIMIT)[0])
+            np.sin(ra, out=seen.s)
+            np.cos(ra, out=seen.c)
+            np.sin(dec, out=seen.sin_dec)
+            np.cos(dec, out=seen.cos_dec)
+        if seen.cos_dec.min() < POLE_LIMIT:
+            at = tuple(np.argwhere(seen.cos_dec < POLE_LIMIT)[0])
             raise pole_error(part.start + int(at[0]), float(path.dec[part][at[0], 0] + d_dec[at]))
-        pmra, pmdec = path.pmra[part] + shift[:, 2], path.pmdec[part] + shift[:, 3]
-        return Seen(s, c, sin_dec, cos_dec, pmra, pmdec, pmra / cos_dec, pmdec / cos_dec)
+        np.add(path.pmra[part], shift[:, 2], out=seen.pmra)
+        np.add(path.pmdec[part], shift[:, 3], out=seen.pmdec)
+        np.divide(seen.pmra, seen.cos_dec, out=seen.pmra_turn)
+        np.divide(seen.pmdec, seen.cos_dec, out=seen.pmdec_turn)
+        return seen
 
     def _subtract_truth(self, seen: Seen, misclosure: Array) -> None:
         """Subtract A truth, A the noisy design, so that the solution is estimate - truth."""
         scenario, truth = self.path.setup.scenario, self.path.setup.truth
+        turn, work = self.scratch[:2, : len(misclosure)]
         ra, dec, pmra, pmdec = (misclosure[:, k] for k in range(4))
         if scenario.corrections:
-            turn = seen.c * truth[0] + seen.s * truth[1]  # eta.epsilon cos dec
-            pmra += seen.pmdec_turn * turn
-            pmdec -= seen.pmra_turn * turn
-        _subtract_field(ra, dec, seen, truth[:3])
-        _subtract_field(pmra, pmdec, seen, truth[3:6])
+            np.multiply(seen.c, truth[0], out=turn)
+            turn += np.multiply(seen.s, truth[1], out=work)  # eta.epsilon cos dec
+            pmra += np.multiply(seen.pmdec_turn, turn, out=work)
+            pmdec -= np.multiply(seen.pmra_turn, turn, out=work)
+        self._add_field(ra, dec, seen, -truth[:3])
+        self._add_field(pmra, pmdec, seen, -truth[3:6])
         if scenario.solve_glide:  # g adds p.g and q.g
-            along_p, along_q = np.zeros_like(pmra), np.zeros_like(pmra)
-            _subtract_field(along_q, along_p, seen, truth[6:])
+            along_p = np.zeros_like(pmra)
+            self._add_field(pmdec, along_p, seen, -truth[6:])
             pmra -= along_p
-            pmdec += along_q
+
+    def _add_field(self, along_q: Array, along_p: Array, seen: Seen, vector: Array) -> None:
+        """Add q.vector to the one and -p.vector to the other, in place."""
+        x, y, z = vector
+        field, work = self.scratch[:2, : len(along_q)]
+        np.multiply(seen.c, -x, out=field)
+        field -= np.multiply(seen.s, y, out=work)
+        field *= seen.sin_dec
+        along_q += field
+        along_q += np.multiply(seen.cos_dec, z, out=work)
+        along_p += np.multiply(seen.s, x, out=work)
+        along_p -= np.multiply(seen.c, y, out=work)
 
 
-def _subtract_field(along_q: Array, along_p: Array, seen: Seen, vector: Array) -> None:
-    """Subtract q.vector from the one and -p.vector from the other, in place."""
-    x, y, z = vector
-    inward = (seen.c * x + seen.s * y) * seen.sin_dec
-    inward -= seen.cos_dec * z
-    along_q += inward
-    along_p += seen.c * y - seen.s * x
-
-
-def _turned(sin: Array, cos: Array, angle: Array) -> tuple[Array, Array]:
-    """Return sin and cos of the sum of an angle and one below `SMALL_ANGLE`, by the addition theorem."""
-    square = angle * angle
-    minus = square * (1.0 / 24.0)
+def _turn(sin: Array, cos: Array, angle: Array, scratch: Array, sin_out: Array, cos_out: Array) -> None:
+    """Write sin and cos of the sum of an angle and one below `SMALL_ANGLE`, by the addition theorem."""
+    small_sin, minus = scratch  # sin of the small angle, and its cos - 1
+    np.multiply(angle, angle, out=small_sin)
+    np.multiply(small_sin, 1.0 / 24.0, out=minus)
     minus -= 0.5
-    minus *= square  # cos - 1
-    square *= -1.0 / 6.0
-    square += 1.0
-    square *= angle  # sin
-    return sin + (sin * minus + cos * square), cos + (cos * minus - sin * square)
+    minus *= small_sin
+    small_sin *= -1.0 / 6.0
+    small_sin += 1.0
+    small_sin *= angle
+    np.multiply(sin, minus, out=sin_out)
+    np.multiply(cos, small_sin, out=cos_out)
+    sin_out += cos_out
+    sin_out += sin
+    np.multiply(cos, minus, out=cos_out)
+    small_sin *= sin
+    cos_out -= small_sin
+    cos_out += cos

@@ -37,6 +37,7 @@ class NormalSums:
         self.total_weight = np.zeros(4)
         self.products = np.empty((12 if glide else 7, objects, rows))
         self.product_sums = np.zeros((len(self.products), 4, rows))
+        self.scratch = np.empty((4, objects, rows))
         self.turns = np.zeros((3, unknowns, rows))  # upper rows of A^T W A, those of epsilon, as far as A21 adds to it
         self.right = np.zeros((unknowns, rows))
 
@@ -75,7 +76,7 @@ class NormalSums:
         np.multiply(sin_dec, sin_dec, out=ss)
         np.multiply(ss, cc, out=products[3])
         np.multiply(ss, cs, out=products[4])
-        mixed = sin_dec * cos_dec
+        mixed = np.multiply(sin_dec, cos_dec, out=self.scratch[0, : len(s)])
         np.multiply(mixed, c, out=products[5])
         np.multiply(mixed, s, out=products[6])
         if self.glide:
@@ -105,7 +106,7 @@ class NormalSums:
     def _add_right(self, right: Array, seen: Seen, along_q: Array, along_p: Array) -> None:
         """Add sum(q a - p b) of a and b of shape (m, rows)."""
         s, c, sin_dec, cos_dec = seen[:4]
-        down = sin_dec * along_q
+        down = np.multiply(sin_dec, along_q, out=self.scratch[0, : len(s)])
         right[0] += _dot(s, along_p) - _dot(c, down)
         right[1] -= _dot(c, along_p) + _dot(s, down)
         right[2] += _dot(cos_dec, along_q)
@@ -116,29 +117,32 @@ class NormalSums:
         cc, cs = products[:2]
         turns, right = self.turns, self.right
         u, v = seen.pmdec_turn, seen.pmra_turn
-        wu, wv = weights[:, PMRA] * u, weights[:, PMDEC] * v
+        wu, wv, term, work = self.scratch[:, : len(s)]
+        np.multiply(weights[:, PMRA], u, out=wu)
+        np.multiply(weights[:, PMDEC], v, out=wv)
 
-        eta_eta = wu * u
-        eta_eta += wv * v
-        xx, xy = _dot(eta_eta, cc), _dot(eta_eta, cs)
+        np.multiply(wu, u, out=term)  # of eta eta^T
+        term += np.multiply(wv, v, out=work)
+        xx, xy = _dot(term, cc), _dot(term, cs)
         turns[0, 0] += xx
         turns[0, 1] += xy
-        turns[1, 1] += eta_eta.sum(axis=0) - xx
+        turns[1, 1] += term.sum(axis=0) - xx
 
-        right_turn = v * weighted[:, PMDEC]
-        right_turn -= u * weighted[:, PMRA]
-        right[0] += _dot(right_turn, c)
-        right[1] += _dot(right_turn, s)
+        np.multiply(v, weighted[:, PMDEC], out=term)  # of eta y
+        term -= np.multiply(u, weighted[:, PMRA], out=work)
+        right[0] += _dot(term, c)
+        right[1] += _dot(term, s)
 
-        motion = weights[:, PMRA] * seen.pmdec
-        _add_turned(turns[:, 3:6], wu * sin_dec, wv, cc, cs)
-        turns[0, 5] -= _dot(motion, c)
-        turns[1, 5] -= _dot(motion, s)
+        _add_turned(turns[:, 3:6], np.multiply(wu, sin_dec, out=term), wv, cc, cs)
+        np.multiply(weights[:, PMRA], seen.pmdec, out=work)
+        turns[0, 5] -= _dot(work, c)
+        turns[1, 5] -= _dot(work, s)
         if self.glide:
-            motion = weights[:, PMDEC] * seen.pmra
-            _add_turned(turns[:, 6:], -wv * sin_dec, wu, cc, cs)
-            turns[0, 8] += _dot(motion, c)
-            turns[1, 8] += _dot(motion, s)
+            wv *= sin_dec
+            _add_turned(turns[:, 6:], np.negative(wv, out=term), wu, cc, cs)
+            np.multiply(weights[:, PMDEC], seen.pmra, out=work)
+            turns[0, 8] += _dot(work, c)
+            turns[1, 8] += _dot(work, s)
 
 
 def _add_turned(block: Array, a: Array, b: Array, cc: Array, cs: Array) -> None:
