@@ -11,6 +11,11 @@ from sweep.contract import Point, SweepError
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
 """Errors in mas and mas/yr for which the link is computed: beyond, weights overflow or an error is no small angle."""
 
+LARGEST_PROJECTED_ERROR = 50_000.0
+"""Position error of the reference in mas beyond which no isotropic catalogue keeps within the bound that
+`core.projected.neglected` sets.
+"""
+
 SMALLEST_GLIDE = 3
 """Objects that determine nine unknowns: two give twelve observables, but of rank eight."""
 
@@ -23,7 +28,7 @@ def check(point: Point) -> str | None:
     if problem is None and point["aberration"] and point["catalogue"] == "radio-stars":
         problem = "aberration: the glide is that of extragalactic objects, not of radio stars"
     try:
-        return problem or _check_error_models(point) or _check_errors(point)
+        return problem or _check_error_models(point) or _check_errors(point) or _check_method(point)
     except MissionUnavailableError as error:
         return str(error)
 
@@ -124,3 +129,21 @@ def _check_errors(point: Point) -> str | None:
             f"{LARGEST_ERROR:g}"
         )
     return None
+
+
+def _check_method(point: Point) -> str | None:
+    """Projected errors need a fixed design; what is near the limit is told by the catalogue when it is drawn."""
+    if point["method"] == "catalogue":
+        return None
+    objects = own_objects(point)
+    own = "catalogue" in (point["satellite_errors"], point["reference_errors"])
+    if own and objects is not None and objects.correlation is not None:
+        return "method = 'projected' needs uncorrelated errors, and those of the file are correlated"
+    reference, _ = errors_at_limit(point)
+    position_mas = float(np.max(reference[:2])) / MAS
+    if position_mas <= LARGEST_PROJECTED_ERROR:
+        return None
+    return (
+        f"method = 'projected' takes the reference's positions as exact in the design matrix: an error of "
+        f"{position_mas:.3g} mas is more than {LARGEST_PROJECTED_ERROR:g} mas"
+    )

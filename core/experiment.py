@@ -86,8 +86,12 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
 
 
 def cost(point: Point) -> float:
-    """Return how many normal deviates one realisation takes."""
+    """Return how many normal deviates one realisation takes; a projected one takes a chi-square for each chunk too."""
     reference, satellite = (np.any(sigma) for sigma in errors_at_limit(point))
+    if point["method"] == "projected":
+        unknowns = 9 if point["solve_glide"] else 6
+        columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
+        return float(min(columns, 4 * catalogue_size(point)) if reference or satellite else 0)
     return float(4 * (int(reference) + int(satellite)) * catalogue_size(point))
 
 

@@ -26,7 +26,7 @@ class FixedDesign:
     setup: Setup
     columns: Array
     normal: Array  # a^T a, (K, K)
-    inverse: Array
+    inverse: Array  # of A^T W A, W the weights of the solution
     bias: Array  # (K,)
     design_residual: Array  # a^T r, (K,): zero for inverse-variance weights
     residual_squares: float
@@ -99,13 +99,13 @@ def fixed_design(setup: Setup) -> FixedDesign:
     flat = columns.reshape(-1, columns.shape[2])
     a, misclosure = flat[:, :unknowns], flat[:, -1]
     normal = a.T @ a
-    inverse = normal_inverse(normal)
     if optimal:
-        gain = a
+        inverse = normal_inverse(normal)
         bias = inverse @ (a.T @ misclosure)
     else:  # the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
         gain = flat[:, unknowns:-1]
-        gain @= normal_inverse(a.T @ gain)
+        inverse = normal_inverse(a.T @ gain)
+        gain @= inverse
         bias = gain.T @ misclosure
     misclosure -= a @ bias
     return FixedDesign(

@@ -199,6 +199,13 @@ PARAMETERS = (
         "differences of catalogues: exact, or by subtracting stored angles as in the paper",
         choices=("exact", "stored"),
     ),
+    Parameter(
+        "method",
+        "str",
+        "catalogue",
+        "what is drawn: errors of every object, or projected, what the link makes of them, at a cost without n_obj",
+        choices=("catalogue", "projected"),
+    ),
 )
 
 UNITS = ("mas",) * 3 + ("mas / yr",) * 3

@@ -1,6 +1,6 @@
 """From a point's parameters to the physics of it: catalogue, errors, truth and solution."""
 
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from core.errors import CatalogueErrors, ErrorModel, MagnitudeErrors, NoErrors, 
 from core.missions import MISSIONS
 from core.quasars import V_MAX, quasar_count, quasars
 from core.setup import Scenario, TrueVector, Vector
-from core.table_catalogue import catalogue_from_table
+from core.table_catalogue import Table, catalogue_from_table
 from sweep.contract import Point
 
 Array = NDArray[np.float64]
@@ -42,6 +42,7 @@ def scenario(point: Point) -> Scenario:
         corrections=point["corrections"],
         weighting=point["weighting"],
         arithmetic=point["arithmetic"],
+        method=point["method"],
     )
 
 
@@ -95,8 +96,18 @@ def own_objects(point: Point) -> Catalogue | None:
 
 def table_objects(point: Point) -> Catalogue:
     """Return the objects of the file that are brighter than the limit."""
-    whole = catalogue_from_table(point["file"], dict(point["columns"]), point["pmra_cos_dec"])
-    return whole if point["v_max"] is None else whole.take(np.flatnonzero(whole.v_mag <= point["v_max"]))
+    return _table_objects(point["file"], point["columns"], point["pmra_cos_dec"], point["v_max"])
+
+
+@lru_cache(maxsize=4)
+def _table_objects(
+    table: Table, columns: tuple[tuple[str, str], ...], pmra_cos_dec: bool | None, v_max: float | None
+) -> Catalogue:
+    """Make a catalogue once in a process for every check and block; a table is known by its content."""
+    if v_max is None:
+        return catalogue_from_table(table, dict(columns), pmra_cos_dec)
+    whole = _table_objects(table, columns, pmra_cos_dec, None)
+    return whole.take(np.flatnonzero(whole.v_mag <= v_max))
 
 
 def _sky(point: Point) -> Sky:

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.constants import MAS
-from core.fixed_design import FixedDesign, fixed_design
-from core.full_path import FullPath
+from core.fixed_design import FixedDesign, FixedSums, fixed_design
+from core.full_path import FullPath, FullSums
 from core.noise import chunks, tiles
+from core.projected import Drawn, Projected
 from core.setup import Scenario, Setup, prepare
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ def simulate(
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for rows in chunks(n_sim):
         satellite_rng, reference_rng = rng.spawn(2)
-        begun = [point.path.begin(rows) for point in points]
+        begun = [point.begin(rows, satellite_rng) for point in points]
         for satellite, reference in zip_longest(
             tiles(satellite_rng, rows, satellite_objects), tiles(reference_rng, rows, reference_objects)
         ):
@@ -72,15 +73,30 @@ class _Point:
         unknowns = len(setup.truth)
         self.setup, self.n_sim = setup, n_sim
         self.predicted = design.predicted_variance() / MAS**2
-        self.path: FixedDesign | FullPath = FullPath(setup) if setup.reference else design
+        self.path = _path(design)
         self.error, self.products, self.chi2 = np.zeros(unknowns), np.zeros((unknowns, unknowns)), 0.0
         self.kept: list[Array] | None = [] if keep_estimates else None
 
     @property
     def drawn(self) -> tuple[int, int]:
         """Objects for which normals of the satellite and of the reference are drawn."""
-        n_obj = len(self.setup.catalogue)
-        return (n_obj if self.setup.satellite else 0, n_obj if self.setup.reference else 0)
+        n_obj, setup = len(self.setup.catalogue), self.setup
+        projected = isinstance(self.path, Projected)
+        return (
+            n_obj if setup.satellite and not projected else 0,
+            n_obj if setup.reference and not projected else 0,
+        )
+
+    def begin(self, rows: int, rng: np.random.Generator) -> FixedSums | FullSums | Drawn:
+        """Return sums of ``rows`` realisations; what is projected is drawn from the beginning of the satellite's
+        stream, and leaves it there for others.
+        """
+        if not isinstance(self.path, Projected):
+            return self.path.begin(rows)
+        state = rng.bit_generator.state
+        drawn = self.path.draw(rows, rng)
+        rng.bit_generator.state = state
+        return drawn
 
     def add(self, error: Array, chi2: float) -> None:
         """Add realisations: their estimate - truth (K, rows), and the sum of their chi2."""
@@ -102,6 +118,12 @@ class _Point:
             n_obj=float(self.n_sim * len(self.setup.catalogue)),
             estimates=None if self.kept is None else np.concatenate(self.kept),
         )
+
+
+def _path(design: FixedDesign) -> FixedDesign | FullPath | Projected:
+    if design.setup.scenario.method == "projected":
+        return Projected(design)
+    return FullPath(design.setup) if design.setup.reference else design
 
 
 def _setups(scenarios: Sequence[Scenario], catalogue_rng: np.random.Generator) -> Iterator[Setup]:

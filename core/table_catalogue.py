@@ -33,7 +33,9 @@ GAIA_MARKS = ("source_id", "designation", "solution_id")
 
 
 class Table(Protocol):
-    """Columns by name."""
+    """Columns by name; equal tables have equal columns."""
+
+    def __hash__(self) -> int: ...
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns."""

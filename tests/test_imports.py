@@ -11,7 +11,7 @@ ROOT = Path(__file__).parent.parent
 CORE = [
     *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),
     *("missions", "radio_stars", "catalogue", "quasars", "table_catalogue"),
-    *("errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "simulate"),
+    *("errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "projected", "simulate"),
     *("parameters", "scenario", "checks", "experiment", "calibration"),
 ]
 SWEEP = [

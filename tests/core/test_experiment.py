@@ -225,6 +225,12 @@ def test_an_ambiguous_file_is_a_problem_of_the_point(tmp_path):
     assert check(from_file(table_file(path), pmra_cos_dec=False)) is None
 
 
+def test_correlated_errors_of_a_file_cannot_be_projected(tmp_path):
+    projected = from_file(gaia_table(tmp_path), method="projected")
+    assert "correlated" in check(projected | {"satellite_errors": "catalogue"})
+    computes(projected)
+
+
 def test_a_glide_from_two_objects_is_a_problem():
     two = point(n_obj=2, solve_glide=True)
     with pytest.raises(LinkError, match="rank deficient"):
@@ -278,6 +284,10 @@ def test_check_of_a_magnitude_where_the_curve_overflows():
         {"reference_errors": "normal", "solve_glide": True},
         {"satellite_errors": "none"},
         {"reference_errors": "normal", "reference_error_scale": 0.0},
+        {"method": "projected"},
+        {"method": "projected", "solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
+        {"method": "projected", "n_obj": 2, "weighting": "equal"},
+        {"method": "projected", "satellite_errors": "none"},
     ],
 )
 def test_cost_is_the_number_of_normals_drawn(changes):

@@ -1,0 +1,193 @@
+"""The projected method: the distribution of the catalogue method, and the bound of what it leaves out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from core.checks import check
+from core.constants import MAS
+from core.errors import CatalogueErrors, NormalErrors
+from core.experiment import evaluate, link, scenario
+from core.fixed_design import fixed_design
+from core.link import LinkError, design_matrix, solve
+from core.projected import Projected, neglected
+from core.setup import prepare
+from core.simulate import simulate
+
+
+def point(**changes):
+    return link.defaults() | {"n_obj": 12, "mean_pm": 300.0} | changes
+
+
+def run(point, n_sim, seed=1, catalogue_seed=2):
+    generators = np.random.default_rng(seed), np.random.default_rng(catalogue_seed)
+    return simulate([scenario(point)], n_sim, *generators, keep_estimates=True)[0]
+
+
+def set_up(point, seed=2):
+    return prepare(scenario(point), np.random.default_rng(seed), np.random.default_rng(3))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"weighting": "equal"},
+        {"solve_glide": True, "aberration": True, "sky_contrast": 0.5},
+        {"n_obj": 2, "weighting": "equal"},  # 8 observables for 13 columns
+        {"reference_errors": "normal", "reference_sigma_pos": 1000.0, "reference_sigma_pm": 500.0},
+        {"reference_errors": "normal", "reference_sigma_pos": 0.1, "weighting": "equal", "solve_glide": True},
+    ],
+)
+def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
+    n_sim = 8000
+    catalogue, projected = (run(point(method=m, **changes), n_sim, seed) for seed, m in enumerate(link_methods()))
+    np.testing.assert_array_equal(catalogue.predicted_variance, projected.predicted_variance)
+    a, b = catalogue.estimates, projected.estimates
+    sigma = np.sqrt(catalogue.predicted_variance / n_sim)
+    assert a.shape == b.shape
+    for x, y in zip(a.T, b.T, strict=True):
+        assert stats.ks_2samp(x, y).pvalue > 1e-4
+    assert np.all(np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4.5 * sigma * np.sqrt(2 / n_sim))
+    covariances = [np.cov(e.T / sigma[:, None]) for e in (a, b)]
+    variance = np.diag(covariances[0])
+    mc_error = np.sqrt(2 * (np.outer(variance, variance) + covariances[0] ** 2) / n_sim)  # of normal errors, twice
+    assert np.all(np.abs(covariances[0] - covariances[1]) < 4.5 * mc_error)
+
+
+@pytest.mark.parametrize("changes", [{}, {"weighting": "equal"}, {"reference_errors": "normal"}, {"n_obj": 2}])
+def test_chi2_has_the_distribution_of_the_catalogue_method(changes):
+    """One realisation at a time: only their sum comes out of a block."""
+
+    def chi2(method):
+        rng = np.random.default_rng(7)
+        return [
+            evaluate([point(method=method, **changes)], 1, rng, np.random.default_rng(2))["chi2"][0]
+            for _ in range(1500)
+        ]
+
+    assert stats.ks_2samp(chi2("catalogue"), chi2("projected")).pvalue > 1e-3
+
+
+def test_chi2_of_one_realisation_is_correlated_with_its_estimate_as_in_the_catalogue_method():
+    """With equal weights a large error of the estimate leaves large residuals."""
+
+    def correlation(method):
+        rng = np.random.default_rng(8)
+        blocks = [run_one(point(method=method, n_obj=3, weighting="equal"), rng) for _ in range(3000)]
+        error, chi2 = np.array([b.error for b in blocks]), np.array([b.chi2 for b in blocks])
+        size = np.sum(error**2 / blocks[0].predicted_variance, axis=1)
+        return stats.spearmanr(size, chi2).statistic
+
+    with_objects, without = correlation("catalogue"), correlation("projected")
+    assert with_objects > 0.1
+    assert abs(with_objects - without) < 4.5 * np.sqrt(2 / 3000)
+
+
+def run_one(point, rng):
+    return simulate([scenario(point)], 1, rng, np.random.default_rng(2))[0]
+
+
+def link_methods():
+    return link.parameter("method").choices
+
+
+def test_error_free_data_return_the_truth():
+    exact = run(point(method="projected", satellite_errors="none"), 3)
+    np.testing.assert_allclose(exact.estimates, np.ones((3, 6)), rtol=1e-6)
+
+
+def test_it_costs_nothing_more_for_many_objects():
+    """What is drawn is as much for 3 objects as for 20 000, and what the sums say is still right."""
+    sums = run(point(method="projected", n_obj=20_000), 100_000)
+    sigma = np.sqrt(sums.predicted_variance / 100_000)
+    rms = np.sqrt(np.diag(sums.error_products) / 100_000)
+    assert np.all(np.abs(rms / sigma - 1) < 4.5 / np.sqrt(2e5))
+    dof = 4 * 20_000 - 6
+    assert abs(sums.chi2 / 100_000 - dof) < 4.5 * np.sqrt(2 * dof / 100_000)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"n_obj": 300, "mean_pm": 0.0},
+        {"n_obj": 5, "solve_glide": True},
+        {"n_obj": 200, "sky_contrast": 0.9, "weighting": "equal"},
+        {"epsilon_size": 1e5},
+        {"n_obj": 100, "epsilon_size": 1e7, "omega_size": 1e6},
+        {"corrections": False, "omega_size": 1e5},
+        {"reference_sigma_pos": 20_000.0, "reference_sigma_pm": 3000.0, "mean_pm": 1e5},
+    ],
+)
+def test_what_is_neglected_is_bounded(changes):
+    """The same errors of arcseconds, with the design of each realisation and with the one of the true reference."""
+    arcsec = {"reference_errors": "normal", "reference_sigma_pos": 1000.0, "reference_sigma_pm": 500.0}
+    arcsec |= {"satellite_errors": "normal", "satellite_sigma_pos": 700.0, "satellite_sigma_pm": 200.0}
+    setup = set_up(point(**(arcsec | changes)))
+    design, n_sim, rng = fixed_design(setup), 200, np.random.default_rng(5)
+    sigma = np.sqrt(design.predicted_variance())
+    whole, fixed = [], []
+    for _ in range(n_sim):
+        errors = [side.sigma.T * rng.standard_normal(side.sigma.T.shape) for side in (setup.reference, setup.satellite)]
+        catalogue = setup.catalogue
+        true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
+        seen = true + errors[0] / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
+        options = {"corrections": setup.scenario.corrections, "glide": setup.scenario.solve_glide}
+        for rows, found in ((seen, whole), (true, fixed)):
+            a = design_matrix(*rows, **options)
+            y = setup.differences.T + errors[0] - errors[1]
+            found.append(solve(a, y, setup.sigma.T, setup.scenario.weighting).estimate)
+    rms = np.sqrt(np.mean((np.array(whole) - np.array(fixed)) ** 2, axis=0)) / sigma
+    bound = neglected(design)
+    assert np.all(rms < bound)
+    assert np.all(rms > bound / 500)  # so the bound is about it
+
+
+def test_errors_of_an_arcsecond_may_be_projected_and_much_larger_ones_not():
+    for arcsec, fits in ((1.0, True), (5.0, True), (300.0, False), (9000.0, False)):
+        one = point(n_obj=300, mean_pm=0.0, reference_errors="normal", reference_sigma_pos=1000.0 * arcsec)
+        one |= {"method": "projected"}
+        assert (check(one) is None) == fits
+        if fits:
+            assert np.all(np.isfinite(run(one, 2).error))
+        else:
+            with pytest.raises(LinkError, match=r"would neglect .* of sigma"):
+                run(one, 2)
+
+
+def test_a_truth_far_beyond_the_errors_is_refused():
+    with pytest.raises(LinkError, match=r"would neglect .* of sigma"):
+        run(point(method="projected", reference_errors="normal", epsilon_size=1e7), 2)
+
+
+def test_no_reference_error_neglects_nothing():
+    np.testing.assert_array_equal(neglected(fixed_design(set_up(point()))), 0.0)
+
+
+def test_correlated_errors_are_refused():
+    setup = set_up(point())
+    n_obj = len(setup.catalogue)
+    correlation = np.tile(0.5 * np.eye(4) + 0.5, (n_obj, 1, 1))
+    catalogue = replace(setup.catalogue, sigma=np.full((4, n_obj), MAS), correlation=correlation)
+    correlated = replace(
+        setup.scenario, draw_catalogue=lambda _: catalogue, satellite_errors=CatalogueErrors(), method="projected"
+    )
+    with pytest.raises(LinkError, match="uncorrelated"):
+        simulate([correlated], 1, np.random.default_rng(1), np.random.default_rng(2))
+    harmless = replace(correlated, satellite_errors=NormalErrors(1.0, 1.0))
+    simulate([harmless], 1, np.random.default_rng(1), np.random.default_rng(2))
+
+
+def test_the_triangle_has_the_products_of_the_columns():
+    """R^T R = P^T P, however many objects there are: those of one more part than fit in one, and fewer than columns."""
+    for n_obj in (2, 40, 5000):
+        design = fixed_design(set_up(point(n_obj=n_obj, weighting="equal")))
+        columns = design.columns.reshape(4 * n_obj, -1)
+        products, triangle = columns.T @ columns, Projected(design).triangle
+        scale = np.sqrt(np.diag(products))
+        np.testing.assert_allclose(
+            triangle.T @ triangle / scale / scale[:, None], products / scale / scale[:, None], atol=1e-12
+        )
