@@ -3,8 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.contract import SweepError
-
 MAX_TRACEBACKS = 1000
 TRACEBACK_BYTES = 4096
 DIGEST_BYTES = 16
@@ -24,14 +22,14 @@ def as_json(failures: Mapping[bytes, Record]) -> dict[str, Record]:
     return kept
 
 
-def from_json(document: Mapping[str, Any], where: str) -> dict[bytes, Record]:
-    """Return failures from JSON; raises SweepError where it holds something else."""
+def from_json(document: Mapping[str, Any]) -> dict[bytes, Record]:
+    """Return failures from JSON; raises ValueError where it holds something else."""
     try:
         failures = {bytes.fromhex(key): {str(k): str(v) for k, v in record.items()} for key, record in document.items()}
     except (AttributeError, ValueError) as error:
-        raise SweepError(f"the record of failed points is damaged: {error}", where) from error
+        raise ValueError(f"it is no record of failed points: {error}") from error
     if any(len(digest) != DIGEST_BYTES for digest in failures):
-        raise SweepError("the record of failed points is damaged: a digest of another length", where)
+        raise ValueError("it is no record of failed points: a digest of another length")
     return failures
 
 

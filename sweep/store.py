@@ -1,96 +1,99 @@
-"""The Zarr store of a study: an append-only ledger of finished blocks, and the labelled dataset made from it.
+"""The store of a study: a ledger of finished blocks and failures, and the labelled dataset made from it.
 
-The ledger is the truth: group ``blocks`` with two arrays of equal rows, ``index`` (who a row is, 32 bytes as
-`sweep.plan.ledger_key` says) and ``sums`` (the block's sums), and ``samples`` where a study keeps them, the
-realisations of one row after those of another.  Chunks are whole files that replace their predecessors in one step,
-samples and sums before the index that names them, so that a process killed at any instant leaves a ledger that is
-merely shorter.  Only the client writes.
+The ledger is the truth.  Only the client writes, under the lock of `sweep.lock`.
 """
 
 import json
-import os
-import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any, cast
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
-import numpy as np
 import xarray as xr
-import zarr
-from numpy.typing import NDArray
-from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from sweep.contract import SweepError
-from sweep.failures import Record, as_json, from_json
+from sweep import failures, snapshot
+from sweep.column import Column, DamagedError
+from sweep.contract import Array, SweepError
+from sweep.identity import COPY, REPAIR, ROOT, differences, find_root, identity, read_root
+from sweep.ledger import Ledger, columns_of
+from sweep.location import Location, Where, located, reading, writing
+from sweep.sealed import group_document, sealed, unsealed
 from sweep.study import Study
-from sweep.tablefile import content_digest
 
-FORMAT = 1
-KEY_BYTES = 32
-CHUNK_BYTES = 2**20
+FAILURES = "failures/zarr.json"
+MOST_UNWRITTEN = 2**26
+"""Bytes of sums and samples that may wait for the next flush."""
 
-REWRITE = "`sweep run` the study again to write them anew from the ledger"
+ATTEMPTS = 20
+"""How often a reader begins anew because the dataset was replaced while it was read."""
 
 
 class Store:
     """An open store of one study: what is done, appending to it, and writing the dataset."""
 
-    def __init__(self, path: Path, study: Study) -> None:
-        """Open the ledger of the store at ``path`` for a study's blocks, making it where it is missing."""
-        self.path, self.study = path, study
-        self.attributes = read_attributes(path)
-        width = study.experiment.sums_width
-        self._rows_per_chunk = max(64, 2 ** int(np.log2(CHUNK_BYTES / (8 * max(width, 1)))))
-        self._index = self._array("index", KEY_BYTES, "uint8", 0)
-        self._sums = self._array("sums", width, "float64", np.nan)
-        self._samples: zarr.Array[Any] | None = None
-        if study.sampling.keep_samples:
-            self._samples = self._array("samples", study.experiment.samples_width, "float64", np.nan)
-        self.rows = self._read_index()
-        self._next = 1 + max(self.rows.values(), default=-1)
-        self._sample_ends = _ends_of_samples(np.asarray(self._index[: self._next]))
-        self._unwritten_samples: list[NDArray[np.float64]] = []
-        self._tail_index = np.zeros((self._rows_per_chunk, KEY_BYTES), dtype=np.uint8)
-        self._tail_sums = np.full((self._rows_per_chunk, width), np.nan)
-        self._unwritten = 0
-        self.failures = self._read_failures()
+    def __init__(self, where: Where, study: Study) -> None:
+        """Open the ledger; raises SweepError as `read_attributes`, or where files of it are damaged."""
+        self.location, self.study = located(where), study
+        root = read_root(self.location)
+        self.attributes: dict[str, Any] = root["attributes"]
+        shapes = json.loads(self.attributes["ledger"])
+        expected = json.loads(identity(study)["ledger"])
+        if {name: width for name, (_, width) in shapes.items()} != {n: width for n, (_, width) in expected.items()}:
+            raise SweepError("the ledger's rows have other lengths; the store was made by another version", str(where))
+        damaged: dict[str, str] = {}
+        with reading(self.location):
+            keys = self.location.keys()
+            columns = columns_of(self.location, shapes, keys)
+            documents = self.location.get_all([COPY, FAILURES, *(c.description for c in columns.values())])
+            damaged |= damaged_documents(columns, documents)
+            try:
+                self.failures = read_failures(documents[FAILURES])
+                self._ledger = Ledger(columns)
+            except ValueError as error:
+                damaged[FAILURES] = str(error)
+            except DamagedError as error:
+                damaged |= error.files
+        if damaged:
+            raise _damaged_ledger(self.location, damaged)
+        self._copied = None if documents[COPY] is None else unsealed(documents[COPY])["attributes"]
+        self.rows = self._ledger.rows
         self._failures_changed = False
-        in_tail = self._next % self._rows_per_chunk
-        if in_tail:
-            start = self._next - in_tail
-            self._tail_index[:in_tail] = self._index[start : self._next]
-            self._tail_sums[:in_tail] = self._sums[start : self._next]
+        self._unwritten = 0
+        self._documents = snapshot.arrays_of(root)
+        self._digests: dict[str, bytes] = {}
+        self._files = snapshot.leftovers(keys, self._documents)
 
-    def sums(self) -> NDArray[np.float64]:
+    def sums(self) -> Array:
         """Return all rows of the ledger, (rows, width); `rows` says which is whose."""
-        self.flush()
-        return cast(NDArray[np.float64], self._sums[: self._next])
+        with reading(self.location):
+            return self._ledger.sums()
 
-    def samples(self, key: bytes) -> NDArray[np.float64]:
-        """Return the kept samples of a finished block, (realisations, width)."""
-        assert self._samples is not None, "only a study that keeps samples asks for them"
-        row = self.rows[key]
-        return np.asarray(self._samples[self._sample_ends[row] : self._sample_ends[row + 1]])
+    def samples(self, key: bytes) -> Array:
+        """Return the kept samples of a finished block, (realisations, width); raises SweepError where they are
+        damaged.
+        """
+        try:
+            with reading(self.location):
+                return self._ledger.samples(key)
+        except DamagedError as error:
+            raise _damaged_ledger(self.location, error.files) from error
 
-    def append(
-        self, keys: Sequence[bytes], sums: NDArray[np.float64], samples: Sequence[NDArray[np.float64]] = ()
-    ) -> None:
+    def verify(self) -> None:
+        """Raise SweepError where files of the ledger that opening did not read are damaged."""
+        try:
+            with reading(self.location):
+                self._ledger.verify()
+        except DamagedError as error:
+            raise _damaged_ledger(self.location, error.files) from error
+
+    def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array] = ()) -> None:
         """Add finished blocks, with their samples if the study keeps them; they are durable after the next `flush`."""
         for number, (key, row) in enumerate(zip(keys, sums, strict=True)):
-            if self._samples is not None:
-                self._unwritten_samples.append(samples[number])
-                self._sample_ends.append(self._sample_ends[-1] + len(samples[number]))
-            at = self._next % self._rows_per_chunk
-            self._tail_index[at] = np.frombuffer(key, dtype=np.uint8)
-            self._tail_sums[at] = row
-            self.rows[key] = self._next
-            self._next += 1
-            self._unwritten += 1
-            if at == self._rows_per_chunk - 1:
-                self.flush()
+            kept = samples[number] if samples else None
+            self._ledger.append(key, row, kept)
+            self._unwritten += row.nbytes + (0 if kept is None else kept.nbytes)
+        if self._unwritten > MOST_UNWRITTEN:
+            self.flush()
 
-    def fail(self, digest: bytes, record: Record) -> None:
+    def fail(self, digest: bytes, record: failures.Record) -> None:
         """Remember that a point failed; durable after the next `flush`."""
         self.failures[digest] = record
         self._failures_changed = True
@@ -102,246 +105,175 @@ class Store:
 
     def flush(self) -> None:
         """Make everything appended so far durable; raises SweepError where that is not possible."""
-        with _writing(self.path):
-            self._flush()
-
-    def _flush(self) -> None:
-        if self._failures_changed:
-            root = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-            root.require_group("failures").attrs.put({"failures": as_json(self.failures)})
-            self._failures_changed = False
-        if not self._unwritten:
-            return
-        self._flush_samples()
-        start = (self._next - 1) // self._rows_per_chunk * self._rows_per_chunk
-        stop = start + self._rows_per_chunk
-        for array, tail, empty in ((self._sums, self._tail_sums, np.nan), (self._index, self._tail_index, 0)):
-            if array.shape[0] < stop:
-                array.resize((stop, *array.shape[1:]))
-            array[start:stop] = tail
-            if self._next == stop:
-                tail[:] = empty
-        self._unwritten = 0
-
-    def _flush_samples(self) -> None:
-        if self._samples is not None:
-            stop = self._sample_ends[-1]
-            new = np.concatenate(self._unwritten_samples)
-            if self._samples.shape[0] < stop:
-                self._samples.resize((stop, self._samples.shape[1]))
-            self._samples[stop - len(new) : stop] = new
-            self._unwritten_samples = []
+        with writing(self.location):
+            if self._failures_changed:
+                document = group_document({"failures": failures.as_json(self.failures)})
+                self.location.put(FAILURES, sealed(document))
+                self._failures_changed = False
+            self._ledger.flush()
+            self._unwritten = 0
 
     def write(self, dataset: xr.Dataset) -> None:
-        """Replace the labelled dataset; until its last step the store says that it is incomplete.
-
-        Raises SweepError where it cannot be written.
-        """
-        with _writing(self.path):
-            self._write(dataset)
-
-    def _write(self, dataset: xr.Dataset) -> None:
-        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-        encoding: dict[str, Any] = {}
-        for name, variable in dataset.variables.items():
-            old = group.get(str(name))
-            if isinstance(old, zarr.Array) and not _holds(old, variable):
-                del group[str(name)]
-                old = None
-            if old is None:
-                encoding[str(name)] = {"compressors": [ZstdCodec(level=1), Crc32cCodec()]}
-        stale = set(group.array_keys()) - {str(name) for name in dataset.variables}
-        for name in stale:
-            del group[name]
-        attributes = {**dataset.attrs, **_identity(self.study)}
-        partial = dataset.assign_attrs({**attributes, "complete": 0})
-        partial.to_zarr(self.path, mode="a", consolidated=False, zarr_format=3, encoding=encoding)
-        group = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-        group.attrs.put(attributes)
-        with warnings.catch_warnings():  # zarr-python#3709: consolidated metadata is not in the v3 specification yet
-            warnings.filterwarnings("ignore", message="Consolidated metadata")
-            zarr.consolidate_metadata(self.path)
-
-    def _array(self, name: str, width: int, dtype: str, fill: float) -> zarr.Array[Any]:
-        try:
-            root = zarr.open_group(self.path, mode="r+", use_consolidated=False)
-            blocks = root.require_group("blocks")
-            if name not in blocks:
-                blocks.create_array(
-                    name,
-                    shape=(0, width),
-                    chunks=(self._rows_per_chunk, width),
-                    dtype=dtype,
-                    fill_value=fill,
-                    compressors=[ZstdCodec(level=1), Crc32cCodec()],
-                )
-            array = blocks[name]
-        except (OSError, ValueError, TypeError) as error:
-            raise SweepError(f"blocks/{name} is damaged: {error}", str(self.path)) from error
-        if not isinstance(array, zarr.Array) or array.shape[1:] != (width,):
-            raise SweepError(
-                f"the ledger's {name!r} does not have rows of {width} numbers; the store was made by another version",
-                str(self.path),
-            )
-        return array
-
-    def _read_failures(self) -> dict[bytes, Record]:
-        if not (self.path / "failures").exists():
-            return {}
-        try:
-            attributes = dict(zarr.open_group(self.path, path="failures", mode="r").attrs)
-        except (OSError, ValueError, TypeError) as error:
-            raise SweepError(f"the record of failed points is damaged: {error}", str(self.path)) from error
-        return from_json(cast(dict[str, Any], attributes.get("failures", {})), str(self.path))
-
-    def _read_index(self) -> dict[bytes, int]:
-        """Return the row of every finished block; a row whose sums never reached the disk does not count."""
-        rows = min(self._index.shape[0], self._sums.shape[0])
-        index, sums = (_read(array, rows, self.path) for array in (self._index, self._sums))
-        written = index.any(axis=1) & ~np.isnan(sums).all(axis=1)
-        return {index[row].tobytes(): int(row) for row in np.flatnonzero(written)}
-
-
-def _read(array: "zarr.Array[Any]", rows: int, path: Path) -> NDArray[Any]:
-    """Return the first rows of an array; raises SweepError where a chunk fails its checksum or cannot be decoded."""
-    try:
-        return np.asarray(array[:rows])
-    except (ValueError, RuntimeError) as error:
-        raise SweepError(f"{array.name.strip('/')} is damaged: {error}", str(path)) from error
-
-
-def _ends_of_samples(index: NDArray[np.uint8]) -> list[int]:
-    """Return where the samples of each row of the index end, and 0 before the first: rows follow one another."""
-    numbers = np.frombuffer(index.tobytes(), dtype="<u4").reshape(-1, KEY_BYTES // 4)
-    realisations = numbers[:, -2].astype(np.int64) * numbers[:, -1]
-    return cast(list[int], np.concatenate([[0], np.cumsum(realisations)]).tolist())
-
-
-def create_or_resume(path: Path, study: Study, attributes: Mapping[str, Any]) -> Store:
-    """Return the store at ``path``, made in one atomic step if there is none.
-
-    Raises SweepError where something else is there, or results that cannot be mixed with this study's.
-    """
-    check_store(path, study)
-    if not (path / "zarr.json").exists():
-        with _writing(path):
-            zarr.create_group(path, zarr_format=3, attributes={**attributes, **_identity(study), "complete": 0})
-    return Store(path, study)
-
-
-def finished_blocks(path: Path) -> int:
-    """Return how many blocks the ledger of a store holds, whatever its dataset says."""
-    try:
-        index = zarr.open_array(path, path="blocks/index", mode="r")
-        return int(np.asarray(index[:]).any(axis=1).sum())
-    except (OSError, ValueError, RuntimeError):
-        return 0
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise SweepError(f"cannot be written: {reason}; what was finished before is kept", str(path)) from error
-
-
-def existing_store(path: Path, study: Study) -> Store | None:
-    """Return the store at ``path`` if there is one, without writing; raises SweepError as `create_or_resume`."""
-    check_store(path, study)
-    return Store(path, study) if (path / "blocks" / "sums" / "zarr.json").exists() else None
-
-
-def check_store(path: Path, study: Study) -> None:
-    """Raise SweepError unless ``path`` is free or holds results that this study can be mixed with."""
-    if _is_free(path):
-        parent = next(p for p in path.absolute().parents if p.exists())
-        if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-            raise SweepError(f"cannot make a store there: {parent} is not a directory that can be written", str(path))
-        return
-    differences = _differences(read_attributes(path), study)
-    if differences:
-        raise SweepError(
-            ["holds results of a different study, which would be mixed up; give another store with -o", *differences],
-            str(path),
+        """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
+        attributes, arrays = snapshot.encode(dataset)
+        attributes |= identity(self.study) | {
+            "ledger": self.attributes["ledger"],
+            "generation": self.attributes.get("generation", 0) + 1,
+        }
+        digests = {name: array.digest() for name, array in arrays.items()}
+        named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
+        documents = {name: array.document for name, array in named.items()}
+        in_use = {*snapshot.chunk_keys(documents), *snapshot.chunk_keys(self._documents)}
+        described, gone = (
+            {f"{n}/zarr.json" for n in names} for names in (documents, set(self._documents) - set(documents))
         )
+        with writing(self.location):
+            self.keep_copy(attributes)
+            self._delete(self._files - in_use - described - gone)
+            self._write_arrays(
+                {name: array for name, array in named.items() if self._digests.get(name) != digests[name]}
+            )
+            self.location.put(ROOT, sealed(snapshot.root_document(attributes, documents)))
+            self._delete(gone)
+        self._files = in_use | described
+        self._documents, self._digests, self.attributes = documents, digests, attributes
+
+    def _delete(self, keys: Iterable[str]) -> None:
+        for key in keys:
+            self.location.delete(key)
+
+    def _named(self, name: str, array: snapshot.Encoded, digest: bytes) -> snapshot.Encoded:
+        """Name an array's chunks: as the last generation does if nothing has changed, or else as it does not."""
+        if name not in self._documents:
+            return array.named(0)
+        last = snapshot.encoding_of(self._documents[name])
+        return array.named(last if self._digests.get(name) == digest else 1 - last)
+
+    def _write_arrays(self, arrays: Mapping[str, snapshot.Encoded]) -> None:
+        """Write values, and then the status that speaks of them, for those who read without the root document."""
+        for names in (set(arrays) - {"status"}, {"status"} & set(arrays)):
+            self.location.put_all({k: content for name in names for k, content in arrays[name].files(name).items()})
+            self.location.put_all({f"{n}/zarr.json": json.dumps(arrays[n].document).encode() for n in names})
+
+    def keep_copy(self, attributes: Mapping[str, Any]) -> None:
+        """Keep a copy of what the store means in the ledger, if the study has changed since the last one."""
+        if self._copied is None or self._copied.get("study_digest") != attributes.get("study_digest"):
+            copied = {key: value for key, value in attributes.items() if key not in ("failures", "generation")}
+            self.location.put(COPY, sealed(group_document(copied)))
+            self._copied = copied
 
 
-def _differences(attributes: Mapping[str, Any], study: Study) -> list[str]:
-    """Say in what the meaning of stored results differs from a study's; values of what is an axis in either do not."""
-    old, new = json.loads(attributes["study_meaning"]), json.loads(_identity(study)["study_meaning"])
-    axes = {*json.loads(attributes["study_axes"]), *study.axes}
-    defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
-    pairs = [(key, old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new} - {"fixed"})]
-    pairs += [
-        (f"fixed.{name}", old["fixed"].get(name, defaults.get(name)), new["fixed"].get(name, defaults.get(name)))
-        for name in sorted({*old["fixed"], *new["fixed"]} - axes)
-    ]
-    return [f"{key}: {was!r} in the store, {now!r} in the study" for key, was, now in pairs if was != now]
+def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) -> Store:
+    """Return the store at a place, made in one step if there is none.
+
+    Raises SweepError where something else is there, results that cannot be mixed with this study's, or damaged ones.
+    """
+    location = located(where)
+    if check_store(location, study):
+        with writing(location):
+            root = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
+            location.put(ROOT, sealed(root))
+    store = Store(location, study)
+    store.verify()
+    with writing(location):
+        store.keep_copy(store.attributes)
+    return store
 
 
-def read_attributes(path: Path) -> dict[str, Any]:
+def existing_store(where: Where, study: Study) -> Store | None:
+    """Return the store at a place if there is one, without writing; raises SweepError as `create_or_resume`."""
+    location = located(where)
+    return None if check_store(location, study) else Store(location, study)
+
+
+def check_store(where: Where, study: Study) -> bool:
+    """Return whether a place is free; raises SweepError unless it is, or holds results that this study can be mixed
+    with.
+    """
+    location = located(where)
+    root = find_root(location)
+    if root is None and (obstacle := location.obstacle()):
+        raise SweepError(obstacle, str(location))
+    if root is not None and (different := differences(root["attributes"], study)):
+        raise SweepError(
+            ["holds results of a different study, which would be mixed up; give another store with -o", *different],
+            str(location),
+        )
+    return root is None
+
+
+def read_attributes(where: Where) -> dict[str, Any]:
     """Return the attributes of a store; raises SweepError unless a linksweep store of this format is there."""
-    where = str(path)
-    if _is_free(path):
-        raise SweepError("no store there", where)
-    if not path.is_dir():
-        raise SweepError("is a file, not a Zarr store", where)
-    try:
-        attributes: dict[str, Any] = json.loads((path / "zarr.json").read_text(encoding="utf-8"))["attributes"]
-        version = attributes["linksweep_format"]
-        if version == FORMAT:
-            json.loads(attributes["study_meaning"])["fixed"], json.loads(attributes["study_axes"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SweepError("is not a store of linksweep (foreign or half-made); nothing was changed", where) from error
-    if version != FORMAT:
-        raise SweepError(f"has store format {version}; this version of linksweep reads format {FORMAT}", where)
+    attributes: dict[str, Any] = read_root(located(where))["attributes"]
     return attributes
 
 
-def open_dataset(path: Path) -> xr.Dataset:
-    """Return the labelled dataset of a store, in memory; raises SweepError as `read_attributes`, if there is none yet
-    or if it is damaged.
+def finished_blocks(where: Where) -> int:
+    """Return how many blocks the ledger of a store holds, whatever its dataset says; raises SweepError as
+    `read_attributes`, and where the ledger is damaged.
     """
-    read_attributes(path)
+    location = located(where)
+    shapes = json.loads(read_attributes(location)["ledger"])
     try:
-        with warnings.catch_warnings():  # no consolidated metadata while a run has not written any results
-            warnings.filterwarnings("ignore", message="Failed to open Zarr store with consolidated metadata")
-            dataset: xr.Dataset = xr.open_zarr(path).load()
-    except (OSError, ValueError, RuntimeError, KeyError) as error:
-        raise SweepError(f"the results are damaged ({error}); {REWRITE}", str(path)) from error
+        with reading(location):
+            columns = columns_of(location, shapes, location.keys("blocks/"))
+            return int(columns["index"].read().any(axis=1).sum())
+    except DamagedError as error:
+        raise _damaged_ledger(location, error.files) from error
+
+
+def open_dataset(where: Where) -> xr.Dataset:
+    """Return the labelled dataset of a store, in memory, as one writing of it left it, whatever a run does meanwhile.
+
+    Raises SweepError as `read_attributes`, if there is none yet or if it is damaged.
+    """
+    location = located(where)
+    root = read_root(location)
+    for _ in range(ATTEMPTS):
+        problem: ValueError | None = None
+        try:
+            with reading(location):
+                dataset = snapshot.decode(root, location.get_all(snapshot.chunk_keys(snapshot.arrays_of(root))))
+        except ValueError as error:
+            problem = error
+        before, root = root, read_root(location)
+        if root == before:
+            break
+    else:
+        raise SweepError("is being written faster than it can be read; try again", str(location))
+    if problem is not None:
+        rewrite = "`sweep run` the study again to write them anew from the ledger"
+        raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(location)) from problem
     if not dataset.data_vars:
-        raise SweepError("has no results yet; `sweep run` the study to go on", str(path))
-    if "status" not in dataset:
-        raise SweepError(f"the results are damaged (no status); {REWRITE}", str(path))
+        raise SweepError("has no results yet; `sweep run` the study to go on", str(location))
     return dataset
 
 
-def _identity(study: Study) -> dict[str, Any]:
-    return {
-        "linksweep_format": FORMAT,
-        "study_meaning": json.dumps(study.meaning(), default=content_digest),
-        "study_axes": json.dumps(list(study.axes)),
-    }
+def damaged_documents(columns: Mapping[str, Column], documents: Mapping[str, bytes | None]) -> dict[str, str]:
+    """Return what is wrong with which of the ledger's JSON documents; one that is missing was not written yet, unless
+    there are chunks that it should describe.
+    """
+    damaged: dict[str, str] = {}
+    if documents[COPY] is not None:
+        try:
+            unsealed(documents[COPY])
+        except ValueError as error:
+            damaged[COPY] = str(error)
+    for column in columns.values():
+        try:
+            if documents[column.description] is not None or column.chunks:
+                column.check_description(documents[column.description])
+        except ValueError as error:
+            damaged[column.description] = str(error)
+    return damaged
 
 
-def _holds(array: "zarr.Array[Any]", variable: xr.Variable) -> bool:
-    """Return whether only the values of a stored array need to be written: xarray leaves the rest of it as it is."""
-    attributes = {key: value for key, value in array.attrs.items() if key not in ("_FillValue", "coordinates")}
-    same_kind = array.shape == variable.shape and _kind(array) == variable.dtype.kind
-    return same_kind and attributes == variable.attrs
+def read_failures(content: bytes | None) -> dict[bytes, failures.Record]:
+    """Return the failures that a document records, none where there is none; raises ValueError for a damaged one."""
+    return {} if content is None else failures.from_json(unsealed(content)["attributes"]["failures"])
 
 
-def _kind(array: "zarr.Array[Any]") -> str:
-    return np.dtype(array.dtype).kind if array.dtype.kind != "T" else "O"
-
-
-def _is_free(path: Path) -> bool:
-    """Nothing is there, or a directory in which a killed process left at most a temporary file of its first write."""
-    try:
-        if not path.exists():
-            return not path.is_symlink()
-        return path.is_dir() and all(p.name.startswith("zarr.json.") and p.is_file() for p in path.iterdir())
-    except OSError as error:  # a name that is too long, a directory closed to us
-        raise SweepError(f"cannot be a store: {error.strerror}", str(path)) from error
+def _damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:
+    problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
+    problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
+    return SweepError(problems, str(location))

@@ -17,8 +17,8 @@ CORE = [
 SWEEP = [
     *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
     *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
-    *("provenance", "bucket", "location", "lock"),
-    *("results", "failures", "store", "larger", "writer", "run", "revisit"),
+    *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
+    *("results", "store", "larger", "writer", "run", "revisit"),
     *("status", "tables", "progress", "plots", "compare", "compare_tables", "paper"),
     *("calibrate", "__main__"),
 ]
@@ -29,7 +29,7 @@ SEARCH = [
 ONLY_IN = {
     "click": {f"sweep.cli.{module}" for module in CLI},
     "distributed": {"sweep.execute", "sweep.pin"},
-    "zarr": {"sweep.store"},
+    "zarr": {"sweep.column", "sweep.snapshot"},
     "matplotlib": {"sweep.plots", "sweep.search.skymap"},
     "pydantic": {"sweep.study", "sweep.reader"},
     "astropy": {"sweep.tables", "sweep.tablefile", "sweep.search.columns", "sweep.search.ecsv"},

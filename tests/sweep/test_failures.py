@@ -9,6 +9,7 @@ from sweep.contract import SweepError
 from sweep.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
 from sweep.provenance import provenance
 from sweep.reader import study_from_dict
+from sweep.sealed import sealed
 from sweep.store import create_or_resume
 
 
@@ -79,6 +80,6 @@ def test_a_damaged_record_is_named(tmp_path, study, failures):
     file = tmp_path / "s.zarr" / "failures" / "zarr.json"
     document = json.loads(file.read_text())
     document["attributes"]["failures"] = failures
-    file.write_text(json.dumps(document))
-    with pytest.raises(SweepError, match="record of failed points is damaged"):
+    file.write_bytes(sealed(document))
+    with pytest.raises(SweepError, match=r"failures/zarr.json is damaged \(it is no record of failed points"):
         open_store(tmp_path / "s.zarr", study)

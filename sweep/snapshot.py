@@ -1,0 +1,193 @@
+"""The labelled dataset as files, and back: each writing of it is a generation that readers see whole or not at all.
+
+An array's chunks have two sets of names, as two encodings of Zarr's specification give them, and each generation that
+changes the array uses the set that the last one does not.  So the files of the last generation stay as they are
+until the root document, replaced in one step, names those of the new one; who opened the last one reads on in
+peace until the generation after next begins.
+"""
+
+import itertools
+import json
+import math
+import re
+import warnings
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from zarr.buffer import cpu
+from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.storage import MemoryStore
+
+CHUNK_BYTES = 2**22
+CODECS = {"bytes", "vlen-utf8", "zstd", "crc32c"}
+"""All that is ever written, and so all that is ever decoded."""
+
+ENCODINGS = (
+    {"name": "default", "configuration": {"separator": "."}},
+    {"name": "v2", "configuration": {"separator": "."}},
+)
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """An array as Zarr stores it: its document, and the contents of its chunks by their places."""
+
+    document: dict[str, Any]
+    chunks: dict[tuple[int, ...], bytes]
+
+    def digest(self) -> bytes:
+        """Return what tells it from another, whatever the names of its chunks."""
+        plain = {**self.document, "chunk_key_encoding": None}
+        found = blake2b(json.dumps(plain, sort_keys=True).encode())
+        for place in sorted(self.chunks):
+            found.update(blake2b(self.chunks[place]).digest())
+        return found.digest()
+
+    def named(self, encoding: int) -> "Encoded":
+        """Return the same with chunks under one of the two sets of names."""
+        return replace(self, document={**self.document, "chunk_key_encoding": ENCODINGS[encoding]})
+
+    def files(self, name: str) -> dict[str, bytes]:
+        """Return the contents of its chunks by the names of their files."""
+        return {chunk_key(name, self.document, place): content for place, content in self.chunks.items()}
+
+
+def encode(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, Encoded]]:
+    """Return the attributes and the arrays of a dataset; every chunk has a checksum, and none is left out for being
+    empty, so that one that is missing was lost.
+    """
+    files: dict[str, Any] = {}
+    encoding = {
+        name: {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "chunks": chunk_shape(variable)}
+        for name, variable in dataset.variables.items()
+    }
+    dataset.drop_encoding().to_zarr(
+        MemoryStore(files), mode="w", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
+    )
+    contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items()}
+    arrays = {}
+    for name in map(str, dataset.variables):
+        document = json.loads(contents[f"{name}/zarr.json"])
+        chunks = {place: contents[chunk_key(name, document, place)] for place in chunk_places(document)}
+        arrays[name] = Encoded(document, chunks)
+    return json.loads(contents["zarr.json"])["attributes"], arrays
+
+
+def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> xr.Dataset:
+    """Return the dataset of a root document and the contents of `chunk_keys`, in memory.
+
+    Raises ValueError that names a file which is missing or not what was written.
+    """
+    if any(content is None for content in contents.values()):
+        raise ValueError(_in_words(damaged_chunks(root, contents)))
+    files: dict[str, Any] = {
+        key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
+    }
+    files["zarr.json"] = cpu.Buffer.from_bytes(json.dumps(root).encode())
+    try:
+        with warnings.catch_warnings():  # zarr-python#3709: consolidated metadata is not in the v3 specification yet
+            warnings.filterwarnings("ignore", message="Consolidated metadata")
+            opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
+            dataset: xr.Dataset = opened.load()
+    except Exception as error:  # each codec of Zarr has its own
+        raise ValueError(_in_words(damaged_chunks(root, contents)) or str(error)) from error
+    return dataset
+
+
+def _in_words(damaged: Mapping[str, str]) -> str:
+    return "; ".join(f"{key}: {problem}" for key, problem in damaged.items())
+
+
+def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
+    """Return what is wrong with which of the files that `chunk_keys` names."""
+    damaged: dict[str, str] = {}
+    for name, document in arrays_of(root).items():
+        files: dict[str, Any] = {"zarr.json": cpu.Buffer.from_bytes(json.dumps(document).encode())}
+        array = zarr.open_array(MemoryStore(files), mode="r")
+        for place in chunk_places(document):
+            key = chunk_key(name, document, place)
+            content = contents.get(key)
+            if content is None:
+                damaged[key] = "it is missing"
+                continue
+            files[key.removeprefix(f"{name}/")] = cpu.Buffer.from_bytes(content)
+            try:
+                _ = array.blocks[place] if place else array[...]
+            except Exception as error:  # each codec of Zarr has its own
+                damaged[key] = " ".join(str(error).split()) or type(error).__name__
+    return damaged
+
+
+def root_document(attributes: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document of the store's root: attributes, and a copy of the documents of all arrays of the dataset."""
+    copies = {"kind": "inline", "must_understand": False, "metadata": dict(documents)}
+    return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes), "consolidated_metadata": copies}
+
+
+def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the documents of the dataset's arrays by name; raises ValueError for one that was not written here."""
+    documents = root.get("consolidated_metadata", {}).get("metadata", {})
+    for name, document in documents.items():
+        unknown = {codec["name"] for codec in document["codecs"]} - CODECS
+        if unknown or "/" in name or name in ("", ".", ".."):
+            raise ValueError(f"the array {name!r} was not written by linksweep ({', '.join(sorted(unknown))})")
+    return dict(documents)
+
+
+def chunk_keys(documents: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the names of all files of chunks of arrays, by their documents."""
+    return [
+        chunk_key(name, document, place) for name, document in documents.items() for place in chunk_places(document)
+    ]
+
+
+def chunk_key(name: str, document: Mapping[str, Any], place: tuple[int, ...]) -> str:
+    """Return the name of a chunk's file, as the array's document asks."""
+    encoding = document["chunk_key_encoding"]
+    parts = [str(number) for number in place]
+    if encoding["name"] == "v2":
+        return f"{name}/{encoding['configuration']['separator'].join(parts) or '0'}"
+    return f"{name}/{encoding['configuration']['separator'].join(['c', *parts])}"
+
+
+def chunk_places(document: Mapping[str, Any]) -> Iterator[tuple[int, ...]]:
+    """Yield the places of all chunks of an array."""
+    chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
+    return itertools.product(*(range(-(-n // size)) for n, size in zip(document["shape"], chunk, strict=True)))
+
+
+def leftovers(keys: Collection[str], documents: Collection[str]) -> set[str]:
+    """Return the files of the dataset's arrays, and of arrays that it has no more, among the names of all files."""
+    folders: dict[str, set[str]] = {}
+    for key in keys:
+        folder, separator, _ = key.partition("/")
+        if separator:
+            folders.setdefault(folder, set()).add(key)
+    chunk = re.compile(r"[^/]+/(c|c\.|\d)[\d.]*")
+    known = {name for name in folders if name in documents or all(map(chunk.fullmatch, folders[name]))}
+    return {key for name in known for key in folders[name]}
+
+
+def encoding_of(document: Mapping[str, Any]) -> int:
+    """Return which of the two sets of names an array's chunks have."""
+    return int(document["chunk_key_encoding"]["name"] == "v2")
+
+
+def chunk_shape(variable: xr.Variable) -> tuple[int, ...]:
+    """Return a shape for chunks of at most `CHUNK_BYTES` that are whole in the last dimensions: a point's values stay
+    together, and a coordinate is one chunk.
+    """
+    if variable.dtype.kind == "O" or variable.ndim < 1:
+        return variable.shape
+    shape = list(variable.shape)
+    for axis in range(variable.ndim):
+        rest = math.prod(shape[axis + 1 :]) * np.dtype(variable.dtype).itemsize
+        shape[axis] = max(1, min(shape[axis], CHUNK_BYTES // max(1, rest)))
+        if shape[axis] > 1:
+            break
+    return tuple(shape)
