@@ -99,19 +99,20 @@ class Ledger:
         if "samples" in self._columns:
             self._columns["samples"].verify()
 
-    def append(self, key: bytes, sums: Array, samples: Array | None) -> None:
-        """Add a finished block; durable after `flush`."""
+    def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array]) -> None:
+        """Add finished blocks; durable after `flush`."""
         self._sums = None
-        start = self._samples_end
-        if samples is not None:
-            self._samples_end += len(samples)
-            self._columns["samples"].append(samples)
-        self._columns["sums"].append(sums[None])
-        row = key + start.to_bytes(START_BYTES, "little")
-        self._columns["index"].append(np.frombuffer(row, dtype=np.uint8)[None])
-        self._starts.append(start)
-        self.rows[key] = self._next
-        self._next += 1
+        starts = [self._samples_end] * len(keys)
+        if samples:
+            starts = [self._samples_end + end for end in np.cumsum([0, *map(len, samples)]).tolist()]
+            self._samples_end = starts.pop()
+            self._columns["samples"].append(np.concatenate(samples))
+        self._columns["sums"].append(sums)
+        index = b"".join(k + start.to_bytes(START_BYTES, "little") for k, start in zip(keys, starts, strict=True))
+        self._columns["index"].append(np.frombuffer(index, dtype=np.uint8).reshape(len(keys), -1))
+        self._starts += starts
+        self.rows.update(zip(keys, range(self._next, self._next + len(keys)), strict=True))
+        self._next += len(keys)
 
     def flush(self) -> None:
         """Make everything durable, the index last."""

@@ -1,7 +1,8 @@
 """The plan of a study: points cut into blocks, each with its own random stream."""
 
 import math
-from collections.abc import Iterator
+import struct
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -23,6 +24,9 @@ SHARED = 0.15
 """What a point costs that shares the random numbers of another: its part of the linear algebra."""
 
 MAX_BLOCKS = 10_000_000
+
+MOST_CUTS = 1000
+"""Different costs of points whose blocks are remembered."""
 
 MAX_SIMS = 512
 FIRST_SIMS = 64
@@ -52,8 +56,7 @@ class Block(NamedTuple):
         return self.n_cat * self.n_sim
 
 
-@dataclass(frozen=True)
-class Work:
+class Work(NamedTuple):
     """One block of one point, or of several that share its random numbers, with its estimated cost in random
     numbers.
     """
@@ -97,20 +100,33 @@ class Plan:
 
     grid: Grid
 
-    def blocks(self, cost: float, parts: range | None = None) -> Iterator[Block]:
-        """Yield the blocks, of these ``parts`` (all by default), of a point whose realisations cost this many random
+    def blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
+        """Return the blocks, of these ``parts`` (all by default), of a point whose realisations cost this many random
         numbers each.
 
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
         they are; only a last, partial block is computed again.
         """
-        sampling = self.grid.study.sampling
+        wanted = range(self.parts(cost)) if parts is None else parts
+        known = self._cuts.get((cost, wanted))
+        if known is None:
+            known = tuple(self._cut(cost, wanted))
+            if len(self._cuts) < MOST_CUTS:
+                self._cuts[cost, wanted] = known
+        return known
+
+    @cached_property
+    def _cuts(self) -> dict[tuple[float, range], Sequence[Block]]:
+        """Blocks by cost and parts: points that cost the same are cut in the same way."""
+        return {}
+
+    def _cut(self, cost: float, parts: range) -> Iterator[Block]:
+        n_cat = self.grid.study.sampling.n_cat
         _, catalogues = self.block_shape(cost)
-        for group, first in enumerate(range(0, sampling.n_cat, catalogues)):
-            n_cat = min(catalogues, sampling.n_cat - first)
-            for part in range(self.parts(cost)) if parts is None else parts:
+        for group, first in enumerate(range(0, n_cat, catalogues)):
+            for part in parts:
                 n_sim = self.realisations(cost, part + 1) - self.realisations(cost, part)
-                yield Block(group, part, first, n_cat, n_sim)
+                yield Block(group, part, first, min(catalogues, n_cat - first), n_sim)
 
     def parts(self, cost: float, n_sim: int | None = None) -> int:
         """Return into how many parts so many realisations (those of the study by default) of a catalogue are cut."""
@@ -136,6 +152,15 @@ class Plan:
 
     def block_shape(self, cost: float) -> tuple[int, int]:
         """Return how many realisations of how many catalogues a whole block holds."""
+        if (known := self._shapes.get(cost)) is None:
+            known = self._shapes[cost] = self._shape(cost)
+        return known
+
+    @cached_property
+    def _shapes(self) -> dict[float, tuple[int, int]]:
+        return {}
+
+    def _shape(self, cost: float) -> tuple[int, int]:
         if self.grid.study.sampling.common_random_numbers:
             return MAX_SIMS, 1  # whatever the cost: points that share a draw need the same blocks
         sims = _power_of_two(LARGEST_BLOCK / cost, MAX_SIMS)
@@ -152,7 +177,7 @@ class Plan:
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
         """Return the work of a block of points that share its random numbers."""
         costs = [self.cost(point.parameters) for point in points]
-        shared = max(costs) + SHARED * (sum(costs) - max(costs))
+        shared = max(costs) + SHARED * (sum(costs) - max(costs)) if len(costs) > 1 else costs[0]
         return Work(points, block, block.realisations * shared + block.n_cat * len(points) * OVERHEAD)
 
     def size(self, cost: float, points: int = 1) -> PlanSize:
@@ -177,8 +202,7 @@ def ledger_key(digest: bytes, block: Block) -> bytes:
     """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues and realisations of
     each.
     """
-    numbers = (block.group, block.part, block.n_cat, block.n_sim)
-    return digest + b"".join([n.to_bytes(4, "little") for n in numbers])
+    return digest + struct.pack("<4I", block.group, block.part, block.n_cat, block.n_sim)
 
 
 def generators(seed: int, name: bytes, catalogue: int, part: int) -> tuple[np.random.Generator, np.random.Generator]:

@@ -86,10 +86,10 @@ class Store:
 
     def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array] = ()) -> None:
         """Add finished blocks, with their samples if the study keeps them; they are durable after the next `flush`."""
-        for number, (key, row) in enumerate(zip(keys, sums, strict=True)):
-            kept = samples[number] if samples else None
-            self._ledger.append(key, row, kept)
-            self._unwritten += row.nbytes + (0 if kept is None else kept.nbytes)
+        if not keys:
+            return
+        self._ledger.append(keys, sums, samples)
+        self._unwritten += sums.nbytes + sum(kept.nbytes for kept in samples)
         if self._unwritten > MOST_UNWRITTEN:
             self.flush()
 

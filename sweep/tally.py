@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -121,14 +121,20 @@ class Tally:
         if self.status[index] != MISSING:
             return []
         cost = self.plan.cost(point.parameters)
-        round_ = self._rounds.setdefault(index, _Round(range(self.plan.parts(cost))))
-        round_.early[block.group, block.part] = row
-        while (ready := round_.early.pop((round_.group, round_.part), None)) is not None:
+        round_ = self._rounds.get(index)
+        if round_ is None:
+            round_ = self._rounds[index] = _Round(range(self.plan.parts(cost)))
+        if (block.group, block.part) != (round_.group, round_.part):
+            round_.early[block.group, block.part] = row
+            return []
+        ready: Array | None = row
+        while ready is not None:
             self.total[index] += ready
             round_.part += 1
             if round_.part == round_.parts.stop:
                 round_.part = round_.parts.start
                 round_.group += 1
+            ready = round_.early.pop((round_.group, round_.part), None) if round_.early else None
         groups = -(-self.plan.grid.study.sampling.n_cat // self.plan.block_shape(cost)[1])
         return self._finish_round(point, round_.parts.stop) if round_.group == groups else []
 
@@ -137,8 +143,8 @@ class Tally:
         self.status[index] = FAILED
         self._rounds.pop(index, None)
 
-    def _blocks(self, point: GridPoint) -> Iterator[Block]:
-        """Yield the blocks of a point's current round."""
+    def _blocks(self, point: GridPoint) -> Sequence[Block]:
+        """Return the blocks of a point's current round."""
         round_ = self._rounds.get(point.index)
         return self.plan.blocks(self.plan.cost(point.parameters), None if round_ is None else round_.parts)
 

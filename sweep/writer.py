@@ -55,29 +55,28 @@ class Writer:
 
     def take(self, works: Sequence[Work], result: TaskResult) -> tuple[PlanSize, PlanSize]:
         """Add a task's results; return how much that was, and how much more they made known."""
-        done = more = PlanSize(0, 0, 0, 0.0)
-        rows = [
-            (point, work, key) for work in works for point, key in zip(work.points, work.ledger_keys(), strict=True)
-        ]
+        points = [(point, work.block) for work in works for point in work.points]
+        keys = [key for work in works for key in work.ledger_keys()]
+        good = [row for row in range(len(keys)) if row not in result.failures]
+        finished = 0
+        added: list[Work] = []
         clock = time.monotonic()
         with self._held():
-            for number, (point, work, key) in enumerate(rows):
-                if (failure := result.failures.get(number)) is not None:
-                    finished = self._fail(point, failure)
-                else:
-                    sums = result.sums[number]
-                    self.store.append([key], sums[None], [result.samples[number]] if result.samples else [])
-                    added = [self.plan.work((point,), block) for block in self.tally.add(point, work.block, sums)]
-                    self._pending.add(added)
-                    more = sum((_size(0, w) for w in added), more)
-                    finished = self.tally.status[point.index] == DONE
-                done += _size(int(finished), work)
+            for row, failure in result.failures.items():
+                finished += self._fail(points[row][0], failure)
+            for row in good:
+                point, block = points[row]
+                added += [self.plan.work((point,), more) for more in self.tally.add(point, block, result.sums[row])]
+                finished += bool(self.tally.status[point.index] == DONE)
+            self._pending.add(added)
+            samples = [result.samples[row] for row in good if result.samples]
+            self.store.append([keys[row] for row in good], result.sums[good], samples)
             if clock - self._flushed > FLUSH_EVERY_S:
                 self.store.flush()
                 self._flushed = clock
         if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
             self.write()
-        return done, more
+        return _size(works, finished), _size(added, 0)
 
     def write(self) -> xr.Dataset:
         """Write the labelled dataset of everything taken so far, and return it."""
@@ -132,6 +131,8 @@ class Writer:
         return True
 
 
-def _size(points: int, work: Work) -> PlanSize:
-    """Return the counts of one point's part of a work."""
-    return PlanSize(points, 1, work.block.realisations, work.cost / len(work.points))
+def _size(works: Sequence[Work], points: int) -> PlanSize:
+    """Return the counts of works that finish so many points."""
+    blocks = sum(len(work.points) for work in works)
+    realisations = sum(len(work.points) * work.block.realisations for work in works)
+    return PlanSize(points, blocks, realisations, sum(work.cost for work in works))
