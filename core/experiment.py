@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from core.checks import check
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
-from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, UNITS
+from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from core.scenario import catalogue_size, errors_at_limit, scenario
 from core.simulate import BlockSums, simulate
 from sweep.contract import Experiment, Point
@@ -152,4 +152,5 @@ link = Experiment(
     sample_outputs=SAMPLE_OUTPUTS,
     check=check,
     cost=cost,
+    shared=SHARED,
 )

@@ -208,6 +208,25 @@ PARAMETERS = (
     ),
 )
 
+SHARED = (
+    # What is made of the normals: gains, weights and units of the errors.
+    *("model", "mission_length", "error_scale", "satellite_error_scale", "reference_error_scale"),
+    *("satellite_sigma_pos", "satellite_sigma_pm", "reference_sigma_pos", "reference_sigma_pm"),
+    *("corrections", "weighting", "solve_glide", "arithmetic"),
+    # Each side's normals are a stream of its own, so one side without errors leaves the other's as they are.
+    *("satellite_errors", "reference_errors"),
+    # The truth draws nothing but its directions, from a stream beside that of the catalogue.
+    *("epsilon", "omega", "epsilon_size", "omega_size", "directions", "aberration", "glide"),
+    # The same uniform numbers become other positions, magnitudes or motions of the same objects.
+    *("v_min", "mean_pm", "pm_distribution", "zone_of_avoidance", "sky_contrast"),
+    # Quasars of a brighter limit (at half magnitudes) are the first of a fainter one; others only change magnitudes,
+    # and a file's are the same rows.
+    "v_max",
+    # Not: catalogue, n_obj, counts, positions, file, columns, pmra_cos_dec, which make other objects of the same
+    # numbers, so that nothing is common to compare; and method, which draws others.
+)
+"""Parameters whose values do not change the random numbers of a block, only what is made of them."""
+
 UNITS = ("mas",) * 3 + ("mas / yr",) * 3
 # Without slashes: astropy warns of several in one string.
 _EACH = "mas, mas, mas, mas yr-1, mas yr-1, mas yr-1"

@@ -17,6 +17,7 @@ from core.link import (
     normal_inverse,
     paper_design_matrix,
     solve,
+    solve_normal,
 )
 
 EPSILON, OMEGA = np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS
@@ -252,6 +253,38 @@ def test_normal_inverse_does_not_mind_units_and_takes_stacks():
     np.testing.assert_allclose(normal_inverse(plain) @ plain, np.broadcast_to(np.eye(6), (5, 6, 6)), atol=1e-12)
     np.testing.assert_allclose(normal_inverse(scaled) * unit[:, None] * unit, normal_inverse(plain), rtol=1e-9)
     np.testing.assert_allclose(normal_inverse(plain)[3], normal_inverse(plain[3]), rtol=1e-12)
+
+
+@pytest.mark.parametrize("unknowns", [6, 9])
+def test_solve_normal_is_numpys_solution_of_each_matrix_in_any_units(unknowns):
+    factors = np.random.default_rng(9).standard_normal((40, 30, unknowns)) * 10.0 ** np.arange(-9, -9 + unknowns)
+    normal, right = np.swapaxes(factors, 1, 2) @ factors, factors[:, 0]
+    found = solve_normal(np.moveaxis(normal, 0, -1), right.T)
+    np.testing.assert_allclose(found.T, np.linalg.solve(normal, right[..., None])[..., 0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("smallest", [1e-11, 1e-10, 1e-3])
+def test_solve_normal_takes_what_the_determinant_does_not_decide(smallest):
+    """An ill-conditioned matrix passes as long as its smallest eigenvalue is above the limit."""
+    normal = np.array([[1.0, 1.0 - smallest], [1.0 - smallest, 1.0]])
+    right = np.array([1.0, 1.0 + smallest])
+    found = solve_normal(np.stack([normal, np.eye(2)], axis=-1), np.stack([right, right], axis=-1))
+    np.testing.assert_allclose(normal @ found[:, 0], right, rtol=1e-12)
+    np.testing.assert_array_equal(found[:, 1], right)
+
+
+def test_solve_normal_refuses_what_normal_inverse_refuses():
+    good = np.eye(6)
+    flat = np.ones((6, 6))
+    indefinite = np.eye(6)
+    indefinite[0, 1] = indefinite[1, 0] = 1.0 + 1e-9
+    weightless = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
+    for bad in (flat, indefinite, weightless):
+        with pytest.raises(LinkError) as by_inverse:
+            normal_inverse(np.stack([good, bad]))
+        with pytest.raises(LinkError) as by_elimination:
+            solve_normal(np.stack([good, bad], axis=-1), np.ones((6, 2)))
+        assert str(by_elimination.value) == str(by_inverse.value)
 
 
 def test_combined_error_adds_in_quadrature():
