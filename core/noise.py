@@ -7,6 +7,7 @@ object i gets depends neither on how many objects follow nor on what the other s
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,10 @@ class Noise:
         return Noise(sigma, None if correlation is None else np.asarray(np.linalg.cholesky(correlation)))
 
     def __bool__(self) -> bool:
+        return self._any
+
+    @cached_property
+    def _any(self) -> bool:
         return bool(np.any(self.sigma))
 
     def standardised(self, normals: Array, start: int) -> Array:
