@@ -17,6 +17,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError
+from sweep.fits import power_law
+from sweep.quantity import place_in_words, standard_error
 from sweep.study import Claim, Ratio, Reading, Slope, printed_rounding
 from sweep.tally import DONE, EXCLUDED, FAILED
 
@@ -26,9 +28,6 @@ VERDICTS: tuple[Verdict, ...] = ("reproduced", "within tolerance", "NOT reproduc
 MC_ERRORS_ALLOWED = 3.0
 ARITHMETIC = 1e-9
 """Relative difference that is no difference: 0.605 - 0.6 in binary is a little more than 0.005."""
-
-ERROR_SUFFIXES = ("mc_error", "catalogue_error")
-"""Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
 
 VALUE, ERROR = "our value", "our error"
 """Names inside this module that no axis has."""
@@ -117,25 +116,6 @@ def all_is_well(comparisons: Sequence[Comparison]) -> bool:
     return all(c.verdict in ("reproduced", "within tolerance") for c in comparisons)
 
 
-def power_law_slope(x: Array, y: Array, error: Array) -> tuple[float, float]:
-    """Return p of y ~ x**p and its one-sigma error, by least squares on log y against log x.
-
-    ``x``, ``y`` and ``error`` (n,) are positive; ``error`` is one sigma of y.  Weights are (y/error)^2, and the error
-    of p is that which the errors give, whatever the scatter.  Unless every error is known and positive all weights are
-    equal, and the error of p comes from the scatter about the line (0 for two points, which have none).
-    """
-    known = bool(np.all(error > 0.0) and np.all(np.isfinite(error)))
-    weight = (y / error) ** 2 if known else np.ones_like(y)
-    u, v = np.log(x), np.log(y)
-    u = u - np.average(u, weights=weight)
-    v = v - np.average(v, weights=weight)
-    information = np.sum(weight * u**2)
-    slope = np.sum(weight * u * v) / information
-    free = len(x) - 2
-    variance = 1.0 if known else np.sum((v - slope * u) ** 2) / free if free > 0 else 0.0
-    return float(slope), float(np.sqrt(variance / information))
-
-
 def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
     """Yield the comparisons of NAME with NAME_published, point by point."""
     for name in map(str, dataset.data_vars):
@@ -155,7 +135,7 @@ def _printed(dataset: xr.Dataset, name: str, here: Mapping[str, int]) -> _Publis
         raise SweepError("was written by an earlier version; `sweep run` the study again (nothing is computed anew)")
     number, attributes = float(published[here]), published.attrs
     rounding = float(dataset[f"{name}_published_rounding"][here])
-    has_error = any(f"{name}_{suffix}" in dataset for suffix in ERROR_SUFFIXES)
+    has_error = standard_error(dataset, name) is not None
     counted = not has_error and rounding == 0.5 and number.is_integer()
     tolerance, reason = float(attributes.get("tolerance", 0.0)), str(attributes.get("tolerance_reason", ""))
     return _Published(number, rounding, str(attributes["source"]), tolerance, reason, counted)
@@ -228,10 +208,8 @@ def _quantity(dataset: xr.Dataset, variable: str, component: str | None) -> xr.D
     if variable not in dataset:
         raise _OutsideGridError(f"{variable} is not a result of this store")
     value = _component(dataset[variable], component)
-    error = xr.zeros_like(dataset["status"], dtype=float)
-    for suffix in ERROR_SUFFIXES:
-        if (name := f"{variable}_{suffix}") in dataset:  # a NaN is an error that is not known, e.g. for one catalogue
-            error = (error**2 + _component(dataset[name], component).fillna(0.0) ** 2) ** 0.5
+    known = standard_error(dataset, variable)
+    error = xr.zeros_like(dataset["status"], dtype=float) if known is None else _component(known, component)
     whole = {VALUE: value.drop_attrs(), ERROR: error.drop_attrs(), "status": dataset["status"].drop_attrs()}
     order = [n for d in dataset["status"].dims for n in (d, *dataset.coords) if d in dataset[n].dims]
     return xr.Dataset(whole).broadcast_like(dataset["status"]).assign_attrs(axes=list(map(str, dict.fromkeys(order))))
@@ -317,8 +295,8 @@ def _slope(line: xr.Dataset, over: str) -> _Measured:
         return _Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(x)}")
     if not (np.all(x > 0.0) and np.all(np.isfinite(y)) and np.all(y > 0.0)):
         return _Measured(where, broken="there are values that are not above 0, which have no power law")
-    slope, uncertainty = power_law_slope(x, y, error)
-    return _Measured(where, slope, uncertainty)
+    law = power_law(x, y, error)
+    return _Measured(where, law.exponent, law.exponent_error)
 
 
 def _ratio(top: _Measured, bottom: _Measured, differing: set[str]) -> _Measured:
@@ -345,8 +323,3 @@ def _in_words(quantity: Slope | Ratio | Reading) -> str:
     if isinstance(quantity, Ratio):
         return f"{name}({place_in_words(quantity.of)}) / {name}({place_in_words(quantity.to)})"
     return name
-
-
-def place_in_words(where: Mapping[str, Any]) -> str:
-    """Return a place on the axes as ``model=gaia, v_max=16``."""
-    return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in where.items())

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
-from sweep.compare import Comparison, place_in_words, summary
+from sweep.compare import Comparison, summary
+from sweep.quantity import place_in_words
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -97,11 +97,7 @@ def as_text(dataset: xr.Dataset) -> "Table":
     for name in _headline(dataset):
         unit, values = columns[name]
         errors = columns[f"{name}_mc_error"][1] if f"{name}_mc_error" in columns else [0.0] * len(values)
-        shown = [
-            _rounded(v, e) + (f" ± {_rounded(e, e) if e > 1e-8 else format(e, '.1g')}" if e > 0.0 else "")
-            for v, e in zip(values, errors, strict=True)
-        ]
-        _add(table, cells, name, unit, shown)
+        _add(table, cells, name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)])
         if (predicted := columns.get(f"{name}_predicted")) is not None:
             _add(table, cells, "predicted", unit, [_rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)])
         if (published := columns.get(f"{name}_published")) is not None and not all(map(_is_missing, published[1])):
@@ -112,6 +108,13 @@ def as_text(dataset: xr.Dataset) -> "Table":
     for row in zip(*cells, strict=True):
         table.add_row(*map(escape, row))
     return table
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a number with its error as ``0.6600 ± 0.0027``, alone where there is none, '' for a number that is NaN."""
+    if not error > 0.0:
+        return _rounded(value, error)
+    return f"{_rounded(value, error)} ± {_rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
 
 
 def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tuple[str, list[Any]]]:

@@ -19,10 +19,11 @@ SWEEP = [
     *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
     *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
     *("results", "store", "larger", "writer", "run", "revisit"),
-    *("status", "tables", "progress", "plots", "compare", "compare_tables", "paper"),
+    *("status", "tables", "progress", "plots", "fits", "levelling", "quantity", "conditions"),
+    *("compare", "compare_tables", "paper", "analysis", "crossings", "analysis_tables"),
     *("calibrate", "__main__"),
 ]
-CLI = ["group", "options", "output", "stopping", "running", "again", "reading", "paper", "about", "match"]
+CLI = ["group", "options", "output", "stopping", "running", "again", "reading", "analysis", "paper", "about", "match"]
 SEARCH = [
     *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
 ]
@@ -32,7 +33,7 @@ ONLY_IN = {
     "zarr": {"sweep.column", "sweep.snapshot"},
     "matplotlib": {"sweep.plots", "sweep.search.skymap"},
     "pydantic": {"sweep.study", "sweep.reader"},
-    "astropy": {"sweep.tables", "sweep.tablefile", "sweep.search.columns", "sweep.search.ecsv"},
+    "astropy": {"sweep.tables", "sweep.tablefile", "sweep.conditions", "sweep.search.columns", "sweep.search.ecsv"},
     "pygaia": {"core.missions"},
     "obstore": {"sweep.bucket"},
 }

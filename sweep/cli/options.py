@@ -1,6 +1,7 @@
 """Arguments and options that several commands share, and what they turn into."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,9 @@ Command = Callable[..., Any]
 
 study_argument = click.argument("study")
 store_argument = click.argument("store", type=click.Path(path_type=Path))
+place_option = click.option(
+    "--at", multiple=True, metavar="AXIS=VALUE", help="Only this part of the grid, e.g. model=gaia,v_max=16."
+)
 json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a script.")
 
 break_lock_option = click.option(
@@ -89,3 +93,28 @@ def resources_of(workers: int | None, pool: Any, scheduler: str | None) -> "Reso
     if pool == "serial" and workers is not None:
         raise click.UsageError("--pool serial has no workers")
     return Resources(workers, pool, scheduler)
+
+
+def part_of(store: Path, at: tuple[str, ...]) -> Any:
+    """Return the dataset of a store, of it the part that ``--at`` names."""
+    from sweep.conditions import parse_places
+    from sweep.quantity import select
+    from sweep.store import open_dataset
+
+    places = parse_places(at)
+    dataset = open_dataset(store)
+    with naming(store):
+        return select(dataset, places)
+
+
+@contextmanager
+def naming(store: Path) -> Iterator[None]:
+    """Name the store in errors that do not say what they are about."""
+    from sweep.contract import SweepError
+
+    try:
+        yield
+    except SweepError as error:
+        if error.where:
+            raise
+        raise SweepError(error.problems, str(store)) from error

@@ -1,4 +1,4 @@
-"""A real S3 server on this machine, as a process."""
+"""A real S3 server on this machine, as a process; small real stores of the built-in studies, each run once."""
 
 import socket
 import subprocess
@@ -8,6 +8,9 @@ from urllib.request import Request, urlopen
 from uuid import uuid4
 
 import pytest
+
+from sweep.reader import load_study
+from sweep.run import Resources, run_study
 
 
 def free_port():
@@ -55,3 +58,39 @@ def place(request, tmp_path):
     if request.param == "folder":
         return str(tmp_path / "place" / "s.zarr")
     return request.getfixturevalue("bucket") + "/place/s.zarr"
+
+
+SHORT = {
+    "quasars": {"settings": ["n_sim=20", "n_cat=10"]},
+    "sqrt-n": {"settings": ["n_sim=20", "n_cat=10"]},
+    "mission-length": {"settings": ["n_sim=10", "n_cat=20"]},
+    "error-surface": {"settings": ["n_sim=10", "n_cat=4"], "axes": ["reference_error_scale=0:4:1"]},
+    "algorithm": {"settings": ["n_cat=4"]},
+    "grid": {"settings": ["n_sim=10", "n_cat=2"], "axes": ["v_max=16,17"]},
+    "aberration": {"settings": ["n_sim=4", "n_cat=4"], "axes": ["v_max=14,15,16,18"]},
+    "radio-stars": {"settings": ["n_sim=10", "n_cat=20"]},
+    "galaxies": {"settings": ["n_sim=10", "n_cat=10"]},
+    "scatter": {"settings": ["n_sim=1000"]},
+}
+
+
+@pytest.fixture(scope="session")
+def store_of(tmp_path_factory):
+    """A function that returns the store of a built-in study, run with fewer realisations."""
+    folder = tmp_path_factory.mktemp("stores")
+
+    def run(name):
+        path = folder / f"{name}.zarr"
+        if not path.exists():
+            run_study(load_study(name, **SHORT[name]), path, Resources(pool="serial"))
+        return path
+
+    return run
+
+
+@pytest.fixture
+def dataset_of(store_of):
+    """A function that returns the dataset of a built-in study, run with fewer realisations."""
+    from sweep.store import open_dataset
+
+    return lambda name: open_dataset(store_of(name))

@@ -8,18 +8,16 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from scipy.optimize import curve_fit
-from scipy.stats import linregress
 
 from sweep.cli import main
-from sweep.compare import all_is_well, claims_of, compare, power_law_slope, remarks, summary
+from sweep.compare import all_is_well, claims_of, compare, remarks, summary
 from sweep.compare_tables import as_csv, as_json, notes, summary_line
 from sweep.contract import SweepError
 from sweep.paper import published_studies, store_of, unfinished
 from sweep.reader import load_study, study_from_dict
-from sweep.results import DONE, EXCLUDED, FAILED, MISSING
 from sweep.run import Resources, run_study
 from sweep.study import printed_rounding
+from sweep.tally import DONE, EXCLUDED, FAILED, MISSING
 from tests.conftest import COINS
 
 ROOT = Path(__file__).parent.parent.parent
@@ -162,48 +160,7 @@ def test_a_store_of_an_earlier_version_says_what_to_do():
         compare(grid(1.0, 0.1, {(0, 0): "1.0"}).drop_vars("width_published_rounding"))
 
 
-# Slopes
-
-
-@pytest.mark.parametrize("power", [-1.5, -0.5, 0.0, 1.0, 2.0])
-def test_the_slope_of_an_exact_power_law(power):
-    y = 3.0 * N**power
-    for error in (np.zeros(5), np.full(5, np.nan), 0.01 * y, np.array([0.1, 0.01, 0.2, 0.05, 0.3]) * y):
-        assert power_law_slope(N, y, error)[0] == pytest.approx(power, abs=1e-13)
-
-
-def noisy():
-    rng = np.random.default_rng(20)
-    relative = np.array([0.02, 0.01, 0.03, 0.01, 0.02])
-    return 3.0 * N**-0.5 * (1.0 + relative * rng.standard_normal(5)), relative * 3.0 * N**-0.5
-
-
-def test_the_slope_is_that_of_numpy_and_scipy():
-    y, error = noisy()
-    slope, uncertainty = power_law_slope(N, y, error)
-    weights = y / error
-    coefficients, covariance = np.polyfit(np.log(N), np.log(y), 1, w=weights, cov="unscaled")
-    assert slope == pytest.approx(coefficients[0], rel=1e-12)
-    assert uncertainty == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-10)
-    options = {"p0": (0.0, 0.0), "sigma": 1.0 / weights, "absolute_sigma": True}
-    fitted, covariance = curve_fit(lambda u, a, b: a * u + b, np.log(N), np.log(y), **options)
-    assert slope == pytest.approx(fitted[0], rel=1e-6)
-    assert uncertainty == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-6)
-
-
-def test_the_slope_without_errors_is_that_of_an_unweighted_regression():
-    y, _ = noisy()
-    theirs = linregress(np.log(N), np.log(y))
-    assert power_law_slope(N, y, np.zeros(5)) == pytest.approx((theirs.slope, theirs.stderr), rel=1e-10)
-    assert power_law_slope(N[:2], y[:2], np.zeros(2))[1] == 0.0
-
-
-def test_the_error_of_a_slope_is_its_scatter():
-    rng = np.random.default_rng(21)
-    y, error = N**-0.5, 0.02 * N**-0.5
-    slopes = [power_law_slope(N, y + error * rng.standard_normal(5), error)[0] for _ in range(2000)]
-    assert np.std(slopes) == pytest.approx(power_law_slope(N, y, error)[1], rel=0.06)  # 4/sqrt(2 x 2000)
-    assert np.mean(slopes) == pytest.approx(-0.5, abs=4 * np.std(slopes) / np.sqrt(2000))
+# Slopes (the fit itself: test_fits.py)
 
 
 LAW = {"variable": "width", "over": "n"}

@@ -1,0 +1,110 @@
+"""Commands that derive numbers from a store: fit and find."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from sweep.cli.group import main
+from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
+from sweep.cli.output import print_whole
+
+
+@main.command()
+@store_argument
+@click.option("--over", help="The axis to fit along.  [default: the only one with several numbers]")
+@click.option("--variable", help="What to fit.  [default: the main result]")
+@click.option(
+    "--law",
+    type=click.Choice(["power", "levelling"]),
+    default="power",
+    show_default=True,
+    help="power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over).",
+)
+@click.option("--expect", type=float, help="Exponent to test.  [default: that of a claim of the study]")
+@click.option(
+    "--fall",
+    type=click.FloatRange(0.0, 100.0, min_open=True, max_open=True),
+    metavar="PERCENT",
+    help="Levelling: find where the variable falls by less than this a unit of the axis.  [default: 5]",
+)
+@click.option("--range", "span", metavar="LOW:HIGH", help="Only points with the axis in this range, e.g. 50: or 14:17.")
+@place_option
+@json_option
+def fit(
+    store: Path,
+    over: str | None,
+    variable: str | None,
+    law: str,
+    expect: float | None,
+    fall: float | None,
+    span: str | None,
+    at: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Fit a law to a result in STORE along an axis, for every combination of the other axes.
+
+    Points weigh by their Monte-Carlo errors, and by their covariance where they share random numbers.
+
+    \b
+    sweep fit results/sqrt-n.zarr --over n_obj --expect -0.5
+    sweep fit results/mission-length.zarr --over mission_length --at model=gaia
+    sweep fit results/error-surface.zarr --over satellite_error_scale --range 2: --at reference_error_scale=0
+    sweep fit results/quasars.zarr --over v_max --law levelling
+    """
+    from sweep.analysis import fit_levelling, fit_power_law
+    from sweep.conditions import parse_range
+    from sweep.quantity import between, main_quantity, require_axis
+
+    if law == "levelling" and expect is not None:
+        raise click.UsageError("--expect is an exponent and goes with --law power")
+    if law == "power" and fall is not None:
+        raise click.UsageError("--fall goes with --law levelling")
+    dataset = part_of(store, at)
+    with naming(store):
+        variable = variable or main_quantity(dataset)
+        over = require_axis(dataset, variable, over)
+        if span is not None:
+            dataset = between(dataset, over, *parse_range(span))
+        if law == "power":
+            result = fit_power_law(dataset, variable, over, expect)
+        else:
+            result = fit_levelling(dataset, variable, over, (fall or 5.0) / 100.0)
+    _print(result, as_json)
+
+
+@main.command()
+@store_argument
+@click.option("--where", required=True, metavar="CONDITION", help="VARIABLE, one of < <= > >=, NUMBER and unit.")
+@click.option("--along", help="The axis to look along.  [default: the only one with several numbers]")
+@place_option
+@json_option
+def find(store: Path, where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:
+    """Find where in STORE a condition is met along an axis, for every combination of the other axes.
+
+    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.
+
+    \b
+    sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --along v_max
+    sweep find results/grid.zarr --where "sigma_spin <= 0.5" --along n_obj --at model=amex,error_scale=1
+    """
+    from sweep.conditions import parse_limit
+    from sweep.crossings import find as find_crossings
+    from sweep.quantity import require_axis
+
+    limit = parse_limit(where)
+    dataset = part_of(store, at)
+    with naming(store):
+        result = find_crossings(dataset, limit, require_axis(dataset, limit.variable, along))
+    _print(result, as_json)
+
+
+def _print(result: Any, as_json: bool) -> None:
+    from sweep import analysis_tables
+
+    if as_json:
+        click.echo(analysis_tables.as_json(result))
+        return
+    print_whole(analysis_tables.as_text(result))
+    for sentence in ("", *analysis_tables.notes(result)):
+        click.echo(sentence)
