@@ -1,29 +1,50 @@
-"""Progress of a run on standard error: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a run in sentences, to the log, and as a bar on a terminal."""
 
+import logging
 import sys
 import time
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.text import Text
 
-from sweep.plan import PlanSize
+from sweep.account import Account
+from sweep.eta import Eta, in_words
+from sweep.grid import describe
+from sweep.plan import Work
+from sweep.study import Study
 from sweep.tally import Survey
+from sweep.worker import TaskResult
+from sweep.writer import Taken
 
-LINE_EVERY_S = 5.0
+SENTENCES = logging.getLogger("linksweep")
+"""To the user, and to the log file: a debug message for each point, an error for each that fails."""
+
+RECORD = logging.getLogger("linksweep.record")
+"""To the log file alone."""
+
+LINE_FIRST_S, LINE_LAST_S = 5.0, 600.0
+LINE_SHARE = 0.1
+"""The time between two lines grows with the time that the run has taken, between these bounds."""
 
 
 class TerminalProgress:
-    """Shows points done, realisations per second and the time left."""
+    """Shows points done, realisations per second and the time left: in a bar if ``bar`` and on a terminal, else in a
+    line now and then.
+    """
 
-    def __init__(self) -> None:
-        """Write to standard error."""
+    def __init__(self, study: Study, bar: bool = True) -> None:
+        """Start with nothing begun."""
+        self._study = study
         self._console = Console(stderr=True)
+        self._with_bar = bar and self._console.is_terminal
         self._bar: Progress | None = None
-        self._started = False
-        self._points = self._realisations = 0
-        self._cost = 0.0
+        self._account = Account(study)
+        self._begun: float | None = None
 
     def __enter__(self) -> "TerminalProgress":
         return self
@@ -31,64 +52,112 @@ class TerminalProgress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._end_bar()
 
-    def start(self, survey: Survey, where: str) -> None:
+    def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
         """Say what there is to do and where it is done."""
-        self._survey, self._started = survey, True
         self._begun = self._said = time.monotonic()
-        self._cost_known = survey.pending.cost
+        self._eta = Eta(survey.pending.cost, workers)
         total, pending = survey.total, survey.pending
-        self._points = total.points - pending.points
+        self._points, self._all_points = total.points - pending.points, total.points
         held = f", {self._points:,} of them in the store already" if self._points else ""
         partly = (
             ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
         )
         self.say(f"{total.points:,} points{held}{partly}; {pending.realisations:,} realisations to do on {where}")
-        if self._console.is_terminal and pending.blocks:
-            self._bar = Progress(
-                BarColumn(),
-                TextColumn("{task.description}"),
-                TimeRemainingColumn(),
-                console=self._console,
-                transient=True,
-                speed_estimate_period=600.0,
-            )
+        if self._with_bar and pending.blocks:
+            columns = (BarColumn(), TextColumn("{task.description}"), _Left(self._eta))
+            self._bar = Progress(*columns, console=self._console, transient=True)
             self._task = self._bar.add_task(self._description(), total=pending.cost)
             self._bar.start()
 
-    def advance(self, done: PlanSize, more: PlanSize) -> None:
+    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """Count what was done, and what more there is to do."""
-        self._cost_known += more.cost
-        self._points += done.points
-        self._realisations += done.realisations
-        self._cost += done.cost
+        assert self._begun is not None, "a run starts before it advances"
+        now = time.monotonic()
+        self._eta.extend(taken.more.cost)
+        self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
+        self._account.take(works, result, taken.done)
+        self._points += taken.done.points
+        self._tell_points(works, result, taken)
         if self._bar is not None:
-            self._bar.update(self._task, advance=done.cost, total=self._cost_known, description=self._description())
-        elif time.monotonic() - self._said > LINE_EVERY_S:
-            self._said = time.monotonic()
-            left = (self._said - self._begun) * (self._cost_known / self._cost - 1.0)
-            self.say(f"{self._description()}, {left:.0f} s left")
+            total = (self._bar.tasks[0].total or 0.0) + taken.more.cost
+            self._bar.update(self._task, advance=taken.done.cost, total=total, description=self._description())
+        if now - self._said > min(max(LINE_FIRST_S, LINE_SHARE * (now - self._begun)), LINE_LAST_S):
+            self._said = now
+            line = f"{self._description()}, {_left_in_words(self._eta, now)}"
+            (SENTENCES if self._bar is None else RECORD).info(line)
+
+    def _tell_points(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
+        if result.failures:
+            points = [point for work in works for point in work.points]
+            failed = {points[number].index: failure for number, failure in result.failures.items()}
+        for point in taken.ended:
+            place = describe(self._study, point.parameters)
+            if result.failures and (failure := failed.get(point.index)) is not None:
+                SENTENCES.debug("%s: failed (%s)", place, failure.kind)
+                RECORD.error("%s: failed (%s): %s\n%s", place, failure.kind, failure.message, failure.traceback)
+            else:
+                SENTENCES.debug("%s: done", place)
+
+    def say(self, text: str) -> None:
+        """Tell the user a sentence."""
+        SENTENCES.info(text)
 
     def stopped(self, signal: str, store: Path) -> None:
         """Say what an interrupted run leaves, and how to go on."""
+        self._end_bar()
         how = "interrupted" if signal == "SIGINT" else f"stopped by {signal}"
-        done = (
-            f"{self._realisations:,} realisations of this run are kept in {store}"
-            if self._started
-            else "nothing was begun"
-        )
-        self.say(f"{how}; {done}; the same command goes on from there")
+        kept = f"{self._account.done.realisations:,} realisations of this run are kept in {store}"
+        done = "nothing was begun" if self._begun is None else kept
+        SENTENCES.error(f"{how}; {done}; the same command goes on from there")
+
+    def finish(self, failures: int, store: Path) -> None:
+        """Say what the run took, and how to look closer at points that failed."""
+        self._end_bar()
+        if self._begun is not None:
+            for line in (*self._account.summary(time.monotonic() - self._begun), f"wrote {store}"):
+                self.say(line)
+        if failures:
+            kinds = self._account.kinds()
+            SENTENCES.error(
+                f"{failures:,} point{'s' if failures > 1 else ''} failed{f' ({kinds})' if kinds else ''}; "
+                f"`sweep status {store}` names them and says why, `sweep retry {store}` tries them again, "
+                f"`sweep reproduce {store} --at ...` runs one here"
+            )
 
     def _description(self) -> str:
+        assert self._begun is not None, "a run starts before it is described"
         elapsed = max(time.monotonic() - self._begun, 1e-9)
-        return (
-            f"{self._points:,}/{self._survey.total.points:,} points, {self._realisations / elapsed:,.0f} realisations/s"
-        )
+        rate = self._account.done.realisations / elapsed
+        return f"{self._points:,}/{self._all_points:,} points, {rate:,.0f} realisations/s"
 
-    def say(self, text: str) -> None:
-        """Print one line, after the bar if there is one."""
+    def _end_bar(self) -> None:
         if self._bar is not None:
             self._bar.stop()
-        print(text, file=sys.stderr, flush=True)
+            self._bar = None
+
+
+class _Left(ProgressColumn):
+    """The time left, also between two results."""
+
+    def __init__(self, eta: Eta) -> None:
+        super().__init__()
+        self._eta = eta
+
+    def render(self, task: Task) -> Text:
+        return Text(_left_in_words(self._eta, time.monotonic()), style="progress.remaining")
+
+
+def _left_in_words(eta: Eta, now: float) -> str:
+    left = eta.left(now)
+    return "" if left is None else f"about {in_words(left)} left"
+
+
+class Sentences(logging.Handler):
+    """Writes to whatever standard error is at the moment: a bar puts itself below."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line; without a terminal any more there is nobody to tell."""
+        with suppress(OSError, ValueError):
+            print(self.format(record), file=sys.stderr, flush=True)

@@ -1,6 +1,6 @@
 """Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +16,13 @@ from sweep.interrupt import watched
 from sweep.larger import part_of_larger
 from sweep.lock import locked
 from sweep.pending import Pending
-from sweep.plan import Plan, PlanSize
+from sweep.plan import Plan, Work
 from sweep.provenance import provenance
 from sweep.store import Store, check_store, create_or_resume, existing_store
 from sweep.study import Study
 from sweep.tally import Survey, Tally
-from sweep.writer import Writer
+from sweep.worker import TaskResult
+from sweep.writer import Taken, Writer
 
 SERIAL_COST = 5e7
 """Below this many random numbers (half a second) starting a cluster takes longer than the work."""
@@ -39,11 +40,11 @@ class Resources:
 class Progress(Protocol):
     """Who watches a run."""
 
-    def start(self, survey: Survey, where: str) -> None:
-        """Work begins, at the place that ``where`` names."""
+    def start(self, survey: Survey, where: str, workers: int | None) -> None:
+        """Work begins, at the place that ``where`` names, with so many workers if that is known."""
 
-    def advance(self, done: PlanSize, more: PlanSize) -> None:
-        """Tell that this much more is done, and that this much more is to be done than was known."""
+    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
+        """A task's result is in the ledger."""
 
     def say(self, text: str) -> None:
         """Tell something in a sentence."""
@@ -52,10 +53,10 @@ class Progress(Protocol):
 class Silent:
     """Watches nothing."""
 
-    def start(self, survey: Survey, where: str) -> None:
+    def start(self, survey: Survey, where: str, workers: int | None) -> None:
         """Do nothing."""
 
-    def advance(self, done: PlanSize, more: PlanSize) -> None:
+    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """Do nothing."""
 
     def say(self, text: str) -> None:
@@ -100,7 +101,7 @@ def run_study(
             if not again:
                 progress.say(f"no point in {store} has failed")
         tally = _tally(plan, opened, again)
-        where, executor = choose_executor(study, tally.survey, resources)
+        where, workers, executor = choose_executor(study, tally.survey, resources)
         with executor as run:
             opened = opened or create_or_resume(store, study, provenance(study))
             if unused := len(opened.rows) - tally.survey.held.blocks:
@@ -110,9 +111,9 @@ def run_study(
             try:
                 if tally.survey.pending.blocks:
                     writer.write()  # so that there is a labelled, if empty, dataset from the start
-                progress.start(tally.survey, where)
+                progress.start(tally.survey, where, workers)
                 for works, result in run(pending.take):
-                    progress.advance(*writer.take(works, result))
+                    progress.advance(works, result, writer.take(works, result))
                 return writer.write(), writer.failures()
             except KeyboardInterrupt:
                 writer.stop()
@@ -138,18 +139,20 @@ def _tally(plan: Plan, store: Store | None, only: Collection[bytes] | None = Non
     return Tally(plan, store.rows, store.sums(), store.failures, only)
 
 
-def choose_executor(study: Study, survey: Survey, resources: Resources) -> tuple[str, AbstractContextManager[Executor]]:
-    """Return in words where a run will be, and its executor.
+def choose_executor(
+    study: Study, survey: Survey, resources: Resources
+) -> tuple[str, int | None, AbstractContextManager[Executor]]:
+    """Return in words where a run will be, with how many workers if that is known, and its executor.
 
     Without a wish: a local cluster with one worker process a core, or this process where the work is less than
     starting one.
     """
     if resources.scheduler is not None:
-        return f"the Dask scheduler at {resources.scheduler}", dask_scheduler(study, resources.scheduler)
+        return f"the Dask scheduler at {resources.scheduler}", None, dask_scheduler(study, resources.scheduler)
     small = resources.workers is None and survey.pending.cost < SERIAL_COST
     pool = resources.pool or ("serial" if small else "processes")
     if pool == "serial":
-        return "this process", serial(study)
+        return "this process", 1, serial(study)
     workers = resources.workers or available_cores()
     noun = {"processes": ("worker process", "worker processes"), "threads": ("thread", "threads")}[pool][workers > 1]
-    return f"{workers} local {noun}", dask_local(study, workers, pool)
+    return f"{workers} local {noun}", workers, dask_local(study, workers, pool)

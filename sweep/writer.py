@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
@@ -31,6 +32,15 @@ LONG_WRITE_POINTS = 100_000
 MAX_FAILURES_NAMED = 1000
 
 
+@dataclass(frozen=True)
+class Taken:
+    """How much a task did, how much more its results made known, and the points that it finished or failed."""
+
+    done: PlanSize
+    more: PlanSize
+    ended: tuple[GridPoint, ...]
+
+
 class Writer:
     """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``.
 
@@ -53,21 +63,23 @@ class Writer:
         self._write_took = 0.0
         self._long_write = False
 
-    def take(self, works: Sequence[Work], result: TaskResult) -> tuple[PlanSize, PlanSize]:
-        """Add a task's results; return how much that was, and how much more they made known."""
+    def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
+        """Add a task's results."""
         points = [(point, work.block) for work in works for point in work.points]
         keys = [key for work in works for key in work.ledger_keys()]
         good = [row for row in range(len(keys)) if row not in result.failures]
-        finished = 0
+        ended: list[GridPoint] = []
         added: list[Work] = []
         clock = time.monotonic()
         with self._held():
             for row, failure in result.failures.items():
-                finished += self._fail(points[row][0], failure)
+                if self._fail(points[row][0], failure):
+                    ended.append(points[row][0])
             for row in good:
                 point, block = points[row]
                 added += [self.plan.work((point,), more) for more in self.tally.add(point, block, result.sums[row])]
-                finished += bool(self.tally.status[point.index] == DONE)
+                if self.tally.status[point.index] == DONE:
+                    ended.append(point)
             self._pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples)
@@ -76,7 +88,7 @@ class Writer:
                 self._flushed = clock
         if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
             self.write()
-        return _size(works, finished), _size(added, 0)
+        return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended))
 
     def write(self) -> xr.Dataset:
         """Write the labelled dataset of everything taken so far, and return it."""

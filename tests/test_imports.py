@@ -19,11 +19,14 @@ SWEEP = [
     *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
     *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
     *("results", "store", "larger", "writer", "run", "revisit"),
-    *("status", "tables", "progress", "plots", "fits", "levelling", "quantity", "conditions"),
+    *("status", "tables", "eta", "account", "progress", "plots", "fits", "levelling", "quantity", "conditions"),
     *("compare", "compare_tables", "paper", "analysis", "crossings", "analysis_tables"),
     *("calibrate", "__main__"),
 ]
-CLI = ["group", "options", "output", "stopping", "running", "again", "reading", "analysis", "paper", "about", "match"]
+CLI = [
+    *("group", "options", "output", "stopping", "watching", "running", "again"),
+    *("reading", "analysis", "paper", "about", "match"),
+]
 SEARCH = [
     *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
 ]

@@ -10,16 +10,18 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.options import break_lock_option, json_option, resource_options, resources_of, store_argument
-from sweep.cli.output import failures_in_words, print_table
+from sweep.cli.output import print_table
 from sweep.cli.running import run_with_progress
+from sweep.cli.watching import Watching, watching_options
 
 
 @main.command()
 @store_argument
 @resource_options
 @break_lock_option
+@watching_options
 @json_option
-def retry(store: Path, break_lock: bool, as_json: bool, **resources: Any) -> None:
+def retry(store: Path, break_lock: bool, watching: Watching, as_json: bool, **resources: Any) -> None:
     """Compute the failed points in STORE again, and only those.
 
     \b
@@ -28,10 +30,9 @@ def retry(store: Path, break_lock: bool, as_json: bool, **resources: Any) -> Non
     from sweep.revisit import study_of
 
     wanted = resources_of(**resources)
-    dataset, failures = run_with_progress(study_of(store), store, wanted, retry=True, break_lock=break_lock)
+    dataset, failures = run_with_progress(study_of(store), store, wanted, watching, retry=True, break_lock=break_lock)
     print_table(dataset, "json" if as_json else "text")
     if failures:
-        click.echo(failures_in_words(failures, store), err=True)
         sys.exit(EXIT_FAILED_POINTS)
 
 

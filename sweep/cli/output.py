@@ -65,8 +65,3 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
     print_whole(compare_tables.as_text(comparisons))
     for sentence in ("", *compare_tables.notes(comparisons), *remarks, compare_tables.summary_line(comparisons)):
         click.echo(sentence)
-
-
-def failures_in_words(failures: dict[str, str], store: Path) -> str:
-    """Return the sentence that ends a run in which points failed."""
-    return f"{len(failures)} point{'s' if len(failures) > 1 else ''} failed; `sweep status {store}` names them"

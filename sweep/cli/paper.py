@@ -1,6 +1,7 @@
 """Commands about the paper's numbers: compare and calibrate."""
 
 import json
+import logging
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,8 +10,9 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.options import json_option, resource_options, resources_of
-from sweep.cli.output import failures_in_words, print_comparisons, print_whole
+from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.running import run_with_progress
+from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
     from sweep.run import Resources
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     help="Where --all has the stores.  [default: results]",
 )
 @resource_options
+@watching_options
 @click.option("--format", "table_format", type=click.Choice(["text", "csv", "json"]), default="text", show_default=True)
 @json_option
 def compare(
@@ -34,6 +37,7 @@ def compare(
     workers: int | None,
     pool: Any,
     scheduler: str | None,
+    watching: Watching,
     table_format: str,
     as_json: bool,
 ) -> None:
@@ -50,27 +54,30 @@ def compare(
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")
-    if not everything and (results is not None or workers is not None or pool is not None or scheduler is not None):
-        raise click.UsageError("--results, --workers, --pool and --scheduler go with --all: nothing runs without it")
+    wishes = (results, workers, pool, scheduler)
+    if not everything and (any(wish is not None for wish in wishes) or watching != Watching()):
+        raise click.UsageError(
+            "--results, --workers, --pool, --scheduler, --quiet, --verbose and --log go with --all: "
+            "nothing runs without it"
+        )
     if everything:
-        stores = _run_what_is_missing(results or Path("results"), resources_of(workers, pool, scheduler))
+        stores = _run_what_is_missing(results or Path("results"), resources_of(workers, pool, scheduler), watching)
     comparisons, remarks = compare_stores(stores)
     print_comparisons(comparisons, remarks, "json" if as_json else table_format)
     if not all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)
 
 
-def _run_what_is_missing(results: Path, resources: "Resources") -> tuple[Path, ...]:
+def _run_what_is_missing(results: Path, resources: "Resources", watching: Watching) -> tuple[Path, ...]:
     """Return the stores of all built-in studies with something published, after running those that need it."""
     from sweep.paper import published_studies, store_of, unfinished
 
     studies = published_studies()
     for study in unfinished(studies, results):
         store = store_of(study, results)
-        click.echo(f"{study.name}:", err=True)
-        _, failures = run_with_progress(study, store, resources)
-        if failures:
-            click.echo(failures_in_words(failures, store), err=True)
+        if watching.level < logging.ERROR:
+            click.echo(f"{study.name}:", err=True)
+        run_with_progress(study, store, resources, watching)
     return tuple(store_of(study, results) for study in studies)
 
 

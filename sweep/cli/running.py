@@ -1,5 +1,6 @@
 """Commands that compute: run and plan."""
 
+import logging
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +17,9 @@ from sweep.cli.options import (
     study_argument,
     study_options,
 )
-from sweep.cli.output import failures_in_words, print_plan, print_table
+from sweep.cli.output import print_plan, print_table
 from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
+from sweep.cli.watching import Watching, told, watching_options
 
 if TYPE_CHECKING:
     from sweep.run import Resources
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 @study_options
 @resource_options
 @break_lock_option
+@watching_options
 @click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
 @json_option
 def run(
@@ -40,6 +43,7 @@ def run(
     pool: Any,
     scheduler: str | None,
     break_lock: bool,
+    watching: Watching,
     dry_run: bool,
     as_json: bool,
 ) -> None:
@@ -50,18 +54,16 @@ def run(
     \b
     sweep run quasars
     sweep run quasars --set n_cat=20 -o results/quick.zarr
-    sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4
+    sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
     """
     resources = resources_of(workers, pool, scheduler)
     loaded, path = load(study, settings, axes, store)
     if dry_run:
         print_plan(loaded, path, as_json)
         return
-    dataset, failures = run_with_progress(loaded, path, resources, break_lock=break_lock)
+    dataset, failures = run_with_progress(loaded, path, resources, watching, break_lock=break_lock)
     print_table(dataset, "json" if as_json else "text")
-    click.echo(f"wrote {path}", err=True)
     if failures:
-        click.echo(failures_in_words(failures, path), err=True)
         sys.exit(EXIT_FAILED_POINTS)
 
 
@@ -80,16 +82,25 @@ def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Pa
 
 
 def run_with_progress(
-    study: "Study", store: Path, resources: "Resources", *, retry: bool = False, break_lock: bool = False
+    study: "Study",
+    store: Path,
+    resources: "Resources",
+    watching: Watching,
+    *,
+    retry: bool = False,
+    break_lock: bool = False,
 ) -> tuple[Any, dict[str, str]]:
-    """Run a study with progress shown; an interruption ends the command."""
+    """Run a study with progress and a summary shown; an interruption ends the command."""
     from sweep.interrupt import RunInterruptedError
     from sweep.progress import TerminalProgress
     from sweep.run import run_study
 
-    with a_signal_ends_the_command(), TerminalProgress() as progress:
+    bar = watching.level < logging.ERROR
+    with a_signal_ends_the_command(), told(watching), TerminalProgress(study, bar) as progress:
         try:
-            return run_study(study, store, resources, progress, retry, break_lock)
+            dataset, failures = run_study(study, store, resources, progress, retry, break_lock)
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             end_stopped(stop.signal)
+        progress.finish(len(failures), store)
+        return dataset, failures

@@ -1,0 +1,127 @@
+"""What of a run is told on standard error, and what goes to a log file."""
+
+import functools
+import logging
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import click
+
+FORMAT = "%(asctime)s %(levelname)s %(message)s"
+
+
+@dataclass(frozen=True)
+class Watching:
+    """How much the user wants to see: ``level`` of the logging module, and the log file."""
+
+    level: int = logging.INFO
+    log: TextIO | None = None
+
+
+def watching_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --quiet, --verbose and --log; the command gets them as ``watching``."""
+
+    @functools.wraps(command)
+    def with_watching(*arguments: Any, quiet: bool, verbose: bool, log: TextIO | None, **named: Any) -> Any:
+        if quiet and verbose:
+            raise click.UsageError("--quiet and --verbose contradict each other")
+        level = logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO
+        return command(*arguments, watching=Watching(level, log), **named)
+
+    wrapped: Callable[..., Any] = with_watching
+    options = (
+        click.option("--quiet", "-q", is_flag=True, help="Print only errors, and the table."),
+        click.option("--verbose", "-v", is_flag=True, help="Print a line for each point, and Dask's warnings."),
+        click.option(
+            "--log", metavar="FILE", callback=_log_file, help="Append everything to FILE, with times and tracebacks."
+        ),
+    )
+    for option in reversed(options):
+        wrapped = option(wrapped)
+    return wrapped
+
+
+def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
+    if value is None or context.resilient_parsing:
+        return None
+    try:
+        return context.with_resource(Path(value).open("a", encoding="utf-8", errors="backslashreplace", buffering=1))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error
+
+
+@contextmanager
+def told(watching: Watching) -> Iterator[None]:
+    """Send what a run says, and what Dask logs, to standard error and the log file in this block."""
+    from sweep.contract import SweepError
+    from sweep.progress import RECORD, SENTENCES, Sentences
+
+    shown = Sentences()
+    shown.setLevel(watching.level)
+    with ExitStack() as stack:
+        stack.enter_context(_handled(SENTENCES, shown))
+        SENTENCES.setLevel(logging.DEBUG)
+        stack.enter_context(_handled(RECORD, logging.NullHandler()))
+        RECORD.propagate = False
+        if watching.level == logging.DEBUG:
+            _handle_dask(stack, _FromDask(shown))
+        if watching.log is not None:
+            record = _Lines(watching.log)
+            stack.enter_context(_handled(SENTENCES, record))
+            stack.enter_context(_handled(RECORD, record))
+            _handle_dask(stack, record)
+            RECORD.info("%s", " ".join(["sweep", *sys.argv[1:]]))
+        try:
+            yield
+        except SweepError as error:
+            RECORD.error("%s: %s", error.where, "; ".join(error.problems))
+            raise
+        except Exception:
+            RECORD.exception("unexpected")
+            raise
+
+
+def _handle_dask(stack: ExitStack, handler: logging.Handler) -> None:
+    for name in ("distributed", "distributed.client"):  # Dask lets the second keep its messages to itself
+        stack.enter_context(_handled(logging.getLogger(name), handler))
+
+
+@contextmanager
+def _handled(logger: logging.Logger, handler: logging.Handler) -> Iterator[None]:
+    logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+
+
+class _Lines(logging.Handler):
+    """Writes to an open file; not a StreamHandler, which Dask would silence with its own."""
+
+    def __init__(self, file: TextIO) -> None:
+        super().__init__()
+        self._file = file
+        self.setFormatter(logging.Formatter(FORMAT))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            self._file.write(self.format(record) + "\n")
+        except OSError:
+            self.handleError(record)
+
+
+class _FromDask(logging.Handler):
+    """Shows Dask's warnings among the sentences."""
+
+    def __init__(self, shown: logging.Handler) -> None:
+        super().__init__(logging.WARNING)
+        self._shown = shown
+        self._shown_format = logging.Formatter("Dask: %(message)s")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._shown.emit(logging.makeLogRecord({"msg": self._shown_format.format(record), "levelno": record.levelno}))

@@ -1,0 +1,79 @@
+"""How long a run still takes, from the results that came so far: by cost of work, with start-up excluded."""
+
+import math
+from bisect import bisect_right, insort
+from dataclasses import dataclass
+
+OVERLAP = 0.25
+"""A task may seem to begin so much of its length before the last one on its worker ended: results travel and wait."""
+
+SILENT = 5.0
+"""A worker that gives nothing for so many of the longest tasks is gone."""
+
+
+@dataclass(order=True)
+class _Lane:
+    """One worker as its results show it: tasks that follow one another, ``busy`` seconds of work in all."""
+
+    end: float
+    begin: float
+    busy: float
+
+
+class Eta:
+    """Estimates the time left, with all times in seconds of one clock.
+
+    Which results can come from one worker is seen from their times; there are at most ``workers`` of them if that is
+    known.  The time since a worker's last result counts as work under way.
+    """
+
+    def __init__(self, cost: float, workers: int | None = None) -> None:
+        """Start with the ``cost`` of all work that is known."""
+        self._known = cost
+        self._workers = math.inf if workers is None else max(1, workers)
+        self._done = self._busy = self._longest = 0.0
+        self._tasks = 0
+        self._lanes: list[_Lane] = []
+
+    def extend(self, cost: float) -> None:
+        """Tell that there is more work than was known."""
+        self._known += cost
+
+    def take(self, now: float, cost: float, seconds: float) -> None:
+        """Count a task's result that came ``now`` after ``seconds`` on its worker."""
+        seconds = max(seconds, 1e-9)
+        self._done += cost
+        self._busy += seconds
+        self._tasks += 1
+        self._longest = max(self._longest, seconds)
+        begin = now - seconds
+        free = bisect_right(self._lanes, begin + OVERLAP * seconds, key=lambda lane: lane.end)
+        if free or len(self._lanes) >= self._workers:
+            lane = self._lanes.pop(max(0, free - 1))
+            lane = _Lane(now, lane.begin, lane.busy + seconds)
+        else:
+            lane = _Lane(now, begin, seconds)
+        insort(self._lanes, lane)
+
+    def left(self, now: float) -> float | None:
+        """Return the seconds left, never negative; None while nothing is known."""
+        if not self._tasks:
+            return None
+        lanes = [lane for lane in self._lanes if now - lane.end <= SILENT * self._longest] or self._lanes[-1:]
+        share = sum(lane.busy for lane in lanes) / sum(max(lane.end - lane.begin, lane.busy) for lane in lanes)
+        under_way = sum(min(max(now - lane.end, 0.0), self._longest) for lane in lanes) * share
+        needed = max(self._known - self._done, 0.0) * self._busy / max(self._done, 1e-9)
+        at_once = min(float(len(lanes)), max(1.0, needed * self._tasks / self._busy))
+        return max(needed - under_way, needed / 2) / (at_once * share)
+
+
+def in_words(seconds: float) -> str:
+    """Return a duration with two of its units: '12 s', '3 min 20 s', '2 h 05 min', '3 d 4 h'."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    if whole < 86400:
+        return f"{whole // 3600} h {whole % 3600 // 60:02} min"
+    return f"{whole // 86400} d {whole % 86400 // 3600} h"

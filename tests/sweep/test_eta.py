@@ -1,0 +1,157 @@
+"""The time left is right within a factor, never negative, and steady: on a simulated clock."""
+
+import heapq
+import itertools
+import math
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sweep.eta import Eta, in_words
+
+START_S = 7.0
+"""Workers take this long to be there: not work, and not extrapolated."""
+
+
+def results_of(tasks, workers, travel=0.0, seed=0):
+    """Give tasks (cost, seconds) to workers in order, and return results (time, cost, seconds) as they arrive."""
+    random_ = random.Random(seed)
+    free = [START_S] * workers
+    results = []
+    for cost, seconds in tasks:
+        end = heapq.heappop(free) + seconds
+        results.append((end + random_.uniform(0.0, travel), cost, seconds))
+        heapq.heappush(free, end + 0.002)
+    return sorted(results)
+
+
+def estimates(results, workers):
+    """Return (share of the work done, estimated, true time left) after each result."""
+    eta = Eta(sum(cost for _, cost, _ in results), workers)
+    total, done, rows = sum(cost for _, cost, _ in results), 0.0, []
+    for now, cost, seconds in results:
+        eta.take(now, cost, seconds)
+        done += cost
+        rows.append((done / total, eta.left(now), results[-1][0] - now))
+    return rows
+
+
+def at(share, rows):
+    return next((estimate, truth) for done, estimate, truth in rows if done >= share)
+
+
+def equal(random_, place):
+    return 1.0, random_.uniform(0.9, 1.1)
+
+
+def growing(random_, place):
+    """Points grow tenfold along the grid, and their cost says how long they take to 20 %."""
+    cost = 1.0 + 9.0 * place
+    return cost, cost * random_.uniform(0.8, 1.2)
+
+
+def shrinking(random_, place):
+    return growing(random_, 1.0 - place)
+
+
+def scattered(random_, place):
+    cost = random_.lognormvariate(0.0, 0.7)
+    return cost, cost * random_.lognormvariate(0.0, 0.3)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["workers known", "workers seen"])
+@pytest.mark.parametrize("workers", [1, 2, 7, 64])
+@pytest.mark.parametrize(
+    ("kind", "tasks_each"), [(equal, 10), (growing, 10), (shrinking, 10), (scattered, 50)], ids=str
+)
+def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half(kind, tasks_each, workers, known):
+    n = tasks_each * workers
+    for seed in range(5):
+        random_ = random.Random(seed)
+        results = results_of([kind(random_, i / n) for i in range(n)], workers)
+        rows = estimates(results, workers if known else None)
+        for share in (0.2, 0.5):
+            estimate, truth = at(share, rows)
+            assert truth / 1.5 < estimate < 1.5 * truth
+
+
+def test_results_that_travel_for_a_while_do_not_look_like_more_workers():
+    random_ = random.Random(1)
+    results = results_of([growing(random_, i / 100) for i in range(100)], 2, travel=0.5)
+    for workers in (2, None):
+        estimate, truth = at(0.2, estimates(results, workers))
+        assert truth / 1.5 < estimate < 1.5 * truth
+
+
+def test_what_is_under_way_counts_between_results():
+    """Two workers at tasks of ten seconds: five seconds after a result there are five seconds less left."""
+    eta = Eta(20.0, 2)
+    for now in (10.0, 10.1, 20.0, 20.1):
+        eta.take(now, 1.0, 10.0)
+    assert eta.left(25.0) == pytest.approx(eta.left(20.1) - 4.9, abs=0.1)
+    assert eta.left(20.1) == pytest.approx(80.0, rel=0.02)
+
+
+def test_it_moves_little_from_one_result_to_the_next():
+    random_ = random.Random(2)
+    rows = estimates(results_of([scattered(random_, 0) for _ in range(400)], 4), 4)
+    later = [estimate for done, estimate, _ in rows if 0.2 < done < 0.9]
+    jumps = [abs(b - a) / a for a, b in itertools.pairwise(later)]
+    assert max(jumps) < 0.1
+
+
+def test_work_that_becomes_known_during_the_run_counts():
+    eta = Eta(10.0, 1)
+    for now in range(1, 6):
+        eta.take(float(now), 1.0, 1.0)
+    assert eta.left(5.0) == pytest.approx(5.0)
+    eta.extend(20.0)
+    assert eta.left(5.0) == pytest.approx(25.0)
+
+
+def test_workers_that_are_gone_do_not_count():
+    eta = Eta(200.0)
+    for second in range(1, 11):
+        for worker in range(4):
+            eta.take(second + 0.01 * worker, 1.0, 1.0)
+    for second in range(11, 31):
+        eta.take(second + 0.0, 1.0, 1.0)
+    assert eta.left(30.0) == pytest.approx(140.0, rel=0.05)  # one of four is left
+
+
+@settings(max_examples=200, derandomize=True, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0, 1e6), st.floats(0, 1e12), st.floats(0, 1e6), st.floats(0, 1e12)), max_size=30),
+    st.floats(0, 1e15),
+    st.one_of(st.none(), st.integers(0, 100)),
+)
+def test_never_negative_nor_nan(steps, cost, workers):
+    eta = Eta(cost, workers)
+    now = 0.0
+    assert eta.left(now) is None
+    for passed, done, seconds, more in steps:
+        now += passed
+        eta.take(now, done, seconds)
+        eta.extend(more)
+        for later in (0.0, 1.0, 1e9):
+            left = eta.left(now + later)
+            assert math.isfinite(left)
+            assert left >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.2, "0 s"),
+        (59.4, "59 s"),
+        (59.6, "1 min 00 s"),
+        (200.0, "3 min 20 s"),
+        (3600.0, "1 h 00 min"),
+        (7530.0, "2 h 05 min"),
+        (86400.0 * 3 + 4 * 3600, "3 d 4 h"),
+    ],
+)
+def test_durations_in_words(seconds, words):
+    assert in_words(seconds) == words
