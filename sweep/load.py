@@ -1,5 +1,6 @@
 """Finds an experiment by its reference, ``module:attribute`` or ``path/to/file.py:attribute``."""
 
+import hashlib
 import importlib
 import importlib.machinery
 import importlib.util
@@ -8,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from sweep.contract import Experiment, SweepError, shown
+
+DIGEST = "__linksweep_source_digest__"
 
 
 def load_experiment(reference: str, folder: Path | None = None) -> Experiment:
@@ -37,6 +40,19 @@ def absolute_reference(reference: str, folder: Path) -> str:
     return f"{(folder / place).resolve()}:{attribute}" if place.endswith(".py") else reference
 
 
+def source_digest(reference: str) -> str | None:
+    """Return the digest of the file that a loaded experiment came from, as it was then; None for one of a module."""
+    place, _, _ = reference.rpartition(":")
+    return getattr(sys.modules.get(place), DIGEST, None) if place.endswith(".py") else None
+
+
+def forget(reference: str) -> None:
+    """Let an experiment's file be read anew when it is loaded again; does nothing for one of a module."""
+    place, _, _ = reference.rpartition(":")
+    if place.endswith(".py"):
+        sys.modules.pop(place, None)
+
+
 class _Loader(importlib.machinery.SourceFileLoader):
     """Loads a module without leaving a ``__pycache__`` beside it."""
 
@@ -55,6 +71,7 @@ def _module_of_file(place: str, folder: Path | None) -> object:
     if spec is None or spec.loader is None:
         raise SweepError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
+    setattr(module, DIGEST, hashlib.sha256(path.read_bytes()).hexdigest()[:12])
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.execute import Executor, Pool, available_cores, dask_local, dask_scheduler, serial
+from sweep.execute import NO_LIMITS, Executor, Limits, Place, Pool, Say, available_cores, serial
 from sweep.grid import make_grid
 from sweep.interrupt import watched
 from sweep.larger import part_of_larger
@@ -30,11 +30,17 @@ SERIAL_COST = 5e7
 
 @dataclass(frozen=True)
 class Resources:
-    """What to run on; never part of a study, because it cannot change a number."""
+    """What to run on; never part of a study, because it cannot change a number.
+
+    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.
+    """
 
     workers: int | None = None
     pool: Pool | None = None
     scheduler: str | None = None
+    tls: tuple[Path, Path, Path] | None = None
+    cluster: Path | None = None
+    limits: Limits = NO_LIMITS
 
 
 class Progress(Protocol):
@@ -101,8 +107,7 @@ def run_study(
             if not again:
                 progress.say(f"no point in {store} has failed")
         tally = _tally(plan, opened, again)
-        where, workers, executor = choose_executor(study, tally.survey, resources)
-        with executor as run:
+        with choose_executor(study, tally.survey, resources, progress.say) as (place, run):
             opened = opened or create_or_resume(store, study, provenance(study))
             if unused := len(opened.rows) - tally.survey.held.blocks:
                 progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
@@ -111,7 +116,9 @@ def run_study(
             try:
                 if tally.survey.pending.blocks:
                     writer.write()  # so that there is a labelled, if empty, dataset from the start
-                progress.start(tally.survey, where, workers)
+                progress.start(tally.survey, place.words, place.workers)
+                if place.dashboard:
+                    progress.say(f"Dask dashboard: {place.dashboard}")
                 for works, result in run(pending.take):
                     progress.advance(works, result, writer.take(works, result))
                 return writer.write(), writer.failures()
@@ -140,19 +147,25 @@ def _tally(plan: Plan, store: Store | None, only: Collection[bytes] | None = Non
 
 
 def choose_executor(
-    study: Study, survey: Survey, resources: Resources
-) -> tuple[str, int | None, AbstractContextManager[Executor]]:
-    """Return in words where a run will be, with how many workers if that is known, and its executor.
+    study: Study, survey: Survey, resources: Resources, say: Say
+) -> AbstractContextManager[tuple[Place, Executor]]:
+    """Return the place where a run will be and its executor, to be entered.
 
     Without a wish: a local cluster with one worker process a core, or this process where the work is less than
-    starting one.
+    starting one and needs no limits.
     """
-    if resources.scheduler is not None:
-        return f"the Dask scheduler at {resources.scheduler}", None, dask_scheduler(study, resources.scheduler)
-    small = resources.workers is None and survey.pending.cost < SERIAL_COST
+    limits = resources.limits
+    small = resources.workers is None and survey.pending.cost < SERIAL_COST and not limits
     pool = resources.pool or ("serial" if small else "processes")
-    if pool == "serial":
-        return "this process", 1, serial(study)
-    workers = resources.workers or available_cores()
-    noun = {"processes": ("worker process", "worker processes"), "threads": ("thread", "threads")}[pool][workers > 1]
-    return f"{workers} local {noun}", workers, dask_local(study, workers, pool)
+    elsewhere = resources.scheduler is not None or resources.cluster is not None
+    if pool == "serial" and not elsewhere:
+        return serial(study, limits)
+    from sweep.clusters import dask_from_file, dask_local, dask_scheduler, tls
+
+    if resources.scheduler is not None:
+        security = tls(*resources.tls) if resources.tls else None
+        return dask_scheduler(study, resources.scheduler, security, say, limits)
+    if resources.cluster is not None:
+        return dask_from_file(study, resources.cluster, say, limits)
+    assert pool != "serial"
+    return dask_local(study, resources.workers or available_cores(), pool, say, limits)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Experiment, Point
+from sweep.limit import Deadlines, TimeLimitError
 from sweep.load import load_experiment
 from sweep.plan import Block, generators
 
@@ -27,12 +28,16 @@ class Unit:
 
 @dataclass(frozen=True)
 class Task:
-    """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too."""
+    """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too.
+
+    With ``time_limit_s``, for a block of one point, the process must be one that may be ended.
+    """
 
     experiment_reference: str
     seed: int
     units: tuple[Unit, ...]
     keep_samples: bool = False
+    time_limit_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -59,44 +64,79 @@ class TaskResult:
     samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
 
 
-def run_task(task: Task) -> TaskResult:
-    """Compute the blocks of a task; a point that raises is recorded and the rest goes on."""
+def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
+    """Compute the blocks of a task; a point that raises is recorded and the rest goes on.
+
+    ``deadlines`` are those of this process if it has some.
+    """
+    return joined(list(run_units(task, deadlines or Deadlines())))
+
+
+def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
+    """Yield the result of each unit of a task; no more of a point that took too long is tried."""
     experiment = load_experiment(task.experiment_reference)
-    defaults = experiment.defaults()
-    rows = sum(len(unit.points) for unit in task.units)
-    result = TaskResult(np.full((rows, experiment.sums_width), np.nan), np.zeros(rows))
-    first = 0
+    given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in task.units:
-        points = [defaults | own for own in unit.points]
+        result = failed(len(unit.points), experiment.sums_width)
+        for stream, point, reason in given_up:
+            known = [row for row, own in enumerate(unit.points) if (stream, point) == (unit.stream, own)]
+            result.failures.update(dict.fromkeys(known, reason))
+        rows = [row for row in range(len(unit.points)) if row not in result.failures]
         begun = time.perf_counter()
-        failures = _try(experiment, points, unit, task, result, first)
-        if failures and len(points) > 1:  # who of those that share the draw is to blame?
-            for number, point in enumerate(points):
-                _try(experiment, [point], unit, task, result, first + number)
-        result.seconds[first : first + len(points)] = (time.perf_counter() - begun) / len(points)
-        first += len(points)
-    return result
+        if rows and not _try(experiment, rows, unit, task, result, deadlines) and len(rows) > 1:
+            for row in rows:  # who of those that share the draw is to blame?
+                _try(experiment, [row], unit, task, result, deadlines)
+        result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
+        late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
+        given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
+        yield result
 
 
 def _try(
-    experiment: Experiment, points: list[dict[str, Any]], unit: Unit, task: Task, result: TaskResult, first: int
+    experiment: Experiment, rows: list[int], unit: Unit, task: Task, result: TaskResult, deadlines: Deadlines
 ) -> bool:
-    """Compute the rows of some points of a unit; return whether it raised."""
-    stop = first + len(points)
+    """Compute some points (rows) of a unit; return whether that went well."""
+    points = [experiment.defaults() | unit.points[row] for row in rows]
     try:
-        sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
+        with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
+            sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
+    except TimeLimitError:
+        result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
+        return False
     except Exception as error:  # a point that fails must not take others with it
         reason = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
-        result.failures.update(dict.fromkeys(range(first, stop), reason))
-        return True
-    result.sums[first:stop] = sums
+        result.failures.update(dict.fromkeys(rows, reason))
+        return False
+    result.sums[rows] = sums
     if task.keep_samples:
-        result.samples.update(zip(range(first, stop), samples, strict=True))
-    for row in range(first, stop):
+        result.samples.update(zip(rows, samples, strict=True))
+    for row in rows:
         result.failures.pop(row, None)
         if np.isnan(result.sums[row]).any() and (names := _nan_results(experiment, result.sums[row], unit.block)):
             result.failures[row] = Failure("NaN", f"{', '.join(names)}: not a number")
-    return False
+    return True
+
+
+def too_long(task: Task, trace: str) -> Failure:
+    """Return the failure of a block that reached its time limit."""
+    return Failure("time limit", f"a block took longer than the time limit of {task.time_limit_s:g} s", trace)
+
+
+def failed(rows: int, width: int, reason: Failure | None = None) -> TaskResult:
+    """Return the result of so many rows without sums, all for one reason."""
+    failures = {} if reason is None else dict.fromkeys(range(rows), reason)
+    return TaskResult(np.full((rows, width), np.nan), np.zeros(rows), failures)
+
+
+def joined(results: Sequence[TaskResult]) -> TaskResult:
+    """Return the result of a task from those of its parts, in their order."""
+    starts = np.cumsum([0, *(len(result.sums) for result in results)]).tolist()
+    return TaskResult(
+        np.concatenate([result.sums for result in results]),
+        np.concatenate([result.seconds for result in results]),
+        {first + row: why for first, r in zip(starts, results, strict=False) for row, why in r.failures.items()},
+        {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
+    )
 
 
 def _nan_results(experiment: Experiment, row: NDArray[np.float64], block: Block) -> list[str]:

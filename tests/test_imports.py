@@ -16,7 +16,8 @@ CORE = [
 ]
 SWEEP = [
     *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
-    *("grid", "plan", "tally", "pending", "worker", "pin", "execute"),
+    *("grid", "plan", "tally", "pending", "limit", "worker", "agreement", "guard", "pin"),
+    *("execute", "on_client", "clusterfile", "clusters"),
     *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
     *("results", "store", "larger", "writer", "run", "revisit"),
     *("status", "tables", "eta", "account", "progress", "plots", "fits", "levelling", "quantity", "conditions"),
@@ -32,7 +33,7 @@ SEARCH = [
 ]
 ONLY_IN = {
     "click": {f"sweep.cli.{module}" for module in CLI},
-    "distributed": {"sweep.execute", "sweep.pin"},
+    "distributed": {"sweep.clusters", "sweep.on_client", "sweep.pin"},
     "zarr": {"sweep.column", "sweep.snapshot"},
     "matplotlib": {"sweep.plots", "sweep.search.skymap"},
     "pydantic": {"sweep.study", "sweep.reader"},

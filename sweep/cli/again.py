@@ -4,15 +4,18 @@ import json
 import sys
 import traceback
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import break_lock_option, json_option, resource_options, resources_of, store_argument
+from sweep.cli.options import break_lock_option, json_option, resource_options, store_argument
 from sweep.cli.output import print_table
 from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
+
+if TYPE_CHECKING:
+    from sweep.run import Resources
 
 
 @main.command()
@@ -21,7 +24,7 @@ from sweep.cli.watching import Watching, watching_options
 @break_lock_option
 @watching_options
 @json_option
-def retry(store: Path, break_lock: bool, watching: Watching, as_json: bool, **resources: Any) -> None:
+def retry(store: Path, resources: "Resources", break_lock: bool, watching: Watching, as_json: bool) -> None:
     """Compute the failed points in STORE again, and only those.
 
     \b
@@ -29,8 +32,9 @@ def retry(store: Path, break_lock: bool, watching: Watching, as_json: bool, **re
     """
     from sweep.revisit import study_of
 
-    wanted = resources_of(**resources)
-    dataset, failures = run_with_progress(study_of(store), store, wanted, watching, retry=True, break_lock=break_lock)
+    dataset, failures = run_with_progress(
+        study_of(store), store, resources, watching, retry=True, break_lock=break_lock
+    )
     print_table(dataset, "json" if as_json else "text")
     if failures:
         sys.exit(EXIT_FAILED_POINTS)

@@ -1,5 +1,6 @@
 """Arguments and options that several commands share, and what they turn into."""
 
+import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,11 @@ if TYPE_CHECKING:
     from sweep.study import Study
 
 Command = Callable[..., Any]
+
+RESOURCES = (
+    *("workers", "pool", "scheduler", "tls_ca", "tls_cert", "tls_key", "cluster", "time_limit", "memory_limit"),
+)
+MEMORY_AT_LEAST = 200 * 10**6
 
 study_argument = click.argument("study")
 store_argument = click.argument("store", type=click.Path(path_type=Path))
@@ -58,7 +64,8 @@ def study_options(command: Command) -> Command:
 
 
 def resource_options(command: Command) -> Command:
-    """Add the options that say what to run on."""
+    """Add the options that say what to run on; the command gets them as ``resources``."""
+    file = click.Path(exists=True, dir_okay=False, path_type=Path)
     options = (
         click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one a core]"),
         click.option(
@@ -70,10 +77,76 @@ def resource_options(command: Command) -> Command:
         click.option(
             "--scheduler", metavar="ADDRESS", help="Use the Dask scheduler at this address, e.g. tcp://host:8786."
         ),
+        click.option("--tls-ca", type=file, help="For a tls:// scheduler: the authority's certificate."),
+        click.option("--tls-cert", type=file, help="For a tls:// scheduler: our certificate."),
+        click.option("--tls-key", type=file, help="For a tls:// scheduler: our key."),
+        click.option("--cluster", type=file, help="Use the Dask cluster that this TOML or YAML file describes."),
+        click.option(
+            "--time-limit",
+            type=click.FloatRange(0, min_open=True),
+            metavar="SECONDS",
+            help="A block that takes longer fails.",
+        ),
+        click.option(
+            "--memory-limit",
+            metavar="BYTES",
+            callback=_bytes,
+            help="A block whose local worker needs more fails, e.g. 2GB.  [default: an equal share each]",
+        ),
     )
+
+    @functools.wraps(command)
+    def with_resources(*arguments: Any, **named: Any) -> Any:
+        wishes = {name: named.pop(name) for name in RESOURCES}
+        return command(*arguments, resources=_resources(**wishes), **named)
+
+    wrapped: Command = with_resources
     for option in reversed(options):
-        command = option(command)
-    return command
+        wrapped = option(wrapped)
+    return wrapped
+
+
+def _bytes(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:
+    from dask.utils import parse_bytes
+
+    try:
+        number = None if value is None else parse_bytes(value)
+    except ValueError as error:
+        raise click.BadParameter(f"{value!r} is no number of bytes; write 2GB or 500MiB") from error
+    if number is not None and number < MEMORY_AT_LEAST:
+        raise click.BadParameter(f"{value!r} is less than the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself")
+    return number
+
+
+def _resources(
+    workers: int | None,
+    pool: Any,
+    scheduler: str | None,
+    tls_ca: Path | None,
+    tls_cert: Path | None,
+    tls_key: Path | None,
+    cluster: Path | None,
+    time_limit: float | None,
+    memory_limit: int | None,
+) -> "Resources":
+    """Return the resources that the options name; raises click.UsageError for options that contradict each other."""
+    from sweep.execute import Limits
+    from sweep.run import Resources
+
+    if scheduler is not None and cluster is not None:
+        raise click.UsageError("--scheduler and --cluster are two places; name one")
+    for option in [f"--{name}" for name, value in (("scheduler", scheduler), ("cluster", cluster)) if value]:
+        if workers is not None or pool is not None or memory_limit is not None:
+            raise click.UsageError(
+                f"--workers, --pool and --memory-limit are for local workers; they do not go with {option}"
+            )
+    if pool == "serial" and workers is not None:
+        raise click.UsageError("--pool serial has no workers")
+    files = (tls_ca, tls_cert, tls_key)
+    if any(files) and (scheduler is None or not scheduler.startswith("tls://") or None in files):
+        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://...")
+    tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
+    return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit))
 
 
 def load(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Path | None) -> "tuple[Study, Path]":
@@ -82,17 +155,6 @@ def load(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Pa
 
     loaded = load_study(study, settings, axes)
     return loaded, store or Path("results") / f"{loaded.name}.zarr"
-
-
-def resources_of(workers: int | None, pool: Any, scheduler: str | None) -> "Resources":
-    """Return the resources that the options name; raises click.UsageError for options that contradict each other."""
-    from sweep.run import Resources
-
-    if scheduler is not None and (workers is not None or pool is not None):
-        raise click.UsageError("--workers and --pool are for local workers; they do not go with --scheduler")
-    if pool == "serial" and workers is not None:
-        raise click.UsageError("--pool serial has no workers")
-    return Resources(workers, pool, scheduler)
 
 
 def part_of(store: Path, at: tuple[str, ...]) -> Any:

@@ -4,12 +4,12 @@ import json
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import json_option, resource_options, resources_of
+from sweep.cli.options import json_option, resource_options
 from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
@@ -34,9 +34,7 @@ def compare(
     stores: tuple[Path, ...],
     everything: bool,
     results: Path | None,
-    workers: int | None,
-    pool: Any,
-    scheduler: str | None,
+    resources: "Resources",
     watching: Watching,
     table_format: str,
     as_json: bool,
@@ -51,17 +49,14 @@ def compare(
     """
     from sweep.compare import all_is_well
     from sweep.paper import compare_stores
+    from sweep.run import Resources
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")
-    wishes = (results, workers, pool, scheduler)
-    if not everything and (any(wish is not None for wish in wishes) or watching != Watching()):
-        raise click.UsageError(
-            "--results, --workers, --pool, --scheduler, --quiet, --verbose and --log go with --all: "
-            "nothing runs without it"
-        )
+    if not everything and (results is not None or resources != Resources() or watching != Watching()):
+        raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without it")
     if everything:
-        stores = _run_what_is_missing(results or Path("results"), resources_of(workers, pool, scheduler), watching)
+        stores = _run_what_is_missing(results or Path("results"), resources, watching)
     comparisons, remarks = compare_stores(stores)
     print_comparisons(comparisons, remarks, "json" if as_json else table_format)
     if not all_is_well(comparisons):

@@ -13,7 +13,6 @@ from sweep.cli.options import (
     json_option,
     load,
     resource_options,
-    resources_of,
     study_argument,
     study_options,
 )
@@ -39,9 +38,7 @@ def run(
     settings: tuple[str, ...],
     axes: tuple[str, ...],
     store: Path | None,
-    workers: int | None,
-    pool: Any,
-    scheduler: str | None,
+    resources: "Resources",
     break_lock: bool,
     watching: Watching,
     dry_run: bool,
@@ -56,7 +53,6 @@ def run(
     sweep run quasars --set n_cat=20 -o results/quick.zarr
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
     """
-    resources = resources_of(workers, pool, scheduler)
     loaded, path = load(study, settings, axes, store)
     if dry_run:
         print_plan(loaded, path, as_json)

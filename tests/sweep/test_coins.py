@@ -127,7 +127,7 @@ def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
 
 def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
     """A grid of any size makes no large graph: batches are drawn only a few tasks ahead of the results."""
-    from sweep import execute
+    from sweep import clusters, on_client
 
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
     monkeypatch.setattr("sweep.plan.TARGET", 1.0)  # one catalogue a block
@@ -142,10 +142,10 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
         drawn += len(tasks)
         return tasks
 
-    with execute.dask_local(study, 2, "threads") as executor:
+    with clusters.dask_local(study, 2, "threads", print) as (_, executor):
         ahead = [drawn - received for received, _ in enumerate(executor(take))]
     assert len(ahead) == 6 * 8
-    assert max(ahead) <= 2 * execute.TASKS_IN_FLIGHT
+    assert max(ahead) <= 2 * on_client.TASKS_IN_FLIGHT
 
 
 @pytest.mark.parametrize("pool", ["threads", "processes"])

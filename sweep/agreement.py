@@ -1,0 +1,58 @@
+"""What decides the numbers that a process computes: client and workers must agree on it."""
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+from sweep.load import forget, load_experiment, source_digest
+
+DECIDING = ("linksweep", "numpy", "scipy")
+OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Versions by name: those of what decides the numbers, and others."""
+
+    deciding: Mapping[str, str]
+    others: Mapping[str, str]
+
+
+def identity(reference: str) -> Identity:
+    """Return what this process would compute an experiment with; raises SweepError as `load_experiment`."""
+    experiment = load_experiment(reference)
+    deciding = {name: _version(name) for name in DECIDING}
+    deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
+    if digest := source_digest(reference):
+        deciding[f"file {reference.rpartition(':')[0]}"] = f"with digest {digest}"
+    others = {"python": platform.python_version(), "machine": platform.machine()}
+    return Identity(deciding, others | {name: _version(name) for name in OTHERS})
+
+
+def identity_like(expected: Identity, reference: str) -> Identity:
+    """Return this process's identity, after reading an experiment's file anew where it is not the expected one: it may
+    have changed since a worker that lives long read it.
+    """
+    found = identity(reference)
+    if found.deciding != expected.deciding:
+        forget(reference)
+        found = identity(reference)
+    return found
+
+
+def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
+    """Return a phrase for everything that differs."""
+    names = list(here) + [name for name in there if name not in here]
+    return [
+        f"{name} is {here.get(name, 'unknown')} here, {there.get(name, 'unknown')} there"
+        for name in names
+        if here.get(name) != there.get(name)
+    ]
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,104 @@
+"""Reads the file that describes a Dask cluster: its class, the class's options, and how large it is to be."""
+
+import importlib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sweep.contract import SweepError, shown, suggest
+
+KEYS = ("class", "options", "scale", "adapt")
+
+
+@dataclass(frozen=True)
+class ClusterFile:
+    """A cluster to be: the arguments of its class, of its `scale` or of its `adapt`, and the file that says so."""
+
+    path: Path
+    class_name: str
+    options: Mapping[str, Any]
+    scale: Mapping[str, Any] | None
+    adapt: Mapping[str, Any] | None
+
+
+def read_cluster_file(path: Path) -> ClusterFile:
+    """Return what a TOML or YAML file says about a cluster; raises SweepError with everything that is wrong in it."""
+    document = _parse(path)
+    problems = [f"unknown key {shown(key)}{suggest(str(key), KEYS)}" for key in document if key not in KEYS]
+    name = document.get("class")
+    if not isinstance(name, str) or not all(part.isidentifier() for part in name.split(".")) or "." not in name:
+        problems.append(
+            f"class = {shown(name)}: must be the import path of a cluster's class, e.g. 'dask_jobqueue.SLURMCluster'"
+        )
+    options = document.get("options", {})
+    if not isinstance(options, dict) or not all(isinstance(key, str) for key in options):
+        problems.append(f"options = {shown(options)}: must be a table of the keyword arguments of the class")
+    scale: Any = document.get("scale")
+    adapt: Any = document.get("adapt")
+    if (scale is None) == (adapt is None):
+        problems.append("write either scale = WORKERS or adapt = { minimum = WORKERS, maximum = WORKERS }")
+    if isinstance(scale, int) and not isinstance(scale, bool):
+        scale = {"n": scale}
+    if scale is not None and (
+        not isinstance(scale, dict) or not scale or not all(_is_count(v, 1) for v in scale.values())
+    ):
+        problems.append(f"scale = {shown(document['scale'])}: must be a number of workers, or {{ jobs = NUMBER }}")
+    if adapt is not None and (not isinstance(adapt, dict) or not adapt):
+        problems.append(f"adapt = {shown(adapt)}: must be a table, {{ minimum = WORKERS, maximum = WORKERS }}")
+    elif adapt is not None:
+        bounds = {key: value for key, value in adapt.items() if str(key).startswith(("minimum", "maximum"))}
+        problems += [
+            f"adapt.{key} = {shown(value)}: must be a number of workers of at least {least}"
+            for key, value in bounds.items()
+            if not _is_count(value, least := int(key.startswith("maximum")))
+        ]
+        if not any(key.startswith("maximum") for key in bounds):
+            problems.append("adapt: must say a maximum; without one the cluster would grow with the work")
+    if problems:
+        raise SweepError(problems, str(path))
+    return ClusterFile(path, str(name), options, scale, adapt)
+
+
+def cluster_class(file: ClusterFile) -> Any:
+    """Return the class that a cluster file names; raises SweepError where there is none or it is no Dask cluster."""
+    module, _, attribute = file.class_name.rpartition(".")
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except ModuleNotFoundError as error:
+        hint = "; pip install 'linksweep[jobqueue]'" if error.name == "dask_jobqueue" else ""
+        raise SweepError(f"class = {file.class_name!r}: {error}{hint}", str(file.path)) from error
+    except AttributeError as error:
+        raise SweepError(f"class = {file.class_name!r}: {error}", str(file.path)) from error
+    except Exception as error:  # whatever a module raises while it is imported
+        raise SweepError(f"class = {file.class_name!r}: {type(error).__name__}: {error}", str(file.path)) from error
+    if not isinstance(found, type) or not all(hasattr(found, name) for name in ("scale", "adapt", "close")):
+        raise SweepError(f"class = {file.class_name!r}: is no class of a Dask cluster", str(file.path))
+    return found
+
+
+def _is_count(value: object, least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= least
+
+
+def _parse(path: Path) -> Mapping[Any, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+        document = _yaml(text, path) if path.suffix in (".yaml", ".yml") else tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SweepError(f"cannot be read: {error}", str(path)) from error
+    except tomllib.TOMLDecodeError as error:
+        raise SweepError(f"not valid TOML: {error}", str(path)) from error
+    if not isinstance(document, dict):
+        raise SweepError("must be a table with the keys class, options, and scale or adapt", str(path))
+    return document
+
+
+def _yaml(text: str, path: Path) -> Any:
+    import yaml  # Dask needs it too, so it is always there
+
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise SweepError(f"not valid YAML: {' '.join(str(error).split())}", str(path)) from error

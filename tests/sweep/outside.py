@@ -1,0 +1,93 @@
+"""A Dask scheduler and workers as processes of their own, started from Dask's command line."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+
+class Outside:
+    """A scheduler on loopback, and workers that come and go."""
+
+    def __init__(self, folder: Path, *options: str, protocol: str = "tcp") -> None:
+        self.folder, self.options = folder, options
+        self.processes: list[subprocess.Popen] = []
+        file = folder / "scheduler.json"
+        arguments = ("--host", "127.0.0.1", "--port", "0", "--protocol", protocol, "--scheduler-file", str(file))
+        self.scheduler = self._start("dask_scheduler", *arguments, "--no-dashboard", *options)
+        wait_until(file.exists, "a scheduler")
+        self.address = json.loads(file.read_text())["address"]
+
+    def start_worker(self, *options: str, **environment: str) -> subprocess.Popen:
+        """Start a worker of one thread with its nanny."""
+        arguments = (self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--local-directory")
+        return self._start("dask_worker", *arguments, str(self.folder), *self.options, *options, **environment)
+
+    def _start(self, command: str, *arguments: str, **environment: str) -> subprocess.Popen:
+        with (self.folder / f"{command}.log").open("a") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.{command}", *arguments],
+                env=os.environ | environment,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+        self.processes.append(process)
+        return process
+
+    def kill(self, *processes: subprocess.Popen) -> None:
+        """End processes and their children as a power cut does."""
+        for process in processes:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait(30)
+            self.processes.remove(process)
+
+    def close(self) -> None:
+        """End everything."""
+        self.kill(*self.processes[::-1])
+
+
+def wait_until(true, what, seconds=60.0):
+    """Wait until a function returns something true, and return it."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if found := true():
+            return found
+        time.sleep(0.05)
+    raise AssertionError(f"waited {seconds} s for {what}")
+
+
+def parents():
+    """Return the parent of every process."""
+    found = {}
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            found[int(pid)] = int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
+        except OSError:
+            continue
+    return found
+
+
+def below(pid):
+    """Return the processes that a process started, and those that these started."""
+    of = parents()
+    found = {pid}
+    while more := {child for child, parent in of.items() if parent in found} - found:
+        found |= more
+    return found - {pid}
+
+
+def workers_below(pid):
+    """Return the processes below one that Dask's nannies started."""
+    return [child for child in sorted(below(pid)) if "spawn_main" in command_of(child)]
+
+
+def command_of(pid):
+    """Return the command line of a process, empty if it is no more."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except OSError:
+        return ""
