@@ -146,14 +146,16 @@ def _cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
     """Start a cluster that belongs to this run, to be ended with it."""
     with ExitStack() as stack:
         stack.enter_context(_quiet())
-        stack.enter_context(dask.config.set(OWN_CLUSTER))
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
+        stack.enter_context(dask.config.set({**OWN_CLUSTER, "temporary-directory": scratch}))
+        here = f"{LOOPBACK}:0"
         defaults: dict[str, Any] = {}
         if issubclass(kind, LocalCluster):
-            scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
-            defaults = {"local_directory": scratch, "dashboard_address": f"{LOOPBACK}:0", "silence_logs": False}
+            # In threads the worker's pages would be served to the world (its host is none).
+            pages = {} if options.get("processes", True) else {"worker_dashboard_address": here}
+            defaults = {"dashboard_address": here, "silence_logs": False, **pages}
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
-            shown = {"dashboard_address": f"{LOOPBACK}:0"}
-            defaults = {"scheduler_options": shown | dict(options.get("scheduler_options", {}))}
+            defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
         cluster = stack.enter_context(_deaf_to_interrupts(partial(kind, **{**defaults, **options})))
         stack.enter_context(_prompt_end(cluster))

@@ -26,6 +26,13 @@ class Outside:
         arguments = (self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--local-directory")
         return self._start("dask_worker", *arguments, str(self.folder), *self.options, *options, **environment)
 
+    def wait_for_workers(self, count: int) -> None:
+        """Wait until so many workers have joined."""
+        from distributed import Client
+
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(count, timeout=60)
+
     def _start(self, command: str, *arguments: str, **environment: str) -> subprocess.Popen:
         with (self.folder / f"{command}.log").open("a") as log:
             process = subprocess.Popen(

@@ -1,16 +1,17 @@
 """Same seed, same numbers, bitwise: whatever the workers, the order and the interruptions.  All with real processes."""
 
 import os
-import re
 import signal
 import subprocess
-import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 import xarray as xr
 import zarr
+
+from tests.sweep.outside import Outside
 
 
 def results(store):
@@ -39,26 +40,10 @@ def test_any_number_of_workers(link_study, tmp_path, sweep, reference, resources
 @pytest.fixture
 def scheduler(tmp_path):
     """The address of a Dask scheduler with two worker processes, all of them started from the command line."""
-    file = tmp_path / "scheduler.json"
-    dask = (
-        [sys.executable, "-m", "distributed.cli.dask_scheduler"],
-        [sys.executable, "-m", "distributed.cli.dask_worker"],
-    )
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    options = ["--scheduler-file", str(file), "--no-dashboard"]
-    processes = [
-        subprocess.Popen([*dask[0], "--host", "127.0.0.1", "--port", "0", *options], **quiet),
-        subprocess.Popen([*dask[1], "--host", "127.0.0.1", "--nworkers", "2", "--nthreads", "1", *options], **quiet),
-    ]
-    deadline = time.monotonic() + 60
-    while not file.exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    found = re.search(r"tcp://[\d.:]+", file.read_text())
-    yield found[0]
-    for process in reversed(processes):
-        process.send_signal(signal.SIGINT)
-    for process in processes:
-        process.wait(timeout=30)
+    (tmp_path / "dask").mkdir()
+    with closing(Outside(tmp_path / "dask")) as outside:
+        outside.start_worker("--nworkers", "2")
+        yield outside.address
 
 
 def test_a_scheduler_that_runs_elsewhere(link_study, tmp_path, sweep, reference, scheduler):
@@ -110,30 +95,6 @@ def test_a_client_killed_half_way_is_resumed(link_study, tmp_path, start_sweep, 
     assert code == 0, err
     assert "in the store already" in err or "part of the realisations" in err
     xr.testing.assert_identical(results(store), long_reference)
-
-
-def test_a_killed_worker_costs_nothing_but_time(link_study, tmp_path, start_sweep, long_reference):
-    store = tmp_path / "s.zarr"
-    process = start_sweep("run", link_study, "-o", store, *LONG, "--workers", 2)
-    wait_for_rows(store, process)
-    os.kill(worker_pids(process.pid)[0], signal.SIGKILL)
-    _, err = process.communicate(timeout=120)
-    assert process.returncode == 0, err
-    xr.testing.assert_identical(results(store), long_reference)
-
-
-def worker_pids(client: int) -> list[int]:
-    """Processes below the client that Dask's nannies started."""
-    pids = []
-    for pid in (int(p) for p in os.listdir("/proc") if p.isdigit()):
-        try:
-            stat = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-            command = Path(f"/proc/{pid}/cmdline").read_text()
-        except OSError:
-            continue
-        if int(stat[1]) == client and "spawn_main" in command:
-            pids.append(pid)
-    return pids
 
 
 @pytest.mark.parametrize("seed", range(6))
