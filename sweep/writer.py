@@ -67,18 +67,19 @@ class Writer:
         """Add a task's results."""
         points = [(point, work.block) for work in works for point in work.points]
         keys = [key for work in works for key in work.ledger_keys()]
-        good = [row for row in range(len(keys)) if row not in result.failures]
+        good: list[int] = []
         ended: list[GridPoint] = []
         added: list[Work] = []
         clock = time.monotonic()
         with self._held():
-            for row, failure in result.failures.items():
-                if self._fail(points[row][0], failure):
-                    ended.append(points[row][0])
-            for row in good:
-                point, block = points[row]
-                added += [self.plan.work((point,), more) for more in self.tally.add(point, block, result.sums[row])]
-                if self.tally.status[point.index] == DONE:
+            for row, (point, block) in enumerate(points):
+                if (failure := result.failures.get(row)) is not None:
+                    ends = self._fail(point, failure)
+                else:
+                    good.append(row)
+                    added += [self.plan.work((point,), more) for more in self.tally.add(point, block, result.sums[row])]
+                    ends = self.tally.status[point.index] == DONE
+                if ends:
                     ended.append(point)
             self._pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
