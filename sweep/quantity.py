@@ -17,8 +17,9 @@ ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
 
 COVARIANCE_SUFFIX = "mc_covariance"
-"""A variable NAME_mc_covariance with the dimensions of NAME and OVER_other is the covariance of NAME between points
-along the axis OVER, where these share random numbers.  It has all of their error: it stands for both error variables.
+"""A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
+points along the axis OVER, where these share random numbers.  It has all of their error: it stands for both error
+variables.
 """
 
 SHARES_RANDOM_NUMBERS = "common_random_numbers"
@@ -85,7 +86,7 @@ def covariance_between(
     dataset: xr.Dataset, variable: str, dimension: str, one: int, other: int
 ) -> xr.DataArray | float:
     """Return the covariance of a variable between two indices along a dimension, 0 where the dataset has none."""
-    name, partner = f"{variable}_{COVARIANCE_SUFFIX}", f"{dimension}_other"
+    name, partner = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", f"{dimension}_other"
     if name not in dataset or partner not in dataset[name].dims:
         return 0.0
     return dataset[name].isel({dimension: one, partner: other}, drop=True)
@@ -95,7 +96,8 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers, with one value a point, no errors or predictions."""
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if v.dtype.kind == "f" and axes <= set(v.dims)]
-    attached = (*ERROR_SUFFIXES, COVARIANCE_SUFFIX, "predicted", "published", "published_rounding")
+    covariances = (f"{COVARIANCE_SUFFIX}_{axis}" for axis in axes)
+    attached = (*ERROR_SUFFIXES, *covariances, "predicted", "published", "published_rounding")
     beside = {f"{name}_{suffix}" for name in numbers for suffix in attached}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
 
@@ -289,7 +291,7 @@ def _covariance(
     dataset: xr.Dataset, variable: str, dimension: str, order: NDArray[np.intp], given: xr.DataArray | None
 ) -> xr.DataArray | None:
     """Return the covariance between the points of every line, with both of its dimensions in the order of the axis."""
-    name, other = f"{variable}_{COVARIANCE_SUFFIX}", f"{dimension}_other"
+    name, other = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", f"{dimension}_other"
     if given is not None:
         found = given.isel({dimension: order})
     elif name in dataset and other in dataset[name].dims:

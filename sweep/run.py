@@ -121,7 +121,7 @@ def run_study(
                     progress.say(f"Dask dashboard: {place.dashboard}")
                 for works, result in run(pending.take):
                     progress.advance(works, result, writer.take(works, result))
-                return writer.write(), writer.failures()
+                return writer.write(final=True), writer.failures()
             except KeyboardInterrupt:
                 writer.stop()
                 raise

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from sweep.covariance import covariances
 from sweep.grid import GridPoint, describe
 from sweep.pending import Pending
 from sweep.plan import Plan, PlanSize, Work
@@ -91,7 +92,7 @@ class Writer:
             self.write()
         return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended))
 
-    def write(self) -> xr.Dataset:
+    def write(self, final: bool = False) -> xr.Dataset:
         """Write the labelled dataset of everything taken so far, and return it."""
         begun = time.monotonic()
         study = self.plan.grid.study
@@ -100,6 +101,8 @@ class Writer:
         dataset = assemble(self.plan, self.tally)
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, self.tally.status, self.store.samples))
+        if final and study.sampling.common_random_numbers and study.sampling.precision is None:
+            dataset = dataset.assign(covariances(self.plan, self.tally, self.store.rows, self.store.sums()))
         points = int(np.count_nonzero(self.tally.status != EXCLUDED))
         done = int(np.count_nonzero(self.tally.status == DONE))
         dataset.attrs = provenance(study) | {

@@ -121,9 +121,9 @@ def test_the_expected_exponent_of_a_claim_is_that_of_its_lines_only(dataset_of):
 def test_a_covariance_in_the_dataset_is_honoured():
     error = 0.02 * N**-0.5
     covariance = np.outer(error, error) * (0.8 + 0.2 * np.eye(5))
-    shared = grid(N**-0.5, error, width_mc_covariance=(("n", "n_other"), covariance))
+    shared = grid(N**-0.5, error, width_mc_covariance_n=(("n", "n_other"), covariance))
     law = power_law(N, N**-0.5, covariance)
-    for dataset, argument in ((shared, None), (grid(N**-0.5, error), shared["width_mc_covariance"])):
+    for dataset, argument in ((shared, None), (grid(N**-0.5, error), shared["width_mc_covariance_n"])):
         result = fit_power_law(dataset, "width", "n", covariance=argument)
         assert result["exponent_error"].values == pytest.approx(law.exponent_error, rel=1e-12)
         assert result.attrs["errors"] == "covariance between points"
@@ -138,7 +138,7 @@ def test_common_random_numbers_without_a_covariance_are_told():
 
 
 def test_a_covariance_that_has_no_inverse_names_the_line():
-    dataset = grid(N**-0.5, width_mc_covariance=(("model", "n", "n_other"), np.stack([np.eye(5), np.ones((5, 5))])))
+    dataset = grid(N**-0.5, width_mc_covariance_n=(("model", "n", "n_other"), np.stack([np.eye(5), np.ones((5, 5))])))
     with pytest.raises(SweepError, match="not positive definite: width over n at model=new"):
         fit_power_law(dataset, "width", "n")
 
@@ -187,7 +187,7 @@ def test_a_ratio_and_its_error():
 def test_the_ratio_of_points_that_move_together_is_better_known():
     covariance = np.array([[0.04, 0.018], [0.018, 0.01]])
     dataset = grid(np.array([2.0, 1.0]), np.array([0.2, 0.1]), x=N[:2])
-    shared = dataset.assign(width_mc_covariance=(("n", "n_other"), covariance))
+    shared = dataset.assign(width_mc_covariance_n=(("n", "n_other"), covariance))
     alone, together = (ratio(d, "width", "n", 10.0, 20.0)["ratio_error"].values for d in (dataset, shared))
     assert alone == pytest.approx(2.0 * np.hypot(0.1, 0.1))
     jacobian = np.array([1.0, -2.0])
@@ -248,7 +248,7 @@ def test_the_error_of_a_crossing_is_its_scatter():
 
 def test_a_crossing_between_points_that_move_together():
     y, error = N**-0.5, 0.01 * N**-0.5
-    shared = grid(y, width_mc_covariance=(("n", "n_other"), np.outer(error, error) * (0.999999 + 1e-6 * np.eye(5))))
+    shared = grid(y, width_mc_covariance_n=(("n", "n_other"), np.outer(error, error) * (0.999999 + 1e-6 * np.eye(5))))
     result = find(shared, Limit("width", "<", 0.12), "n")
     # y moves up by a factor as a whole, and the crossing of N^-1/2 by its square
     assert result["first_error"].values == pytest.approx(0.12**-2.0 * 2.0 * 0.01, rel=1e-3)
