@@ -133,10 +133,11 @@ def _whitened(setup: Setup, copies: int) -> Array:
             corrections=scenario.corrections,
             glide=scenario.solve_glide,
         )
-        sigma = setup.sigma[part]
-        design = np.moveaxis(design, 0, 1)
-        columns[part, :, :unknowns] = design / sigma[..., None]
+        sigma = setup.sigma[part, :, None]
+        columns[part, :, :unknowns] = np.moveaxis(design, 0, 1)
+        columns[part, :, -1] = setup.differences[part] - (design @ setup.truth).T
         if copies == 2:
-            columns[part, :, unknowns:-1] = design * sigma[..., None]
-        columns[part, :, -1] = (setup.differences[part] - design @ setup.truth) / sigma
+            np.multiply(columns[part, :, :unknowns], sigma, out=columns[part, :, unknowns:-1])
+        columns[part, :, :unknowns] /= sigma
+        columns[part, :, -1:] /= sigma
     return columns

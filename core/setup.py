@@ -18,7 +18,7 @@ Vector = tuple[float, float, float]
 Arithmetic = Literal["exact", "stored"]
 Method = Literal["catalogue", "projected"]
 
-PART = 4096
+PART = 2048
 """Objects that are prepared at a time, so that intermediate arrays stay in cache."""
 
 
