@@ -4,7 +4,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
@@ -167,6 +167,10 @@ class Bucket:
     def obstacle(self) -> str | None:
         """Nothing can be told without trying."""
         return None
+
+    def tidied(self) -> AbstractContextManager[None]:
+        """A bucket has no folders."""
+        return nullcontext()
 
     @contextmanager
     def _errors(self, *, missing_is_none: bool = False) -> Iterator[None]:

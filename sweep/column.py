@@ -110,14 +110,17 @@ class Column:
             if number >= self._described:
                 self._location.put(self.description, self.described(number + 1))
                 self._described = number + 1
-            part = rows[offset : offset + size]
-            content = self._codec.encode(np.concatenate([part, self._empty(size - len(part))]))
-            self._location.put(self.key(number), content)
-            self.chunks.add(number)
+            self.write(number, rows[offset : offset + size])
         whole = len(rows) // size * size
         self._start += whole
         self._tail, self._new = rows[whole:].copy(), []
-        self._recent.clear()
+
+    def write(self, number: int, rows: NDArray[Any]) -> None:
+        """Replace a chunk; fewer rows than it has are followed by fill values."""
+        padded = np.concatenate([rows, self._empty(self.layout.rows - len(rows))])
+        self._location.put(self.key(number), self._codec.encode(padded))
+        self.chunks.add(number)
+        self._recent.pop(number, None)
 
     def described(self, chunks: int) -> bytes:
         """Return the description of the array with so many chunks."""
@@ -129,6 +132,11 @@ class Column:
         grid = document["chunk_grid"]["configuration"]["chunk_shape"]
         if grid != [self.layout.rows, self.layout.width] or document["shape"][0] < len(self):
             raise ValueError("it describes another array")
+
+    @property
+    def none(self) -> NDArray[Any]:
+        """No rows."""
+        return self._empty(0)
 
     def _number(self, key: str) -> int | None:
         number = key.removeprefix(f"{self.layout.folder}/c/").removesuffix("/0")

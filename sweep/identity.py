@@ -53,6 +53,11 @@ def find_root(location: Location) -> dict[str, Any] | None:
             if readable_copy(location) is None:
                 _refuse_other_formats(content or b"", where)
                 message = "is not a store of linksweep (foreign or half-made); nothing was changed"
+                if location.get("blocks/index/zarr.json") is not None:
+                    message = (
+                        f"{ROOT} and its copy {COPY} are both damaged, so that nothing tells what the numbers mean; "
+                        "bring one back from a backup, or run the study into a new store with -o"
+                    )
                 raise SweepError(message, where) from error
             raise SweepError(f"{ROOT} is damaged ({error}); {REPAIR.format(where)}", where) from error
 

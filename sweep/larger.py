@@ -1,6 +1,5 @@
 """Whether a store holds a larger study already, and which of its points a smaller one asks for."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,11 +7,12 @@ import xarray as xr
 
 from sweep.contract import SweepError
 from sweep.grid import Grid
+from sweep.location import Where
 from sweep.store import open_dataset
 from sweep.tally import DONE
 
 
-def part_of_larger(store: Path, grid: Grid) -> xr.Dataset | None:
+def part_of_larger(store: Where, grid: Grid) -> xr.Dataset | None:
     """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, an axis
     more, more realisations or catalogues.  None where something is missing there, or there is nothing more.
     """

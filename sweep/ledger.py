@@ -70,8 +70,7 @@ class Ledger:
         self._next = int(written[-1]) + 1 if len(written) else 0
         index = index[: self._next]
         self._sums: Array | None = _as_long_as(read["sums"], self._next)
-        keys, starts = index[:, :KEY_BYTES], index[:, KEY_BYTES:].copy().view("<u8")[:, 0].astype(np.int64)
-        counts = _realisations(keys)
+        keys, starts, counts = rows_of(index)
         self._starts = starts.tolist()
         whole = index.any(axis=1) & ~np.isnan(self._sums).all(axis=1) & self._sampled(starts, counts)
         self.rows = {keys[row].tobytes(): int(row) for row in np.flatnonzero(whole)}
@@ -130,6 +129,12 @@ class Ledger:
         before = np.concatenate([[0], np.cumsum(there)])
         first, last = starts // column.layout.rows, -(-ends // column.layout.rows)
         return np.asarray(before[last] - before[first] == last - first)
+
+
+def rows_of(index: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the keys of rows of the index, where their samples begin and how many these are."""
+    keys, starts = index[:, :KEY_BYTES], index[:, KEY_BYTES:].copy().view("<u8")[:, 0].astype(np.int64)
+    return keys, starts, _realisations(keys)
 
 
 def _realisations(keys: NDArray[np.uint8]) -> NDArray[np.int64]:

@@ -7,7 +7,7 @@ it was (`swap`); ledger, dataset and lock need nothing else.
 import fcntl
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -59,6 +59,9 @@ class Location(Protocol):
 
     def obstacle(self) -> str | None:
         """Say what keeps a store from being made here, as far as that can be told without trying."""
+
+    def tidied(self) -> AbstractContextManager[None]:
+        """Leave no empty folders behind that were not there before."""
 
 
 Where = str | Path | Location
@@ -204,6 +207,17 @@ class Folder:
         if parent.is_dir() and os.access(parent, os.W_OK | os.X_OK):
             return None
         return f"cannot make a store there: {parent} is not a directory that can be written"
+
+    @contextmanager
+    def tidied(self) -> Iterator[None]:
+        """Remove folders that were not there before and are empty now."""
+        missing = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                for folder in missing:
+                    folder.rmdir()
 
     def _write(self, key: str, content: bytes, *, durable: bool) -> Path:
         path = self.path / key

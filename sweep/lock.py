@@ -63,14 +63,15 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     """
     location = located(where)
     mine = _me()
-    with writing(location):
-        _take(location, mine, break_lock)
-    try:
-        yield
-    finally:
-        with suppress(OSError):  # the next one finds that its process has ended
-            if _read(location) == mine:
-                location.parent.delete(_key(location))
+    with location.parent.tidied():
+        with writing(location):
+            _take(location, mine, break_lock)
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # the next one finds that its process has ended
+                if _read(location) == mine:
+                    location.parent.delete(_key(location))
 
 
 def holder(where: Where) -> Holder | None:

@@ -6,13 +6,14 @@ from pathlib import Path
 
 from sweep.compare import Comparison, compare, remarks
 from sweep.contract import SweepError
+from sweep.location import Where, located, reading
 from sweep.reader import built_in_studies, load_study
 from sweep.run import plan_study
 from sweep.store import open_dataset, read_attributes
 from sweep.study import Study
 
 
-def compare_stores(stores: Sequence[Path]) -> tuple[list[Comparison], list[str]]:
+def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]]:
     """Return the comparisons of all stores, and remarks about them.
 
     Raises SweepError for what is no store, or a store of a study that has neither published numbers nor claims.
@@ -58,9 +59,11 @@ def unfinished(studies: Sequence[Study], results: Path) -> list[Study]:
     return pending
 
 
-def _is_finished(study: Study, store: Path) -> bool:
-    if not store.exists():
-        return False
+def _is_finished(study: Study, store: Where) -> bool:
+    location = located(store)
+    with reading(location):
+        if location.is_free():
+            return False
     attributes = read_attributes(store)
     same = attributes.get("study_digest") == study.digest() and attributes.get("study") == study.text
     return same and bool(attributes.get("complete"))

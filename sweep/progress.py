@@ -5,7 +5,6 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from types import TracebackType
 
 from rich.console import Console
@@ -104,7 +103,7 @@ class TerminalProgress:
         """Tell the user a sentence."""
         SENTENCES.info(text)
 
-    def stopped(self, signal: str, store: Path) -> None:
+    def stopped(self, signal: str, store: object) -> None:
         """Say what an interrupted run leaves, and how to go on."""
         self._end_bar()
         how = "interrupted" if signal == "SIGINT" else f"stopped by {signal}"
@@ -112,7 +111,7 @@ class TerminalProgress:
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how}; {done}; the same command goes on from there")
 
-    def finish(self, failures: int, store: Path) -> None:
+    def finish(self, failures: int, store: object) -> None:
         """Say what the run took, and how to look closer at points that failed."""
         self._end_bar()
         if self._begun is not None:

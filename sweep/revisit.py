@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from sweep.axes import parse_value
 from sweep.contract import Experiment, SweepError, shown, suggest
 from sweep.grid import Grid, describe
+from sweep.location import Where
 from sweep.pending import Pending
 from sweep.plan import Plan
 from sweep.reader import study_of_attributes
@@ -37,12 +37,12 @@ class Reproduction:
     differences: dict[str, tuple[Any, Any]] | None
 
 
-def study_of(store: Path) -> Study:
+def study_of(store: Where) -> Study:
     """Return the study whose results a store holds; raises SweepError if there is none or it cannot be made again."""
     return study_of_attributes(read_attributes(store), str(store))
 
 
-def reproduce(store: Path, at: str) -> Reproduction:
+def reproduce(store: Where, at: str) -> Reproduction:
     """Compute the point at ``NAME=VALUE,...`` again, serially, in this process.
 
     Raises SweepError where that is not one point of the store, and whatever the experiment raises.

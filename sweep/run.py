@@ -14,6 +14,7 @@ from sweep.execute import NO_LIMITS, Executor, Limits, Place, Pool, Say, availab
 from sweep.grid import make_grid
 from sweep.interrupt import watched
 from sweep.larger import part_of_larger
+from sweep.location import Where
 from sweep.lock import locked
 from sweep.pending import Pending
 from sweep.plan import Plan, Work
@@ -69,7 +70,7 @@ class Silent:
         """Do nothing."""
 
 
-def plan_study(study: Study, store: Path) -> tuple[Plan, Survey]:
+def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
     input.
     """
@@ -79,7 +80,7 @@ def plan_study(study: Study, store: Path) -> tuple[Plan, Survey]:
 
 def run_study(
     study: Study,
-    store: Path,
+    store: Where,
     resources: Resources = Resources(),
     progress: Progress | None = None,
     retry: bool = False,
@@ -109,6 +110,7 @@ def run_study(
         tally = _tally(plan, opened, again)
         with choose_executor(study, tally.survey, resources, progress.say) as (place, run):
             opened = opened or create_or_resume(store, study, provenance(study))
+            opened.verify()
             if unused := len(opened.rows) - tally.survey.held.blocks:
                 progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
             pending = Pending(plan, tally)

@@ -84,7 +84,7 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> xr.
     Raises ValueError that names a file which is missing or not what was written.
     """
     if any(content is None for content in contents.values()):
-        raise ValueError(_in_words(damaged_chunks(root, contents)))
+        raise ValueError(_in_words(damaged_chunks(arrays_of(root), contents)))
     files: dict[str, Any] = {
         key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
     }
@@ -95,7 +95,7 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> xr.
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
     except Exception as error:  # each codec of Zarr has its own
-        raise ValueError(_in_words(damaged_chunks(root, contents)) or str(error)) from error
+        raise ValueError(_in_words(damaged_chunks(arrays_of(root), contents)) or str(error)) from error
     return dataset
 
 
@@ -103,10 +103,10 @@ def _in_words(damaged: Mapping[str, str]) -> str:
     return "; ".join(f"{key}: {problem}" for key, problem in damaged.items())
 
 
-def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
+def damaged_chunks(documents: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
     """Return what is wrong with which of the files that `chunk_keys` names."""
     damaged: dict[str, str] = {}
-    for name, document in arrays_of(root).items():
+    for name, document in documents.items():
         files: dict[str, Any] = {"zarr.json": cpu.Buffer.from_bytes(json.dumps(document).encode())}
         array = zarr.open_array(MemoryStore(files), mode="r")
         for place in chunk_places(document):

@@ -3,12 +3,12 @@
 import json
 import math
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sweep.execute import available_cores
+from sweep.location import Where
 from sweep.lock import holder
 from sweep.plan import TARGET
 from sweep.run import plan_study
@@ -17,7 +17,7 @@ from sweep.study import Study
 from sweep.tally import STATUS_WORDS
 
 
-def status_report(store: Path) -> dict[str, Any]:
+def status_report(store: Where) -> dict[str, Any]:
     """Return the progress and provenance of a store; raises SweepError if there is none."""
     dataset = open_dataset(store)
     codes = dataset["status"].values
@@ -47,7 +47,7 @@ def status_report(store: Path) -> dict[str, Any]:
     }
 
 
-def plan_report(study: Study, store: Path) -> dict[str, Any]:
+def plan_report(study: Study, store: Where) -> dict[str, Any]:
     """Return what a run would do; the time is for the cores of this machine, from a short timing of its random
     numbers.
     """

@@ -43,7 +43,7 @@ class Store:
             keys = self.location.keys()
             columns = columns_of(self.location, shapes, keys)
             documents = self.location.get_all([COPY, FAILURES, *(c.description for c in columns.values())])
-            damaged |= damaged_documents(columns, documents)
+            damaged |= damaged_documents(columns.values(), documents)
             try:
                 self.failures = read_failures(documents[FAILURES])
                 self._ledger = Ledger(columns)
@@ -174,7 +174,6 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
             root = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
             location.put(ROOT, sealed(root))
     store = Store(location, study)
-    store.verify()
     with writing(location):
         store.keep_copy(store.attributes)
     return store
@@ -249,7 +248,7 @@ def open_dataset(where: Where) -> xr.Dataset:
     return dataset
 
 
-def damaged_documents(columns: Mapping[str, Column], documents: Mapping[str, bytes | None]) -> dict[str, str]:
+def damaged_documents(columns: Iterable[Column], documents: Mapping[str, bytes | None]) -> dict[str, str]:
     """Return what is wrong with which of the ledger's JSON documents; one that is missing was not written yet, unless
     there are chunks that it should describe.
     """
@@ -259,7 +258,7 @@ def damaged_documents(columns: Mapping[str, Column], documents: Mapping[str, byt
             unsealed(documents[COPY])
         except ValueError as error:
             damaged[COPY] = str(error)
-    for column in columns.values():
+    for column in columns:
         try:
             if documents[column.description] is not None or column.chunks:
                 column.check_description(documents[column.description])

@@ -3,7 +3,6 @@
 import json
 import sys
 import traceback
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -15,6 +14,7 @@ from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
+    from sweep.location import Location
     from sweep.run import Resources
 
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @break_lock_option
 @watching_options
 @json_option
-def retry(store: Path, resources: "Resources", break_lock: bool, watching: Watching, as_json: bool) -> None:
+def retry(store: "Location", resources: "Resources", break_lock: bool, watching: Watching, as_json: bool) -> None:
     """Compute the failed points in STORE again, and only those.
 
     \b
@@ -45,7 +45,7 @@ def retry(store: Path, resources: "Resources", break_lock: bool, watching: Watch
 @click.option("--at", required=True, metavar="AXIS=VALUE,...", help="The point, e.g. model=gaia,v_max=16.")
 @click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
 @json_option
-def reproduce(store: Path, at: str, debug: bool, as_json: bool) -> None:
+def reproduce(store: "Location", at: str, debug: bool, as_json: bool) -> None:
     """Compute one point of STORE again, in this process, and compare every bit with what is stored.
 
     The exit code is 1 if it raises, or if anything differs.

@@ -1,6 +1,5 @@
 """Commands that derive numbers from a store: fit and find."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -32,7 +31,7 @@ from sweep.cli.output import print_whole
 @place_option
 @json_option
 def fit(
-    store: Path,
+    store: "Location",
     over: str | None,
     variable: str | None,
     law: str,
@@ -79,7 +78,7 @@ def fit(
 @click.option("--along", help="The axis to look along.  [default: the only one with several numbers]")
 @place_option
 @json_option
-def find(store: Path, where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:
+def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:
     """Find where in STORE a condition is met along an axis, for every combination of the other axes.
 
     Between the points of the grid the crossing is interpolated, with the error that follows from theirs.

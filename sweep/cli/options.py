@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from sweep.location import Location
     from sweep.run import Resources
     from sweep.study import Study
 
@@ -20,7 +21,6 @@ RESOURCES = (
 MEMORY_AT_LEAST = 200 * 10**6
 
 study_argument = click.argument("study")
-store_argument = click.argument("store", type=click.Path(path_type=Path))
 place_option = click.option(
     "--at", multiple=True, metavar="AXIS=VALUE", help="Only this part of the grid, e.g. model=gaia,v_max=16."
 )
@@ -33,10 +33,19 @@ break_lock_option = click.option(
 )
 
 
-def _store_path(_context: click.Context, _parameter: click.Parameter, value: str | None) -> Path | None:
-    if value == "":
-        raise click.BadParameter("is empty; give the path of a store")
-    return None if value is None else Path(value)
+def _located(_context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+    """Turn what names a store, or several, into places."""
+    from sweep.location import located
+
+    if value == "" or (isinstance(value, tuple) and "" in value):
+        raise click.BadParameter("is empty; give the path of a store, or s3://BUCKET/NAME")
+    if isinstance(value, tuple):
+        return tuple(map(located, value))
+    return None if value is None else located(value)
+
+
+store_argument = click.argument("store", callback=_located)
+stores_argument = click.argument("stores", nargs=-1, metavar="STORE...", callback=_located)
 
 
 def study_options(command: Command) -> Command:
@@ -56,7 +65,13 @@ def study_options(command: Command) -> Command:
             metavar="NAME=SPEC",
             help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
         ),
-        click.option("-o", "--output", "store", callback=_store_path, help="The store.  [default: results/NAME.zarr]"),
+        click.option(
+            "-o",
+            "--output",
+            "store",
+            callback=_located,
+            help="The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]",
+        ),
     )
     for option in reversed(options):
         command = option(command)
@@ -149,15 +164,18 @@ def _resources(
     return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit))
 
 
-def load(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Path | None) -> "tuple[Study, Path]":
+def load(
+    study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: "Location | None"
+) -> "tuple[Study, Location]":
     """Return the study with its overrides, and where its store is."""
+    from sweep.location import located
     from sweep.reader import load_study
 
     loaded = load_study(study, settings, axes)
-    return loaded, store or Path("results") / f"{loaded.name}.zarr"
+    return loaded, store or located(Path("results") / f"{loaded.name}.zarr")
 
 
-def part_of(store: Path, at: tuple[str, ...]) -> Any:
+def part_of(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the dataset of a store, of it the part that ``--at`` names."""
     from sweep.conditions import parse_places
     from sweep.quantity import select
@@ -170,7 +188,7 @@ def part_of(store: Path, at: tuple[str, ...]) -> Any:
 
 
 @contextmanager
-def naming(store: Path) -> Iterator[None]:
+def naming(store: "Location") -> Iterator[None]:
     """Name the store in errors that do not say what they are about."""
     from sweep.contract import SweepError
 

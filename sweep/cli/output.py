@@ -2,12 +2,12 @@
 
 import json
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 if TYPE_CHECKING:
+    from sweep.location import Location
     from sweep.study import Study
 
 
@@ -23,7 +23,7 @@ def print_whole(renderable: Any) -> None:
     Console(width=width, highlight=False).print(renderable, soft_wrap=False)
 
 
-def print_plan(study: "Study", store: Path, as_json: bool) -> None:
+def print_plan(study: "Study", store: "Location", as_json: bool) -> None:
     """Print what a run would do."""
     from sweep.status import plan_report
 

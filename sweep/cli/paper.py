@@ -9,17 +9,18 @@ from typing import TYPE_CHECKING
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import json_option, resource_options
+from sweep.cli.options import json_option, resource_options, stores_argument
 from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
+    from sweep.location import Location
     from sweep.run import Resources
 
 
 @main.command()
-@click.argument("stores", nargs=-1, metavar="STORE...", type=click.Path(path_type=Path))
+@stores_argument
 @click.option("--all", "everything", is_flag=True, help="The whole paper: every built-in study, run where it is not.")
 @click.option(
     "--results",
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("--format", "table_format", type=click.Choice(["text", "csv", "json"]), default="text", show_default=True)
 @json_option
 def compare(
-    stores: tuple[Path, ...],
+    stores: "tuple[Location, ...]",
     everything: bool,
     results: Path | None,
     resources: "Resources",
@@ -63,17 +64,18 @@ def compare(
         sys.exit(EXIT_FAILED_POINTS)
 
 
-def _run_what_is_missing(results: Path, resources: "Resources", watching: Watching) -> tuple[Path, ...]:
+def _run_what_is_missing(results: Path, resources: "Resources", watching: Watching) -> "tuple[Location, ...]":
     """Return the stores of all built-in studies with something published, after running those that need it."""
+    from sweep.location import located
     from sweep.paper import published_studies, store_of, unfinished
 
     studies = published_studies()
     for study in unfinished(studies, results):
-        store = store_of(study, results)
+        store = located(store_of(study, results))
         if watching.level < logging.ERROR:
             click.echo(f"{study.name}:", err=True)
         run_with_progress(study, store, resources, watching)
-    return tuple(store_of(study, results) for study in studies)
+    return tuple(located(store_of(study, results)) for study in studies)
 
 
 @main.command()

@@ -1,13 +1,19 @@
-"""Commands that read a store: show, status and plot."""
+"""Commands about a store as it is: show, status, plot, check and repair."""
 
 import json
+import sys
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from sweep.cli.group import main
-from sweep.cli.options import json_option, store_argument
+from sweep.cli.group import EXIT_FAILED_POINTS, main
+from sweep.cli.options import break_lock_option, json_option, store_argument
 from sweep.cli.output import print_table
+
+if TYPE_CHECKING:
+    from sweep.location import Location
 
 
 @main.command()
@@ -16,7 +22,7 @@ from sweep.cli.output import print_table
     "--format", "table_format", type=click.Choice(["text", "csv", "ecsv", "json"]), default="text", show_default=True
 )
 @json_option
-def show(store: Path, table_format: str, as_json: bool) -> None:
+def show(store: "Location", table_format: str, as_json: bool) -> None:
     """Print the results in STORE as a table.
 
     \b
@@ -31,7 +37,7 @@ def show(store: Path, table_format: str, as_json: bool) -> None:
 @main.command()
 @store_argument
 @json_option
-def status(store: Path, as_json: bool) -> None:
+def status(store: "Location", as_json: bool) -> None:
     """Say how far the run in STORE is, what failed, and where the results come from.
 
     \b
@@ -59,7 +65,7 @@ def status(store: Path, as_json: bool) -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]"
 )
-def plot(store: Path, variable: str, over: str | None, out: Path | None) -> None:
+def plot(store: "Location", variable: str, over: str | None, out: Path | None) -> None:
     """Draw a result in STORE against an axis: points with errors, the prediction as a line, published values open.
 
     \b
@@ -76,3 +82,42 @@ def plot(store: Path, variable: str, over: str | None, out: Path | None) -> None
     path = out or Path(store.name).with_suffix(".png")
     save_lines(dataset, variable, over or (candidates[0] if candidates else ""), path)
     click.echo(f"wrote {path}", err=True)
+
+
+@main.command()
+@store_argument
+@json_option
+def check(store: "Location", as_json: bool) -> None:
+    """Read every file in STORE and compare it with its checksum; the exit code is 1 if any is damaged.
+
+    \b
+    sweep check results/quasars.zarr
+    """
+    from sweep.repair import check as check_files
+
+    report = check_files(store)
+    if as_json:
+        click.echo(json.dumps(asdict(report), indent=1))
+    elif not report:
+        click.echo("every file is as it was written")
+    for part in () if as_json else (report.identity, report.ledger, report.results):
+        for file, problem in part.items():
+            click.echo(f"{file}: {problem}")
+    if report:
+        click.echo(f"`sweep repair {store}` sets right what can be", err=True)
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+@main.command()
+@store_argument
+@break_lock_option
+def repair(store: "Location", break_lock: bool) -> None:
+    """Set damaged files of STORE aside, in STORE.damaged, so that the next run computes again what was in them.
+
+    \b
+    sweep repair results/quasars.zarr
+    """
+    from sweep.repair import repair as repair_files
+
+    for sentence in repair_files(store, break_lock=break_lock) or ["every file is as it was written"]:
+        click.echo(sentence)

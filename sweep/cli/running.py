@@ -2,7 +2,6 @@
 
 import logging
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,6 +20,7 @@ from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
 from sweep.cli.watching import Watching, told, watching_options
 
 if TYPE_CHECKING:
+    from sweep.location import Location
     from sweep.run import Resources
     from sweep.study import Study
 
@@ -37,7 +37,7 @@ def run(
     study: str,
     settings: tuple[str, ...],
     axes: tuple[str, ...],
-    store: Path | None,
+    store: "Location | None",
     resources: "Resources",
     break_lock: bool,
     watching: Watching,
@@ -67,7 +67,7 @@ def run(
 @study_argument
 @study_options
 @json_option
-def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Path | None, as_json: bool) -> None:
+def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: "Location | None", as_json: bool) -> None:
     """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
 
     \b
@@ -79,7 +79,7 @@ def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: Pa
 
 def run_with_progress(
     study: "Study",
-    store: Path,
+    store: "Location",
     resources: "Resources",
     watching: Watching,
     *,
