@@ -1,12 +1,15 @@
 """Commands that derive numbers from a store: fit and find."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
 from sweep.cli.output import print_whole
+
+if TYPE_CHECKING:
+    from sweep.location import Location
 
 
 @main.command()
