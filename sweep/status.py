@@ -6,29 +6,43 @@ import time
 from typing import Any
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
+from sweep.completion import by_axis
+from sweep.contract import SweepError
 from sweep.execute import available_cores
+from sweep.grid import make_grid
 from sweep.location import Where
 from sweep.lock import holder
-from sweep.plan import TARGET
+from sweep.plan import TARGET, Plan
+from sweep.revisit import study_of
 from sweep.run import plan_study
-from sweep.store import finished_blocks, open_dataset
+from sweep.store import existing_store, finished_blocks, open_dataset
 from sweep.study import Study
-from sweep.tally import STATUS_WORDS
+from sweep.tally import DONE, EXCLUDED, STATUS_WORDS, Tally
 
 
 def status_report(store: Where) -> dict[str, Any]:
-    """Return the progress and provenance of a store; raises SweepError if there is none."""
+    """Return the progress and provenance of a store, as its ledger has it, which is newer than its dataset.
+
+    Raises SweepError if there is no store.
+    """
     dataset = open_dataset(store)
-    codes = dataset["status"].values
     attributes = dataset.attrs
+    axes, status, realisations = _progress(store, dataset)
+    wanted = int(attributes["n_sim"]) * int(attributes["n_cat"])
+    completion = by_axis(axes, status, realisations, wanted)
     return {
         "title": attributes["title"],
-        "complete": bool(attributes["complete"]),
+        "complete": bool(np.all((status == DONE) | (status == EXCLUDED))),
         "running": str(holder(store) or "no"),
-        "points": {word: int(np.sum(codes == code)) for code, word in enumerate(STATUS_WORDS)},
+        "last written": attributes["finished"],
+        "points": {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)},
         "blocks in the ledger": finished_blocks(store),
-        "realisations done": int(dataset["n_sim_done"].sum()),
+        "realisations done": int(realisations.sum()),
+        "axes": completion,
+        "units": {axis: dataset[axis].attrs.get("units", "") for values in axes.values() for axis in values[0]},
         "failures": json.loads(attributes["failures"]),
         "provenance": {
             key: attributes[key]
@@ -45,6 +59,30 @@ def status_report(store: Where) -> dict[str, Any]:
             if attributes.get(key) not in (None, "")
         },
     }
+
+
+def _progress(
+    store: Where, dataset: xr.Dataset
+) -> tuple[dict[str, list[dict[str, Any]]], NDArray[np.int8], NDArray[np.int64]]:
+    """Return the values along each dimension, and the status and the realisations of each point."""
+    try:
+        study = study_of(store)
+        opened = existing_store(store, study)
+    except SweepError:  # the experiment is not here or another version: the dataset has what it had when last written
+        opened = None
+    if opened is None:
+        dimensions = [str(dimension) for dimension in dataset["status"].dims]
+        axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
+        return axes, dataset["status"].values, dataset["n_sim_done"].values
+    grid = make_grid(study)
+    tally = Tally(Plan(grid), opened.rows, opened.sums(), opened.failures)
+    axes = {
+        dimension: [
+            dict(zip(names, values, strict=True)) for values in zip(*(study.axes[n] for n in names), strict=True)
+        ]
+        for dimension, names in grid.dimensions.items()
+    }
+    return axes, tally.status.reshape(grid.shape), tally.realisations.reshape(grid.shape)
 
 
 def plan_report(study: Study, store: Where) -> dict[str, Any]:

@@ -20,7 +20,8 @@ SWEEP = [
     *("execute", "on_client", "clusterfile", "clusters"),
     *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
     *("results", "store", "covariance", "larger", "writer", "run", "repair", "revisit"),
-    *("status", "tables", "eta", "account", "progress", "plots", "fits", "levelling", "quantity", "conditions"),
+    *("completion", "status", "tables", "eta", "account", "progress"),
+    *("plots", "fits", "levelling", "quantity", "conditions"),
     *("compare", "compare_tables", "paper", "analysis", "crossings", "analysis_tables"),
     *("calibrate", "__main__"),
 ]

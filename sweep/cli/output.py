@@ -65,3 +65,34 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
     print_whole(compare_tables.as_text(comparisons))
     for sentence in ("", *compare_tables.notes(comparisons), *remarks, compare_tables.summary_line(comparisons)):
         click.echo(sentence)
+
+
+def print_status(report: dict[str, Any]) -> None:
+    """Print how far a run is."""
+    from sweep.completion import as_lines
+
+    for key, value in report.items():
+        if key == "axes":
+            lines = as_lines(value, report["units"])
+            click.echo("\n".join(["", *lines, ""]) if lines else "", nl=bool(lines))
+        elif key == "units":
+            continue
+        elif isinstance(value, dict):
+            click.echo(f"{key}:")
+            for name, text in value.items():
+                click.echo(f"  {name}: {text}")
+        else:
+            click.echo(f"{key}: {value}")
+
+
+def status_as_json(report: dict[str, Any]) -> str:
+    """Return the whole of it: every value of every axis."""
+    axes = {
+        dimension: [
+            {"at": s.first, "points": s.points, "done": s.done, "failed": s.failed, "excluded": s.excluded}
+            | {"realisations_done": s.realisations_done, "realisations": s.realisations}
+            for s in stretches
+        ]
+        for dimension, stretches in report["axes"].items()
+    }
+    return json.dumps(report | {"axes": axes}, indent=1)

@@ -10,7 +10,7 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.options import break_lock_option, json_option, store_argument
-from sweep.cli.output import print_table
+from sweep.cli.output import print_status, print_table, status_as_json
 
 if TYPE_CHECKING:
     from sweep.location import Location
@@ -47,15 +47,9 @@ def status(store: "Location", as_json: bool) -> None:
 
     report = status_report(store)
     if as_json:
-        click.echo(json.dumps(report, indent=1))
-        return
-    for key, value in report.items():
-        if isinstance(value, dict):
-            click.echo(f"{key}:")
-            for name, text in value.items():
-                click.echo(f"  {name}: {text}")
-        else:
-            click.echo(f"{key}: {value}")
+        click.echo(status_as_json(report))
+    else:
+        print_status(report)
 
 
 @main.command()
