@@ -96,9 +96,9 @@ def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:
     """Return bounds of E|D^T W e - A^T W D x|^2, added up over objects, for orientation, spin and glide; (K/3,)."""
     setup, catalogue = design.setup, design.setup.catalogue
     square_sec = np.cos(catalogue.dec[part]) ** -2.0
-    reference, sigma = np.square(setup.reference.sigma[part]).T, np.square(setup.sigma[part]).T
-    weight = sigma**-2.0 if design.optimal else np.ones_like(sigma)
-    error = 3.0 * sigma * (1.0 + np.square(design.columns[part, :, -1].T))
+    reference, variance = np.square(setup.reference.sigma[part]).T, np.square(setup.sigma[part]).T
+    weight = variance**-2.0 if design.optimal else np.ones_like(variance)  # squared
+    error = 3.0 * variance * (1.0 + np.square(design.columns[part, :, -1].T))
     # E|D|^2: p and q turn with ra and dec by at most 1/cos dec, pmdec eta and pmra eta with the motions too
     turn = square_sec * (reference[0] + reference[1])
     eta = square_sec * np.square([catalogue.pmdec[part], catalogue.pmra[part]])
