@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from sweep.clusterfile import cluster_class, read_cluster_file
 from sweep.contract import SweepError
-from sweep.execute import NO_LIMITS, Executor, Limits, Place, Say
+from sweep.execute import GUARD, NO_LIMITS, Executor, Limits, Place, Say
 from sweep.on_client import OnClient
 from sweep.study import Study
 
@@ -65,7 +65,11 @@ def dask_local(
     noun = {"processes": ("worker process", "worker processes"), "threads": ("thread", "threads")}[pool][workers > 1]
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
-        cluster = stack.enter_context(_cluster(LocalCluster, options))
+        try:
+            cluster = stack.enter_context(_cluster(LocalCluster, options))
+        except RuntimeError as error:
+            message = f"worker processes cannot be started: {error} Note that {GUARD}"
+            raise SweepError(message) from None  # Dask's own traceback is of sixty lines, none of them the script's
         client = stack.enter_context(cluster.get_client())
         words = f"{workers} local {noun}"
         guarded = pool == "threads" and bool(limits)

@@ -23,7 +23,7 @@ SWEEP = [
     *("completion", "status", "tables", "eta", "account", "progress"),
     *("plots", "fits", "levelling", "quantity", "conditions"),
     *("compare", "compare_tables", "paper", "analysis", "crossings", "analysis_tables"),
-    *("calibrate", "__main__"),
+    *("calibrate", "api", "__main__"),
 ]
 CLI = [
     *("group", "options", "output", "stopping", "watching", "running", "again"),
