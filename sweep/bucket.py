@@ -200,7 +200,7 @@ def _explained(error: Exception) -> str:
     endpoint = _endpoint() or "AWS"
     if isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError):
         return f"{endpoint} refuses these credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY)"
-    if "169.254.169.254" in text:
+    if "169.254.169.254" in text or "/latest/api/token" in text:  # where a machine of AWS would find them
         return "there are no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
     if "BadScheme" in text:
         return f"{endpoint} is not encrypted; AWS_ALLOW_HTTP=true allows that"

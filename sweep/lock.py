@@ -59,7 +59,7 @@ class Holder:
 def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     """Hold the lock of a store; raises SweepError that names the holder where another process has it.
 
-    ``break_lock`` takes it from a holder that cannot be judged, never from one that runs on this host.
+    ``break_lock`` takes it from a holder that cannot be judged, never from another process that runs on this host.
     """
     location = located(where)
     mine = _me()
@@ -105,7 +105,7 @@ def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bo
             raise SweepError(f"its lock {_key(location)} beside it is damaged; if nobody writes, --break-lock", where)
         return
     state = other.state()
-    if state == "runs":
+    if state == "runs" and not (break_lock and other.pid == os.getpid()):
         more = "; --break-lock is only for a lock whose process has ended" if break_lock else ""
         raise SweepError(f"is being written by {other}{more}", where)
     if state == "cannot be judged" and not break_lock:
