@@ -1,6 +1,7 @@
 """Reads the file that describes a Dask cluster: its class, the class's options, and how large it is to be."""
 
 import importlib
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,6 +11,8 @@ from typing import Any
 from sweep.contract import SweepError, shown, suggest
 
 KEYS = ("class", "options", "scale", "adapt")
+BOUNDS = ("minimum", "maximum", "minimum_jobs", "maximum_jobs")
+ADAPT_KEYS = (*BOUNDS, "interval", "wait_count", "target_duration")
 
 
 @dataclass(frozen=True)
@@ -45,20 +48,29 @@ def read_cluster_file(path: Path) -> ClusterFile:
         not isinstance(scale, dict) or not scale or not all(_is_count(v, 1) for v in scale.values())
     ):
         problems.append(f"scale = {shown(document['scale'])}: must be a number of workers, or {{ jobs = NUMBER }}")
-    if adapt is not None and (not isinstance(adapt, dict) or not adapt):
-        problems.append(f"adapt = {shown(adapt)}: must be a table, {{ minimum = WORKERS, maximum = WORKERS }}")
-    elif adapt is not None:
-        bounds = {key: value for key, value in adapt.items() if str(key).startswith(("minimum", "maximum"))}
-        problems += [
-            f"adapt.{key} = {shown(value)}: must be a number of workers of at least {least}"
-            for key, value in bounds.items()
-            if not _is_count(value, least := int(key.startswith("maximum")))
-        ]
-        if not any(key.startswith("maximum") for key in bounds):
-            problems.append("adapt: must say a maximum; without one the cluster would grow with the work")
+    if adapt is not None:
+        problems += _problems_of_adapt(adapt)
     if problems:
         raise SweepError(problems, str(path))
     return ClusterFile(path, str(name), options, scale, adapt)
+
+
+def _problems_of_adapt(adapt: object) -> list[str]:
+    if not isinstance(adapt, dict) or not adapt:
+        return [f"adapt = {shown(adapt)}: must be a table, {{ minimum = WORKERS, maximum = WORKERS }}"]
+    problems = [f"unknown key adapt.{key}{suggest(str(key), ADAPT_KEYS)}" for key in adapt if key not in ADAPT_KEYS]
+    bounds = {key: value for key, value in adapt.items() if key in BOUNDS}
+    for key, value in bounds.items():
+        least = int(key.startswith("maximum"))
+        if not _is_count(value, least):
+            problems.append(f"adapt.{key} = {shown(value)}: must be a number of workers of at least {least}")
+    if not any(key.startswith("maximum") for key in bounds):
+        problems.append("adapt: must say a maximum; without one the cluster would grow with the work")
+    if not problems:
+        for low, high in (BOUNDS[:2], BOUNDS[2:]):
+            if bounds.get(low, 0) > bounds.get(high, math.inf):
+                problems.append(f"adapt.{low} = {bounds[low]}: must be at most adapt.{high} = {bounds[high]}")
+    return problems
 
 
 def cluster_class(file: ClusterFile) -> Any:

@@ -17,7 +17,7 @@ CORE = [
 SWEEP = [
     *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
     *("grid", "plan", "tally", "pending", "limit", "worker", "agreement", "guard", "pin"),
-    *("execute", "on_client", "clusterfile", "clusters"),
+    *("execute", "on_client", "clusterfile", "own_cluster", "clusters"),
     *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
     *("results", "store", "covariance", "larger", "writer", "run", "repair", "revisit"),
     *("completion", "status", "tables", "eta", "account", "progress"),
@@ -34,7 +34,7 @@ SEARCH = [
 ]
 ONLY_IN = {
     "click": {f"sweep.cli.{module}" for module in CLI},
-    "distributed": {"sweep.clusters", "sweep.on_client", "sweep.pin"},
+    "distributed": {"sweep.clusters", "sweep.on_client", "sweep.own_cluster", "sweep.pin"},
     "zarr": {"sweep.column", "sweep.snapshot"},
     "matplotlib": {"sweep.plots", "sweep.search.skymap"},
     "pydantic": {"sweep.study", "sweep.reader"},

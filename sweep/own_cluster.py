@@ -1,0 +1,138 @@
+"""Starts and ends a Dask cluster that belongs to one run: quietly, on loopback, with nothing left behind."""
+
+import asyncio
+import inspect
+import logging
+import signal
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from multiprocessing import resource_tracker
+from typing import Any
+
+import dask
+from distributed import LocalCluster, SpecCluster
+from tornado.ioloop import PeriodicCallback
+
+PATIENCE_S = 0.5
+"""What workers get to finish in when a run is stopped."""
+
+REPLACE_EVERY_S = 5
+
+LOOPBACK = "127.0.0.1"
+
+KEEP_BYTES = 2**28
+"""Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them
+back to the system each time costs a fifth of the run."""
+
+OWN_CLUSTER = {
+    "distributed.scheduler.allowed-failures": 0,  # what a dead worker had is done again, guarded
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEEP_BYTES,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": KEEP_BYTES,
+    "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
+}
+
+
+@contextmanager
+def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
+    """Start a cluster that belongs to this run, to be ended with it."""
+    with ExitStack() as stack:
+        stack.enter_context(without_logs())
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
+        stack.enter_context(dask.config.set({**OWN_CLUSTER, "temporary-directory": scratch}))
+        here = f"{LOOPBACK}:0"
+        defaults: dict[str, Any] = {}
+        if issubclass(kind, LocalCluster):
+            # In threads the worker's pages would be served to the world (its host is none).
+            pages = {} if options.get("processes", True) else {"worker_dashboard_address": here}
+            defaults = {"dashboard_address": here, "silence_logs": False, **pages}
+        elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
+            defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
+            options = {key: value for key, value in options.items() if key != "scheduler_options"}
+        cluster = stack.enter_context(_deaf_to_interrupts(partial(kind, **{**defaults, **options})))
+        stack.enter_context(_prompt_end(cluster))
+        stack.enter_context(_lost_workers_replaced(cluster))
+        yield cluster
+
+
+def _deaf_to_interrupts(make: Callable[[], Any]) -> Any:
+    """Start a cluster whose processes do not get SIGINT and SIGHUP: a terminal sends them to all of them, but they
+    are the client's to answer (distributed#1925).
+
+    They inherit the signal mask of the thread that starts them, which is not this one, so that this one can be
+    interrupted meanwhile.
+    """
+    made: Future[Any] = Future()
+
+    def start() -> None:
+        if hasattr(signal, "pthread_sigmask"):
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
+            resource_tracker.ensure_running()  # before the other: where it starts, it unblocks SIGINT in this thread
+            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            made.set_result(make())
+        except BaseException as error:
+            made.set_exception(error)
+
+    threading.Thread(target=start, name="start-cluster", daemon=True).start()
+    return made.result()
+
+
+@contextmanager
+def _lost_workers_replaced(cluster: Any) -> Iterator[None]:
+    """Let a cluster start again the workers that it is to have and has lost, which batch jobs that ended are
+    (dask-jobqueue#691: a cluster forgets them, and starts others only when its size is changed).
+    """
+    if not isinstance(cluster, SpecCluster) or cluster.loop is None:
+        yield
+        return
+    replacing = PeriodicCallback(cluster._correct_state, REPLACE_EVERY_S * 1000)
+    loop = cluster.loop
+    loop.add_callback(replacing.start)
+    try:
+        yield
+    finally:
+        loop.add_callback(replacing.stop)
+
+
+@contextmanager
+def _prompt_end(cluster: Any) -> Iterator[None]:
+    """Where an exception ends the run, do not wait for blocks under way: nobody will take their results."""
+
+    async def close_workers() -> None:
+        await asyncio.gather(*(worker.close(timeout=PATIENCE_S) for worker in cluster.workers.values()))
+
+    try:
+        yield
+    except BaseException:
+        if isinstance(cluster, LocalCluster):
+            with suppress(TimeoutError):
+                cluster.sync(close_workers)
+        raise
+
+
+@contextmanager
+def without_logs() -> Iterator[None]:
+    """Keep Dask's log off standard error in this block, where it says at length what we say in a sentence; other
+    handlers of its loggers are left alone.
+    """
+    removed = [
+        (logger, handler)
+        for name, logger in list(logging.root.manager.loggerDict.items())
+        if name.partition(".")[0] in ("distributed", "tornado", "bokeh") and isinstance(logger, logging.Logger)
+        for handler in logger.handlers
+        if type(handler) is logging.StreamHandler
+    ]
+    nothing = logging.NullHandler()  # without any, Python would print to standard error after all
+    for logger, handler in removed:
+        logger.removeHandler(handler)
+        logger.addHandler(nothing)
+    try:
+        yield
+    finally:
+        for logger, handler in removed:
+            logger.removeHandler(nothing)
+            logger.addHandler(handler)

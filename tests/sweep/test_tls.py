@@ -1,0 +1,75 @@
+"""A scheduler and workers that speak TLS, with certificates made here."""
+
+from contextlib import closing
+
+import pytest
+import trustme
+import xarray as xr
+
+from tests.sweep.outside import Outside
+
+
+class Files:
+    """An authority's certificate, and a certificate of its with the key."""
+
+    def __init__(self, folder):
+        folder.mkdir()
+        authority = trustme.CA()
+        issued = authority.issue_cert("localhost", "127.0.0.1")
+        self.ca, self.cert, self.key = (str(folder / f"{part}.pem") for part in ("ca", "cert", "key"))
+        authority.cert_pem.write_to_path(self.ca)
+        issued.private_key_and_cert_chain_pem.write_to_path(self.cert)
+        issued.private_key_pem.write_to_path(self.key)
+
+    def options(self, ca="--tls-ca"):
+        return (ca, self.ca, "--tls-cert", self.cert, "--tls-key", self.key)
+
+
+@pytest.fixture
+def files(tmp_path):
+    return Files(tmp_path / "tls")
+
+
+@pytest.fixture
+def outside(tmp_path, files):
+    (tmp_path / "dask").mkdir()
+    with closing(Outside(tmp_path / "dask", *files.options("--tls-ca-file"), protocol="tls")) as outside:
+        assert outside.address.startswith("tls://127.0.0.1:")
+        outside.start_worker()
+        yield outside
+
+
+def test_a_study_runs_over_tls(link_study, tmp_path, sweep, files, outside):
+    run = ("run", link_study, "--set", "n_sim=50", "-o")
+    code, _, err = sweep(*run, tmp_path / "tls.zarr", "--scheduler", outside.address, *files.options())
+    assert code == 0, err
+    assert f"the Dask scheduler at {outside.address}" in err
+    code, _, err = sweep(*run, tmp_path / "serial.zarr", "--pool", "serial")
+    assert code == 0, err
+    here, there = (xr.open_zarr(tmp_path / f"{name}.zarr").load().drop_attrs() for name in ("serial", "tls"))
+    xr.testing.assert_identical(here, there)
+
+
+def test_dasks_own_configuration_is_enough(link_study, tmp_path, sweep, files, outside, monkeypatch):
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CA_FILE", files.ca)
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT", files.cert)
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY", files.key)
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "true")
+    code, _, err = sweep(
+        "run", link_study, "--set", "n_sim=50", "-o", tmp_path / "s.zarr", "--scheduler", outside.address
+    )
+    assert code == 0, err
+
+
+@pytest.mark.parametrize("wrong", ["strangers", "none", "rubbish"])
+def test_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, sweep, outside, wrong):
+    strangers = Files(tmp_path / "strangers")
+    if wrong == "rubbish":
+        (tmp_path / "strangers" / "key.pem").write_text("no key\n")
+    options = () if wrong == "none" else strangers.options()
+    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address, *options)
+    assert code == 2, err
+    assert len(err.splitlines()) == 1, err
+    says = {"rubbish": "cannot use the TLS files", "none": "no certificates for", "strangers": "no Dask scheduler"}
+    assert err.startswith(f"error: {says[wrong]}"), err
+    assert not (tmp_path / "s.zarr").exists()
