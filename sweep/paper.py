@@ -7,8 +7,9 @@ from pathlib import Path
 from sweep.compare import Comparison, compare, remarks
 from sweep.contract import SweepError
 from sweep.location import Where, located, reading
-from sweep.reader import built_in_studies, load_study
+from sweep.reader import load_study
 from sweep.run import plan_study
+from sweep.source import built_in_studies
 from sweep.store import open_dataset, read_attributes
 from sweep.study import Study
 

@@ -15,7 +15,8 @@ CORE = [
     *("parameters", "scenario", "checks", "experiment", "calibration"),
 ]
 SWEEP = [
-    *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "axes", "claims", "reader"),
+    *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "source", "form", "problems", "axes", "claims"),
+    *("published", "exclusions", "rules", "reader"),
     *("grid", "plan", "tally", "pending", "limit", "worker", "agreement", "guard", "pin"),
     *("execute", "on_client", "clusterfile", "own_cluster", "clusters"),
     *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
@@ -37,7 +38,7 @@ ONLY_IN = {
     "distributed": {"sweep.clusters", "sweep.on_client", "sweep.own_cluster", "sweep.pin"},
     "zarr": {"sweep.column", "sweep.snapshot"},
     "matplotlib": {"sweep.plots", "sweep.search.skymap"},
-    "pydantic": {"sweep.study", "sweep.reader"},
+    "pydantic": {"sweep.study", "sweep.form", "sweep.reader"},
     "astropy": {"sweep.tables", "sweep.tablefile", "sweep.conditions", "sweep.search.columns", "sweep.search.ecsv"},
     "pygaia": {"core.missions"},
     "obstore": {"sweep.bucket"},

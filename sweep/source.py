@@ -1,0 +1,99 @@
+"""Finds and reads the files of a study, and knows in which line a key of it stands."""
+
+import re
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from sweep.contract import SweepError, shown, suggest
+
+MAX_FILE_BYTES = 1_000_000
+
+Place = tuple[str | int, ...]
+"""Keys and indices that lead to a value of the document."""
+
+
+def built_in_studies() -> dict[str, Path]:
+    """Return the studies that ship with the package, by name."""
+    folder = resources.files("sweeps")
+    return {
+        p.name.removesuffix(".toml"): Path(str(p))
+        for p in sorted(folder.iterdir(), key=str)
+        if p.name.endswith(".toml")
+    }
+
+
+def find_study(name_or_path: str) -> Path:
+    """Return the file of a built-in name or a path; raises SweepError where there is none."""
+    built_in = built_in_studies()
+    if name_or_path in built_in:
+        return built_in[name_or_path]
+    path = Path(name_or_path)
+    try:
+        if path.is_dir():
+            raise SweepError(f"{name_or_path!r} is a directory, not a study file")
+        exists = path.exists()
+    except (OSError, ValueError) as error:  # for example a name that is too long, or a directory closed to us
+        reason = getattr(error, "strerror", None) or str(error)
+        raise SweepError(f"the study {shown(name_or_path)} cannot be read: {reason}") from error
+    if not exists:
+        hint = "" if path.suffix else suggest(name_or_path, list(built_in))
+        raise SweepError(f"no study {name_or_path!r}: neither a file nor a built-in study{hint}")
+    return path
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file of bounded size; raises SweepError where it cannot be read or is no UTF-8."""
+    try:
+        with path.open("rb") as file:  # no stat: a device or a pipe has no size
+            content = file.read(MAX_FILE_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise SweepError(f"cannot be read: {getattr(error, 'strerror', None) or error}", str(path)) from error
+    if len(content) > MAX_FILE_BYTES:
+        raise SweepError(f"is larger than {MAX_FILE_BYTES:,} bytes", str(path))
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise SweepError(f"not UTF-8 text: byte 0x{content[error.start]:02x} in line {line}", str(path)) from error
+
+
+def parsed(text: str, path: Path) -> dict[str, Any]:
+    """Return the document of a TOML text; raises SweepError that quotes the line where it is not valid."""
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:  # a TOMLDecodeError, or an integer of too many digits
+        raise SweepError(f"not valid TOML: {error}{_quoted_line(text, str(error))}", str(path)) from error
+    except RecursionError as error:
+        raise SweepError("not valid TOML: nested too deeply", str(path)) from error
+
+
+def lines_of_keys(text: str) -> dict[Place, int]:
+    """Return the 1-based line of every key of a TOML text, as well as it can be told without a parser of lines."""
+    table: Place = ()
+    counts: dict[str, int] = {}
+    lines: dict[Place, int] = {}
+    for number, whole in enumerate(text.split("\n"), 1):
+        line = whole[:200]  # a key stands at the beginning; the patterns take long on a long line
+        if header := re.match(r"\s*(\[\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?$", line):
+            name = header[2]
+            keys = tuple(part.strip(" \"'") for part in name.split("."))
+            index = counts[name] = counts.get(name, -1) + 1
+            table = (*keys, index) if header[1] == "[[" else keys
+            lines[table] = number
+        elif entry := re.match(r"\s*([\w.\"'-]+)\s*=", line):
+            lines[*table, *entry[1].replace('"', "").replace("'", "").split(".")] = number
+    return lines
+
+
+def line_of(lines: Mapping[Place, int], where: Place) -> int | None:
+    """Return the line of a place, or of the innermost table around it that has one."""
+    return next((lines[where[:n]] for n in range(len(where), 0, -1) if where[:n] in lines), None)
+
+
+def _quoted_line(text: str, message: str) -> str:
+    """Return the line that a message of the TOML parser speaks of, after a colon; nothing if it names none."""
+    number = re.search(r"at line (\d+)", message)
+    return f": {shown(text.splitlines()[int(number[1]) - 1].strip())}" if number else ""
