@@ -555,7 +555,7 @@ FOREIGN: dict[Callable[[Path], None], str] = {
     half_made: "is not a store of linksweep (foreign or half-made)",
     truncated_metadata: "is not a store of linksweep (foreign or half-made)",
     foreign_zarr: "is not a store of linksweep (foreign or half-made)",
-    newer_format: "has store format 99; this version of linksweep reads format 2",
+    newer_format: "has store format 99; this version of linksweep reads format 2. It is newer",
 }
 
 
