@@ -14,7 +14,7 @@ from typing import Literal
 from uuid import uuid4
 
 from sweep.contract import SweepError
-from sweep.location import Folder, Location, Where, located, reading, writing
+from sweep.location import Location, Where, located, reading, writing
 from sweep.provenance import command_line, host, now
 
 ATTEMPTS = 100
