@@ -1,6 +1,8 @@
 """The command group: turns what goes wrong in any command into a message and an exit code."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -11,25 +13,36 @@ EXIT_INTERRUPTED = 130
 
 
 class _Group(click.Group):
-    """Turns a SweepError of any command into one message and exit code 2."""
+    """Turns a SweepError of any command into one message and exit code 2, and Ctrl-C into exit code 130."""
+
+    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
+        with _interruptible():
+            return super().make_context(*arguments, **options)
 
     def invoke(self, ctx: click.Context) -> Any:
-        from sweep.contract import SweepError
+        with _interruptible():
+            from sweep.contract import SweepError
 
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            click.echo("interrupted", err=True)
-            sys.exit(EXIT_INTERRUPTED)
-        except SweepError as error:
-            where = f"{error.where}: " if error.where else ""
-            if len(error.problems) == 1:
-                click.echo(f"error: {where}{error.problems[0]}", err=True)
-            else:
-                click.echo(f"error: {where}{len(error.problems)} problems", err=True)
-                for problem in error.problems:
-                    click.echo(f"  - {problem}", err=True)
-            sys.exit(EXIT_BAD_INPUT)
+            try:
+                return super().invoke(ctx)
+            except SweepError as error:
+                where = f"{error.where}: " if error.where else ""
+                if len(error.problems) == 1:
+                    click.echo(f"error: {where}{error.problems[0]}", err=True)
+                else:
+                    click.echo(f"error: {where}{len(error.problems)} problems", err=True)
+                    for problem in error.problems:
+                        click.echo(f"  - {problem}", err=True)
+                sys.exit(EXIT_BAD_INPUT)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:  # click itself would end with 1, which means that points failed
+        click.echo("interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})

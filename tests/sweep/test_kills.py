@@ -1,0 +1,93 @@
+"""Fifty seeded kills of real runs at random instants, each followed by a resume and a comparison of every bit."""
+
+import os
+import random
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.reader import load_study
+from sweep.run import Resources, run_study
+from sweep.store import existing_store
+
+KILLS = 50
+LONGEST_S = 4.0
+"""Of starting and work together, before the run is killed: a whole run takes a little longer on an idle machine."""
+
+WAYS = {  # how often each is drawn, of the signal and of the resources
+    signal.SIGKILL: 3,
+    signal.SIGINT: 1,
+    signal.SIGTERM: 1,
+}
+POOLS = {("--pool", "serial"): 3, ("--workers", "2"): 1, ("--pool", "threads", "--workers", "2"): 1}
+
+LONG = ("--set", "n_sim=12000", "--set", "n_cat=8")
+
+
+def ledger_of(path, study):
+    store = existing_store(path, study)
+    if store is None:
+        return {}
+    sums = store.sums()
+    return {key: sums[row].tobytes() for key, row in store.rows.items()}
+
+
+@pytest.fixture
+def whole(link_study, tmp_path, sweep):
+    """The serial reference: its ledger by block, and its results."""
+    code, _, err = sweep("run", link_study, "-o", tmp_path / "whole.zarr", "--pool", "serial", *LONG)
+    assert code == 0, err
+    study = load_study(str(link_study), LONG[1::2])
+    return ledger_of(tmp_path / "whole.zarr", study), xr.open_zarr(tmp_path / "whole.zarr").load().drop_attrs()
+
+
+def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tmp_path, start_sweep, sweep, whole):
+    """A chain of runs on one store, each killed, until one comes to its end; then the next store, until there were
+    enough kills.  After each kill every block in the ledger has the bits of the reference, and none has gone.
+    """
+    expected, results = whole
+    study = load_study(str(link_study), LONG[1::2])
+    rng = random.Random(2004)
+    kills, chain = 0, 0
+    before: dict[bytes, bytes] = {}
+    while kills < KILLS:
+        store = tmp_path / f"{chain}.zarr"
+        pool = rng.choices(list(POOLS), list(POOLS.values()))[0]
+        process = start_sweep("run", link_study, "-o", store, *LONG, *pool, start_new_session=True)
+        try:
+            process.wait(timeout=rng.uniform(0.1, LONGEST_S))
+        except subprocess.TimeoutExpired:
+            end = rng.choices(list(WAYS), list(WAYS.values()))[0]
+            (os.kill if end == signal.SIGTERM else os.killpg)(process.pid, end)  # Ctrl-C reaches workers too
+            _, err = process.communicate(timeout=120)
+            kills += 1
+            assert process.returncode in (0, -end, 128 + end), err  # 0: it was in its last moment
+            begun = (store / "zarr.json").exists()
+            assert "Traceback" not in err or not begun, err  # Python has one for an interrupt while it starts itself
+            after = ledger_of(store, study) if begun else {}
+            assert before.keys() <= after.keys()
+            assert all(expected[key] == row for key, row in after.items())
+            before = after
+        if process.returncode == 0:
+            assert ledger_of(store, study) == expected
+            xr.testing.assert_identical(xr.open_zarr(store).load().drop_attrs(), results)
+            chain, before = chain + 1, {}
+    code, _, err = sweep("run", link_study, "-o", store, *LONG)
+    assert code == 0, err
+    xr.testing.assert_identical(xr.open_zarr(store).load().drop_attrs(), results)
+
+
+@pytest.mark.parametrize("back_s", [1e6, 1e9])
+def test_a_clock_that_jumps_back_changes_nothing(link_study, tmp_path, sweep, monkeypatch, back_s):
+    """Durations are measured with a monotonic clock; that of the calendar is only written down."""
+    study = load_study(str(link_study))
+    straight, _ = run_study(study, tmp_path / "straight.zarr", Resources(pool="serial"))
+    real, started = time.time, time.monotonic()
+    monkeypatch.setattr("time.time", lambda: real() - (back_s if time.monotonic() - started > 0.2 else 0.0))
+    jumped, _ = run_study(study, tmp_path / "jumped.zarr", Resources(workers=2, pool="threads"))
+    xr.testing.assert_identical(straight.drop_attrs(), jumped.drop_attrs())
+    assert np.all(jumped["status"] == 1)
