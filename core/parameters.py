@@ -19,6 +19,7 @@ PARAMETERS = (
         "number of objects; default: all quasars or rows brighter than v_max, 116 galaxies, 11 radio stars",
         minimum=2,
         maximum=10_000_000,
+        symbol=r"$N_\mathrm{obj}$",
     ),
     Parameter(
         "v_max",
@@ -28,9 +29,17 @@ PARAMETERS = (
         unit="mag",
         minimum=-5.0,
         maximum=30.0,
+        symbol=r"$V_\mathrm{max}$",
     ),
     Parameter(
-        "v_min", "float", 5.0, "brightest magnitude V, synthetic catalogue", unit="mag", minimum=-5.0, maximum=30.0
+        "v_min",
+        "float",
+        5.0,
+        "brightest magnitude V, synthetic catalogue",
+        unit="mag",
+        minimum=-5.0,
+        maximum=30.0,
+        symbol=r"$V_\mathrm{min}$",
     ),
     Parameter(
         "counts",
@@ -40,7 +49,13 @@ PARAMETERS = (
         choices=("catalogue", "completed"),
     ),
     Parameter(
-        "mean_pm", "float", 0.0, "mean modulus of the proper motions, synthetic catalogue", unit="mas / yr", minimum=0.0
+        "mean_pm",
+        "float",
+        0.0,
+        "mean modulus of the proper motions, synthetic catalogue",
+        unit="mas / yr",
+        minimum=0.0,
+        symbol=r"$\overline{\mu}$",
     ),
     Parameter(
         "pm_distribution",
@@ -64,6 +79,7 @@ PARAMETERS = (
         unit="deg",
         minimum=0.0,
         maximum=89.0,
+        symbol=r"$|b|_\mathrm{min}$",
     ),
     Parameter(
         "sky_contrast",
@@ -106,6 +122,7 @@ PARAMETERS = (
         "mission length; default: the model's own (amex 2, gaia 5)",
         unit="yr",
         above=0.0,
+        symbol="$T$",
     ),
     Parameter(
         "satellite_sigma_pos", "float", 1.0, "satellite position error, 'normal' errors", unit="mas", minimum=0.0
@@ -131,10 +148,22 @@ PARAMETERS = (
     ),
     Parameter("error_scale", "float", 1.0, "factor on all errors", minimum=0.0, maximum=1e6),
     Parameter(
-        "satellite_error_scale", "float", 1.0, "further factor on the satellite's errors", minimum=0.0, maximum=1e6
+        "satellite_error_scale",
+        "float",
+        1.0,
+        "further factor on the satellite's errors",
+        minimum=0.0,
+        maximum=1e6,
+        symbol=r"$\Delta_\mathrm{sat}$",
     ),
     Parameter(
-        "reference_error_scale", "float", 1.0, "further factor on the reference's errors", minimum=0.0, maximum=1e6
+        "reference_error_scale",
+        "float",
+        1.0,
+        "further factor on the reference's errors",
+        minimum=0.0,
+        maximum=1e6,
+        symbol=r"$\Delta_\mathrm{ref}$",
     ),
     # the truth (step B)
     Parameter(
@@ -163,6 +192,7 @@ PARAMETERS = (
         unit="mas",
         minimum=0.0,
         maximum=1e8,
+        symbol=r"$|\epsilon|$",
     ),
     Parameter(
         "omega_size",
@@ -172,6 +202,7 @@ PARAMETERS = (
         unit="mas / yr",
         minimum=0.0,
         maximum=1e8,
+        symbol=r"$|\omega|$",
     ),
     Parameter(
         "directions",
@@ -236,10 +267,10 @@ _PRODUCTS = ", ".join([_TOP] * 3 + [_BOTTOM] * 3)
 
 
 def _with_errors(
-    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), headline: bool = False
+    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), headline: bool = False, symbol: str = ""
 ) -> list[Output]:
     return [
-        Output(name, unit, meaning, dims, headline),
+        Output(name, unit, meaning, dims, headline, symbol),
         Output(f"{name}_mc_error", unit, f"Monte-Carlo error of {name}, sigma/sqrt(2 n)", dims),
         Output(f"{name}_predicted", unit, f"closed-form prediction of {name} for the same catalogues", dims),
         Output(
@@ -252,9 +283,26 @@ def _with_errors(
 
 
 OUTPUTS = (
-    Output("n_obj", "", "number of objects in the catalogue (mean over catalogues)", headline=True),
-    *_with_errors("sigma_spin", "mas / yr", "RMS error of the spin, over its three components", headline=True),
-    *_with_errors("sigma_orientation", "mas", "RMS error of the orientation, over its three components"),
+    Output(
+        "n_obj",
+        "",
+        "number of objects in the catalogue (mean over catalogues)",
+        headline=True,
+        symbol=r"$N_\mathrm{obj}$",
+    ),
+    *_with_errors(
+        "sigma_spin",
+        "mas / yr",
+        "RMS error of the spin, over its three components",
+        headline=True,
+        symbol=r"$\sigma(\omega)$",
+    ),
+    *_with_errors(
+        "sigma_orientation",
+        "mas",
+        "RMS error of the orientation, over its three components",
+        symbol=r"$\sigma(\epsilon)$",
+    ),
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
     Output("bias", _EACH, "mean of estimate - truth", ("component",)),
     Output(

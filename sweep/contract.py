@@ -67,7 +67,8 @@ class Parameter:
 
     A default of None means that the experiment decides (the meaning says how).  ``minimum`` and ``maximum`` are
     inclusive, ``above`` is not.  A "vector" has three components, a "map" is a table of strings, and of a "file" the
-    experiment gets an object that gives the columns of the table in it.
+    experiment gets an object that gives the columns of the table in it.  Pictures show the ``symbol`` where there is
+    one, as Matplotlib sets it.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Parameter:
     minimum: float | None = None
     maximum: float | None = None
     above: float | None = None
+    symbol: str = ""
 
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
@@ -143,7 +145,7 @@ class Parameter:
 class Output:
     """One result of a point: its unit (as astropy writes it), meaning and dimensions beside the axes of the grid.
 
-    ``headline`` outputs are the columns of the printed table.
+    ``headline`` outputs are the columns of the printed table; pictures show the ``symbol`` where there is one.
     """
 
     name: str
@@ -151,6 +153,7 @@ class Output:
     meaning: str
     dims: tuple[str, ...] = ()
     headline: bool = False
+    symbol: str = ""
 
 
 class Evaluate(Protocol):

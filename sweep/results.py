@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import Output
+from sweep.contract import Output, Parameter
 from sweep.grid import Grid
 from sweep.plan import Plan, ledger_key
 from sweep.study import Published, printed_rounding
@@ -75,17 +75,22 @@ def assemble_samples(
         size = experiment.size_of(output)
         shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *(len(experiment.coordinates[d]) for d in output.dims))
         values = kept[..., column : column + size].reshape(shape)
-        attributes = {"units": output.unit, "long_name": output.meaning}
+        attributes = _attributes(output)
         variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, attributes)
         column += size
     return variables
 
 
 def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
-    attributes: dict[str, Any] = {"units": output.unit, "long_name": output.meaning}
+    attributes = _attributes(output)
     if output.headline:
         attributes["headline"] = 1
     return (*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes
+
+
+def _attributes(declared: Output | Parameter) -> dict[str, Any]:
+    symbol = {"symbol": declared.symbol} if declared.symbol else {}
+    return {"units": declared.unit, "long_name": declared.meaning, **symbol}
 
 
 def _coordinates(grid: Grid) -> dict[str, Any]:
@@ -96,7 +101,7 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
         for name in axes:
             parameter = experiment.parameter(name)
             values = np.array(study.axes[name], dtype=object if parameter.kind == "str" else None)
-            coordinates[name] = (dimension, values, {"units": parameter.unit, "long_name": parameter.meaning})
+            coordinates[name] = (dimension, values, _attributes(parameter))
     for dimension, labels in experiment.coordinates.items():
         coordinates[dimension] = (
             dimension,
