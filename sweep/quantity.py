@@ -96,7 +96,7 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers, with one value a point, no errors or predictions."""
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if v.dtype.kind == "f" and axes <= set(v.dims)]
-    covariances = (f"{COVARIANCE_SUFFIX}_{axis}" for axis in axes)
+    covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
     attached = (*ERROR_SUFFIXES, *covariances, "predicted", "published", "published_rounding")
     beside = {f"{name}_{suffix}" for name in numbers for suffix in attached}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
@@ -161,7 +161,9 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
         raise SweepError(
             f"{axis} has no value from {low:g} to {high:g}; it goes from {values.min():g} to {values.max():g}"
         )
-    return dataset.isel({dataset[axis].dims[0]: np.flatnonzero(inside)})
+    dimension = str(dataset[axis].dims[0])
+    both = [d for d in (dimension, f"{dimension}_other") if d in dataset.dims]
+    return dataset.isel({d: np.flatnonzero(inside) for d in both})
 
 
 def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:

@@ -132,6 +132,16 @@ def test_a_covariance_in_the_dataset_is_honoured():
     assert fit_power_law(turned, "width", "n")["exponent_error"].values == pytest.approx(law.exponent_error, rel=1e-12)
 
 
+def test_a_part_of_points_that_move_together_keeps_their_covariance():
+    error = 0.02 * N**-0.5
+    covariance = np.outer(error, error) * (0.8 + 0.2 * np.eye(5))
+    shared = grid(N**-0.5, error, width_mc_covariance_n=(("n", "n_other"), covariance))
+    law = power_law(N[1:], N[1:] ** -0.5, covariance[1:, 1:])
+    result = fit_power_law(between(shared, "n", 20.0, 1e9), "width", "n")
+    assert result["exponent_error"].values == pytest.approx(law.exponent_error, rel=1e-12)
+    assert quantities(select(shared, {"n": 20.0})) == ["width"]
+
+
 def test_common_random_numbers_without_a_covariance_are_told():
     dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_attrs(common_random_numbers=1)
     assert "their covariance is not known" in fit_power_law(dataset, "width", "n").attrs["errors"]
