@@ -1,9 +1,8 @@
-"""Commands about a store as it is: show, status, plot, check and repair."""
+"""Commands about a store as it is: show, status, check and repair."""
 
 import json
 import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -50,32 +49,6 @@ def status(store: "Location", as_json: bool) -> None:
         click.echo(status_as_json(report))
     else:
         print_status(report)
-
-
-@main.command()
-@store_argument
-@click.option("--variable", default="sigma_spin", show_default=True, help="What to draw.")
-@click.option("--over", help="The axis to draw along.  [default: the longest with numbers]")
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]"
-)
-def plot(store: "Location", variable: str, over: str | None, out: Path | None) -> None:
-    """Draw a result in STORE against an axis: points with errors, the prediction as a line, published values open.
-
-    \b
-    sweep plot results/quasars.zarr --out quasars.svg
-    """
-    from sweep.store import open_dataset
-
-    dataset = open_dataset(store)
-    try:
-        from sweep.plots import numeric_axes, save_lines
-    except ImportError as error:
-        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
-    candidates = numeric_axes(dataset, variable) if variable in dataset else []
-    path = out or Path(store.name).with_suffix(".png")
-    save_lines(dataset, variable, over or (candidates[0] if candidates else ""), path)
-    click.echo(f"wrote {path}", err=True)
 
 
 @main.command()

@@ -1,0 +1,80 @@
+"""Which dimension of a quantity becomes colours, which becomes columns and rows of panels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.plots.style import COLOURS
+
+MOST_SERIES = len(COLOURS)
+MOST_PANELS = 24
+FAR = 30.0
+"""Series whose typical values differ by more than this factor need panels with axes of their own."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Dimensions of a picture: ``series`` become colours of one panel, ``columns`` and ``rows`` are one or none.
+
+    ``far`` says that columns differ so much that each has a scale of its own.
+    """
+
+    series: tuple[str, ...]
+    columns: str | None
+    rows: str | None
+    far: bool
+
+
+def arrange(dataset: xr.Dataset, variable: str, along: tuple[str, ...], series: bool = True) -> Layout:
+    """Return where the dimensions of a variable beside those it is drawn ``along`` go.
+
+    What separates the values most becomes columns, if there is more than one dimension or it separates them far; the
+    rest colours, and rows where there are still more.  ``series = False`` leaves no dimension to colours.
+    Raises SweepError where there are more colours or panels than can be told apart.
+    """
+    array = dataset[variable]
+    others = [str(d) for d in array.dims if d not in along and array.sizes[d] > 1]
+    apart = {d: _separation(array, d) for d in others}
+    by_separation = sorted(others, key=lambda d: -apart[d])
+    widest = by_separation[0] if others else None
+    far = widest is not None and apart[widest] > FAR and array.sizes[widest] <= MOST_SERIES
+    if not series:
+        layout = _panels_only(array, by_separation)
+    elif len(others) <= 1:
+        layout = Layout((), widest, None, far) if far else Layout(tuple(others), None, None, False)
+    else:
+        rest = by_separation[1:]
+        rows = min(rest, key=lambda d: (array[d].dtype.kind not in "if", array.sizes[d])) if len(others) > 2 else None
+        layout = Layout(tuple(d for d in others if d not in (widest, rows)), widest, rows, far)
+    _require_few(array, layout)
+    return layout
+
+
+def _panels_only(array: xr.DataArray, dims: list[str]) -> Layout:
+    if len(dims) > 2:
+        raise SweepError(
+            f"{len(dims)} dimensions are left for panels, {', '.join(dims)}; fix some with --at AXIS=VALUE"
+        )
+    columns, rows = (*dims, None, None)[:2]
+    return Layout((), columns, rows, False)
+
+
+def _separation(array: xr.DataArray, dimension: str) -> float:
+    """Return the ratio between the largest and the smallest of the medians along a dimension."""
+    medians = np.abs(array.median([d for d in array.dims if d != dimension], skipna=True).values)
+    medians = medians[np.isfinite(medians) & (medians > 0.0)]
+    return float(medians.max() / medians.min()) if medians.size else 1.0
+
+
+def _require_few(array: xr.DataArray, layout: Layout) -> None:
+    n_series = int(np.prod([array.sizes[d] for d in layout.series], dtype=int))
+    panels = [d for d in (layout.columns, layout.rows) if d is not None]
+    n_panels = int(np.prod([array.sizes[d] for d in panels], dtype=int))
+    if n_series > MOST_SERIES or n_panels > MOST_PANELS:
+        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in (*layout.series, *panels))
+        raise SweepError(
+            f"{sizes}: {n_panels} panels of {n_series} series are too many for one picture, at most {MOST_PANELS} of "
+            f"{MOST_SERIES}; fix some with --at AXIS=VALUE"
+        )

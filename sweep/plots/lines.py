@@ -1,0 +1,111 @@
+"""Curves: a quantity against an axis, with errors, prediction and published values."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from sweep.plots.style import (
+    BAND,
+    COLOURS,
+    MARKERS,
+    finish,
+    is_wide,
+    label,
+    legend,
+    logarithmic,
+    quantity_label,
+    value_text,
+)
+from sweep.quantity import standard_error
+
+PUBLISHED: Mapping[str, Any] = MappingProxyType(
+    {"linestyle": "none", "marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}
+)
+
+
+def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axes:
+    """Draw a variable against an axis of the grid, one colour for every combination of the other dimensions.
+
+    Points have their one-sigma errors (Monte Carlo and catalogues).  The line is the closed-form prediction, with the
+    band of its catalogue error; without a prediction it joins the points, with the band of their errors.  Open symbols
+    are published values with half a unit of their last digit.
+    """
+    dimension = str(dataset[over].dims[0])
+    others = [str(d) for d in dataset[variable].dims if d != dimension]
+    everything = [
+        dataset.isel(dict(zip(others, index, strict=True))) for index in np.ndindex(*(dataset.sizes[d] for d in others))
+    ]
+    seen = [one for one in everything if np.isfinite(one[variable].values).any()]  # the others are excluded
+    for number, one in enumerate(seen):
+        words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if dataset.sizes[d] > 1)
+        _series(axes, one, variable, over, words, number)
+    colour = COLOURS[0] if len(seen) == 1 else "0.35"
+    if any(_has(one, f"{variable}_predicted") for one in seen) and _is_numeric(dataset[over]):
+        axes.plot([], [], color=colour, linewidth=1.0, label="predicted")
+    if any(_has(one, f"{variable}_published") for one in seen):
+        axes.plot([], [], color=colour, **PUBLISHED, label="published")
+    _scales(axes, dataset, variable, over)
+    finish(axes)
+    legend(axes)
+    return axes
+
+
+def positions(array: xr.DataArray) -> tuple[np.ndarray[Any, Any], list[str] | None]:
+    """Return where the values of an axis stand, and their names where they are no numbers."""
+    if array.dtype.kind in "if":
+        return array.values.astype(float), None
+    return np.arange(array.size, dtype=float), [str(value) for value in array.values.tolist()]
+
+
+def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int) -> None:
+    colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
+    x, _ = positions(one[over])
+    order = np.argsort(x, kind="stable")
+    one, x = one.isel({one[over].dims[0]: order}), x[order]
+    y, error = one[variable].values.astype(float), standard_error(one, variable)
+    sigma = None if error is None else error.values
+    style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 3.5, "linestyle": "none"}
+    axes.errorbar(x, y, yerr=sigma, elinewidth=0.8, label=name or "simulated", zorder=3, **style)
+    predicted, published = f"{variable}_predicted", f"{variable}_published"
+    if _is_numeric(one[over]) and _has(one, predicted):
+        curve, spread = one[predicted].values, one.get(f"{variable}_catalogue_error")
+        axes.plot(x, curve, color=colour, linewidth=1.0, zorder=2)
+        if spread is not None:
+            half = np.nan_to_num(spread.values)
+            axes.fill_between(x, curve - half, curve + half, color=colour, **BAND)
+    elif _is_numeric(one[over]) and len(x) > 1:
+        axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.6, zorder=2)
+        if sigma is not None:
+            axes.fill_between(x, y - sigma, y + sigma, color=colour, **BAND)
+    if _has(one, published):
+        rounding = one.get(f"{published}_rounding")
+        half = None if rounding is None else rounding.values
+        style = {**PUBLISHED, "color": colour, "marker": marker, "elinewidth": 0.6, "zorder": 2}
+        axes.errorbar(x, one[published].values, yerr=half, **style)
+
+
+def _has(one: xr.Dataset, name: str) -> bool:
+    """Return whether a variable has anything to draw: a prediction without errors of observation is 0."""
+    return name in one and bool(np.any(np.nan_to_num(one[name].values) != 0.0))
+
+
+def _is_numeric(axis: xr.DataArray) -> bool:
+    return axis.dtype.kind in "if"
+
+
+def _scales(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
+    x, names = positions(dataset[over])
+    if names is not None:
+        axes.set_xticks(x, names)
+        axes.set_xlim(x.min() - 0.5, x.max() + 0.5)
+    elif is_wide(x, str(dataset[over].attrs.get("units", ""))):
+        logarithmic(axes, "x", x)
+    values = dataset[variable].values
+    if is_wide(values):
+        logarithmic(axes, "y", values)
+    axes.set_xlabel(label(dataset[over], over))
+    axes.set_ylabel(quantity_label(dataset, variable))

@@ -1,0 +1,64 @@
+"""How a run scales with workers: speed-up and efficiency beside what is ideal."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from sweep.contract import SweepError
+from sweep.plots.style import BAND, COLOURS, MARKERS, finish, legend, logarithmic
+
+DIMENSIONS = {"kind", "workers"}
+VARIABLES = {"seconds", "efficiency"}
+
+
+def is_scaling(dataset: xr.Dataset) -> bool:
+    """Return whether a dataset has measured times and efficiencies over kinds and workers."""
+    return set(dataset.dims) >= DIMENSIONS and set(map(str, dataset.data_vars)) >= VARIABLES
+
+
+def draw_speed_up(axes: Axes, dataset: xr.Dataset) -> Axes:
+    """Draw how many times faster w workers are than one: w times the efficiency, by kind, with the ideal line.
+
+    ``dataset`` has dimensions kind ("strong": the same work, "weak": the same work a worker) and workers, variables
+    seconds and efficiency (1 is ideal), each with a one-sigma NAME_error where it is known.
+    """
+    return _draw(axes, dataset, "speed-up", dataset["workers"].values.astype(float))
+
+
+def draw_efficiency(axes: Axes, dataset: xr.Dataset) -> Axes:
+    """Draw the efficiency against workers, by kind, with the ideal line; ``dataset`` as for `draw_speed_up`."""
+    return _draw(axes, dataset, "efficiency", np.ones(dataset.sizes["workers"]))
+
+
+def _draw(axes: Axes, dataset: xr.Dataset, name: str, ideal: np.ndarray) -> Axes:
+    if not is_scaling(dataset):
+        raise SweepError("scaling needs the dimensions kind and workers, and variables seconds and efficiency")
+    workers = dataset["workers"].values.astype(float)
+    axes.plot(workers, ideal, color="black", linewidth=0.8, linestyle=(0, (4, 3)), label="ideal")
+    for number, kind in enumerate(dataset["kind"].values.tolist()):
+        one = dataset.sel(kind=kind)
+        value = one["efficiency"].transpose("workers", ...).values * ideal
+        error = one["efficiency_error"].values * ideal if "efficiency_error" in one else None
+        style: dict[str, Any] = {
+            "color": COLOURS[number],
+            "marker": MARKERS[number],
+            "markersize": 4.0,
+            "linewidth": 1.0,
+        }
+        axes.errorbar(workers, value, yerr=error, elinewidth=0.8, label=f"{kind} scaling", **style)
+        if error is not None:
+            axes.fill_between(workers, value - error, value + error, color=COLOURS[number], **BAND)
+    logarithmic(axes, "x", workers)
+    axes.set_xticks(workers, [f"{w:g}" for w in workers])
+    axes.set_xticks([], minor=True)
+    if name == "speed-up":
+        logarithmic(axes, "y", ideal)
+    else:
+        axes.set_ylim(0.0, max(1.1, 1.05 * float(np.nanmax(dataset["efficiency"].values))))
+    axes.set_xlabel("workers")
+    axes.set_ylabel(f"{name}" if name == "efficiency" else "speed-up over one worker")
+    finish(axes)
+    legend(axes)
+    return axes

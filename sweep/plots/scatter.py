@@ -1,0 +1,94 @@
+"""Single estimates of two components: scatter, confidence ellipses, mean and truth."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
+from scipy.stats import chi2
+
+from sweep.contract import SweepError
+from sweep.plots.style import COLOURS, finish, label, legend, symbol, unit_text
+
+CONFIDENCES = (0.683, 0.954)
+
+
+def sampled(dataset: xr.Dataset) -> str | None:
+    """Return the variable of kept samples of several components, None if there is none."""
+    names = [str(n) for n, v in dataset.data_vars.items() if "sample" in v.dims and len(set(v.dims) - {"sample"}) >= 1]
+    return names[0] if names else None
+
+
+def draw_scatter(axes: Axes, dataset: xr.Dataset, variable: str, components: tuple[str, str]) -> Axes:
+    """Draw the samples of two components against each other, with the ellipses that hold 68 and 95 % of a normal law.
+
+    ``variable`` has the dimensions sample and one of components; where the dataset has a ``bias`` the truth (mean
+    estimate - bias) is a cross.  The standard deviations stand in the legend with their errors, sigma/sqrt(2 n).
+    """
+    dimension = component_dimension(dataset, variable)
+    x, y = (dataset[variable].sel({dimension: name}).values.astype(float) for name in components)
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
+    if len(x) < 3:
+        raise SweepError(f"{variable} has {len(x)} samples here; at least 3 are needed")
+    mean, covariance = np.array([x.mean(), y.mean()]), np.cov(x, y)
+    style: dict[str, Any] = {
+        "linestyle": "none",
+        "marker": ".",
+        "markersize": 2.0,
+        "markeredgewidth": 0.0,
+        "alpha": 0.35,
+    }
+    axes.plot(x, y, color=COLOURS[0], rasterized=True, label=f"{len(x)} estimates", **style)
+    for confidence, line in zip(CONFIDENCES, ("solid", "dashed"), strict=True):
+        text = f"{100 * confidence:.0f} % of their normal law"
+        axes.add_patch(_ellipse(mean, covariance, confidence, linestyle=line, label=text))
+    error = np.sqrt(np.diag(covariance) / len(x))
+    point: dict[str, Any] = {"color": COLOURS[1], "marker": "o", "markersize": 3.0, "linestyle": "none"}
+    axes.errorbar(mean[0], mean[1], xerr=error[0], yerr=error[1], label="mean", **point)
+    if "bias" in dataset and dimension in dataset["bias"].dims:
+        truth = mean - [dataset["bias"].sel({dimension: name}).item() for name in components]
+        axes.plot(
+            *truth, linestyle="none", marker="x", markersize=9.0, markeredgewidth=1.4, color="black", label="truth"
+        )
+    units = [_unit(dataset, dimension, name) for name in components]
+    axes.set_xlabel(label(dataset[variable], components[0], units[0]))
+    axes.set_ylabel(label(dataset[variable], components[1], units[1]))
+    if units[0] == units[1]:
+        axes.set_aspect("equal", adjustable="datalim")
+    finish(axes)
+    sigmas = [
+        rf"$\sigma$({symbol(name)}) = {s:.3g} ± {s / np.sqrt(2 * len(x)):.1g} {unit_text(unit)}"
+        for name, s, unit in zip(components, np.sqrt(np.diag(covariance)), units, strict=True)
+    ]
+    correlation = rf"correlation ${covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]):+.2f}$"
+    legend(
+        axes,
+        title="\n".join([*sigmas, correlation]),
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        alignment="left",
+        markerscale=1.5,
+    )
+    return axes
+
+
+def component_dimension(dataset: xr.Dataset, variable: str) -> str:
+    """Return the dimension of the components of samples."""
+    axes = set(dataset["status"].dims)
+    return next(str(d) for d in dataset[variable].dims if d != "sample" and d not in axes)
+
+
+def _ellipse(mean: np.ndarray, covariance: np.ndarray, confidence: float, **style: object) -> Ellipse:
+    values, vectors = np.linalg.eigh(covariance)
+    width, height = 2.0 * np.sqrt(values * chi2(2).ppf(confidence))
+    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    return Ellipse(
+        (mean[0], mean[1]), width, height, angle=angle, fill=False, edgecolor=COLOURS[1], linewidth=1.2, **style
+    )
+
+
+def _unit(dataset: xr.Dataset, dimension: str, component: str) -> str:
+    units = f"{dimension}_unit"
+    return str(dataset[units].sel({dimension: component}).item()) if units in dataset.coords else ""

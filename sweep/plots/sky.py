@@ -1,0 +1,83 @@
+"""All-sky maps of positions: Mollweide, right ascension growing to the left, the Galactic plane drawn."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from core.constants import DEGREE, GALACTIC_AXES
+from core.frames import position
+from sweep.plots.style import COLOURS, MARKERS, label
+
+Array = NDArray[np.float64]
+
+MINUS = "\N{MINUS SIGN}"
+CENTRE_DEG = 180.0
+"""Right ascension in the middle: the plane then crosses the map as one arch."""
+
+
+def add_sky(figure: Figure, place: Any = 111) -> Any:
+    """Return new axes for an all-sky map in ICRS, with a grid labelled in degrees; ``place`` as for add_subplot."""
+    axes: Any = figure.add_subplot(place, projection="mollweide")
+    axes.grid(color="0.8", linewidth=0.4)
+    axes.set_axisbelow(True)
+    axes.set_longitude_grid_ends(90.0)
+    halo = [withStroke(linewidth=2.0, foreground="white")]
+    ticks = np.arange(-120.0, 121.0, 60.0)
+    axes.set_xticks(ticks * DEGREE, [f"{(CENTRE_DEG - t) % 360:.0f}°" for t in ticks], fontsize=7, path_effects=halo)
+    for text in axes.get_xticklabels():
+        text.set_zorder(5)
+    latitudes = np.arange(-60.0, 61.0, 30.0)
+    axes.set_yticks(
+        latitudes * DEGREE, [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes], fontsize=7
+    )
+    axes.set_xlabel(r"right ascension $\alpha$ (ICRS)")
+    axes.set_ylabel(r"declination $\delta$")
+    return axes
+
+
+def draw_sky(axes: Any, dataset: xr.Dataset, colour_by: str | None = None) -> Any:
+    """Draw positions ``ra`` and ``dec`` in degrees on axes of `add_sky`, and the Galactic plane with its centre.
+
+    ``colour_by`` names a variable of numbers for the colours, or of names for colours and markers.
+    """
+    ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
+    x, y = _on_map(ra), dec * DEGREE
+    size = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
+    common: dict[str, Any] = {"s": size, "linewidths": 0.0, "zorder": 3}
+    if colour_by is None:
+        axes.scatter(x, y, color=COLOURS[0], rasterized=len(ra) > 2000, **common)
+    elif dataset[colour_by].dtype.kind in "fiu":
+        points = axes.scatter(x, y, c=dataset[colour_by].values, cmap="viridis_r", rasterized=len(ra) > 2000, **common)
+        text = label(dataset[colour_by], colour_by)
+        axes.figure.colorbar(points, ax=axes, orientation="horizontal", shrink=0.5, pad=0.02, aspect=30, label=text)
+    else:
+        names = [str(n) for n in dataset[colour_by].values.tolist()]
+        for number, name in enumerate(dict.fromkeys(names)):
+            chosen = np.array([n == name for n in names])
+            style = common | {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+            axes.scatter(x[chosen], y[chosen], label=f"{name} ({chosen.sum()})", **style | {"s": 18.0})
+    _plane(axes)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.06, -0.06), frameon=False)
+    return axes
+
+
+def _plane(axes: Any) -> None:
+    """Draw the Galactic plane in pieces that do not jump from one edge of the map to the other."""
+    longitude = np.linspace(0.0, 2.0 * np.pi, 721)
+    galactic = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)])
+    ra, dec = position(GALACTIC_AXES.T @ galactic)
+    x = _on_map(ra / DEGREE)
+    broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, dec)
+    axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
+    axes.plot(
+        x[:1], dec[:1], "+", color="black", markersize=9.0, markeredgewidth=1.2, zorder=4, label="Galactic centre"
+    )
+
+
+def _on_map(ra_deg: Array) -> Array:
+    """Return map coordinates in radians: right ascension to the left, -180..180 about the middle."""
+    return np.asarray(-((ra_deg - CENTRE_DEG + 180.0) % 360.0 - 180.0) * DEGREE)

@@ -1,0 +1,185 @@
+"""How pictures look: colours that everyone can tell apart, labels with symbol and unit, files that do not change."""
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from sweep.contract import SweepError
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
+"""Safe for the colour-blind.  Source: Okabe & Ito 2008."""
+
+MARKERS = "osD^vP*X"
+BAND: Mapping[str, Any] = MappingProxyType({"alpha": 0.22, "linewidth": 0.0})
+FORMATS = (".png", ".svg", ".pdf")
+
+RC: Mapping[Any, Any] = MappingProxyType(
+    {
+        "svg.hashsalt": "linksweep",  # the same picture, the same file
+        "font.size": 9.0,
+        "axes.titlesize": 9.0,
+        "legend.fontsize": 8.0,
+        "axes.linewidth": 0.6,
+        "xtick.major.width": 0.6,
+        "ytick.major.width": 0.6,
+        "xtick.minor.width": 0.4,
+        "ytick.minor.width": 0.4,
+        "axes.formatter.use_mathtext": True,
+        "mathtext.fontset": "dejavusans",
+    }
+)
+"""What differs from the defaults of matplotlib."""
+
+WIDE_RATIO = 5.0
+"""Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
+
+LOGARITHMIC_UNITS = ("mag", "dB", "dex")
+
+GREEK = (
+    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),
+    *("pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
+)
+_NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d?)(?:_(\w+))?")
+
+
+@contextmanager
+def settings() -> Iterator[None]:
+    """Make and save pictures with the settings of this package, whatever the user's own are."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(RC)
+        yield
+
+
+def require_format(path: Path) -> None:
+    """Raise SweepError unless a path ends like one of `FORMATS`."""
+    if path.suffix.lower() not in FORMATS:
+        raise SweepError(f"cannot draw there: the name must end with {', '.join(FORMATS)}", str(path))
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, SVG or PDF, whichever ``path`` ends with, without a date; raises SweepError."""
+    require_format(path)
+    dates = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {"Software": None}}
+    try:
+        figure.savefig(path, dpi=160, metadata=dates[path.suffix.lower()])
+    except OSError as error:
+        raise SweepError(f"cannot draw there: {error.strerror or error}", str(path)) from error
+
+
+def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
+    """Return how a name is set: the symbol of its attributes, Greek letters and single ones as such with an index."""
+    if attributes and (own := attributes.get("symbol")):
+        return str(own)
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return name.replace("_", " ")
+    letter, power, index = match.groups()
+    letter = rf"\{letter}" if letter in GREEK else letter
+    index = index and (index if len(index) == 1 else rf"\mathrm{{{index.replace('_', ',')}}}")
+    return f"${letter}{f'_{{{index}}}' if index else ''}{f'^{power}' if power else ''}$"
+
+
+def unit_text(unit: str) -> str:
+    """Return a unit as axes show it."""
+    return unit.replace(" / ", "/")
+
+
+def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
+    """Return the label of an axis: symbol and unit."""
+    unit = str(array.attrs.get("units", "")) if unit is None else unit
+    return f"{symbol(name, array.attrs)} [{unit_text(unit)}]" if unit else symbol(name, array.attrs)
+
+
+def quantity_label(dataset: xr.Dataset, variable: str) -> str:
+    """Return the label of a variable; of one component of it, if that is what the dataset holds."""
+    array = dataset[variable]
+    unit = str(array.attrs.get("units", ""))
+    chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]
+    if "," not in unit or not chosen:
+        return label(array, variable)
+    units = [str(dataset[f"{n}_unit"].item()) for n in chosen]
+    inside = ", ".join(symbol(str(dataset[n].item())) for n in chosen)
+    text = f"{symbol(variable, array.attrs)}({inside})"
+    return f"{text} [{unit_text(units[0])}]" if len(units) == 1 and units[0] else text
+
+
+def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
+    """Return a value of an axis as a legend names it."""
+    if isinstance(value, bool):
+        return f"{symbol(axis, dataset[axis].attrs)}: {'yes' if value else 'no'}"
+    if isinstance(value, str):
+        return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
+    unit = unit_text(str(dataset[axis].attrs.get("units", "")))
+    return f"{symbol(axis, dataset[axis].attrs)} = {value:g}" + (f" {unit}" if unit else "")
+
+
+def is_wide(values: Any, unit: str = "") -> bool:
+    """Return whether numbers need a logarithmic axis."""
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    if unit in LOGARITHMIC_UNITS or not known.size or known.min() <= 0.0:
+        return False
+    return bool(known.max() > WIDE_RATIO * known.min())
+
+
+def finish(axes: Axes, grid: bool = True) -> None:
+    """Give axes the light grid and ticks that all pictures have."""
+    axes.tick_params(direction="in", which="both", top=True, right=True)
+    if grid:
+        axes.grid(alpha=0.25, linewidth=0.4)
+        axes.set_axisbelow(True)
+
+
+def logarithmic(axes: Axes, which: str, values: Any) -> None:
+    """Make an axis logarithmic; over less than two decades it has ticks at 1, 2 and 5 of each, all with numbers."""
+    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known) & (known > 0.0)]
+    if known.size and known.max() < 100.0 * known.min():
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def edges(places: NDArray[np.float64], logarithm: bool) -> NDArray[np.float64]:
+    """Return the borders of cells around ascending places on an axis, halfway between them on its scale."""
+    scale = np.log(places) if logarithm else places
+    if len(scale) == 1:
+        whole = np.array([scale[0] - 0.5, scale[0] + 0.5])
+    else:
+        middle = (scale[1:] + scale[:-1]) / 2.0
+        whole = np.concatenate([[2.0 * scale[0] - middle[0]], middle, [2.0 * scale[-1] - middle[-1]]])
+    return np.exp(whole) if logarithm else whole
+
+
+def _tick(value: float) -> str:
+    """Return a number of one digit as a tick shows it."""
+    if not value > 0.0:
+        return ""
+    power = int(np.floor(np.log10(value) + 1e-9))
+    if -4 <= power <= 4:
+        return f"{value:g}"
+    digit = value / 10.0**power
+    return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
+
+
+def legend(axes: Axes, **options: Any) -> None:
+    """Draw a legend if there is more than one thing to tell apart."""
+    handles, labels = axes.get_legend_handles_labels()
+    if len(labels) > 1:  # points before lines: matplotlib alone would put all error bars last
+        order = sorted(range(len(labels)), key=lambda i: not isinstance(handles[i], ErrorbarContainer))
+        axes.legend([handles[i] for i in order], [labels[i] for i in order], frameon=False, **options)
