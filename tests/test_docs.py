@@ -44,6 +44,15 @@ def test_the_commands_of_the_document_run(tmp_path, sweep):
     assert (tmp_path / "quick.png").stat().st_size > 10_000
 
 
+def test_the_commands_of_the_analysis_run(tmp_path, sweep):
+    for command in commands("analysis.md"):
+        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
+        assert status == 0, f"{command}: {err}"
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
+        *("quasars.png", "sky.png", "both.svg", "accuracy.pdf"),
+    }
+
+
 def test_links_between_documents_lead_somewhere():
     for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
