@@ -15,17 +15,9 @@ from sweep.compare import claims_of
 from sweep.contract import FEW, SweepError
 from sweep.fits import PowerLaw, p_value, power_law
 from sweep.levelling import Levelling, levelling
-from sweep.quantity import (
-    Lines,
-    covariance_between,
-    indices,
-    lines,
-    place_in_words,
-    require_done,
-    require_quantity,
-    select,
-    standard_error,
-)
+from sweep.lines import Lines, lines, require_done
+from sweep.quantity import covariance_between, require_quantity, standard_error
+from sweep.selection import indices, place_in_words, select
 
 Array = NDArray[np.float64]
 
@@ -47,7 +39,7 @@ def fit_power_law(
     errors, or by their ``covariance``, dimensions (..., over, over_other), for which the dataset may have a variable
     (see `sweep.quantity.COVARIANCE_SUFFIX`).  With an exponent ``expected``, or one that a claim of the study states,
     there are expected and deviation, (exponent - expected) / exponent_error.
-    Raises SweepError as `sweep.quantity.lines`, and for numbers that are not above 0.
+    Raises SweepError as `sweep.lines.lines`, and for numbers that are not above 0.
     """
     found = lines(dataset, variable, over, covariance)
     _require_positive(found, axis_too=True)
@@ -78,7 +70,7 @@ def fit_levelling(
     The variables of the result: plateau, rate, end_fall (relative, per unit of the axis, at the last point) and limit
     (beyond it the variable falls by less than the fraction ``fall`` a unit; -inf: everywhere, inf: nowhere), with
     _error, and chi2, dof, p_value, points.  Errors are scaled by sqrt(chi2/dof) where that is above one.
-    Raises SweepError as `sweep.quantity.lines`, for numbers that are not above 0, and for a fit without convergence.
+    Raises SweepError as `sweep.lines.lines`, for numbers that are not above 0, and for a fit without convergence.
     """
     if not 0.0 < fall < 1.0:
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")

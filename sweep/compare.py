@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from sweep.contract import SweepError
 from sweep.fits import power_law
-from sweep.quantity import place_in_words, standard_error
+from sweep.quantity import standard_error
+from sweep.selection import place_in_words
 from sweep.study import Claim, Ratio, Reading, Slope, printed_rounding
 from sweep.tally import DONE, EXCLUDED, FAILED
 

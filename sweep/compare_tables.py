@@ -9,7 +9,7 @@ from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
 from sweep.compare import Comparison, summary
-from sweep.quantity import place_in_words
+from sweep.selection import place_in_words
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sweep.conditions import Limit
 from sweep.contract import SweepError
-from sweep.quantity import Lines, lines
+from sweep.lines import Lines, lines
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def find(dataset: xr.Dataset, limit: Limit, along: str, covariance: xr.DataArray
     the last crossing; NaN if there is none) with _error (one sigma, from the errors of the points on both sides),
     nearest (of a condition never met the value that comes nearest to it, of one always met that which is nearest to
     failing; else NaN) and nearest_at (where that is).
-    Raises SweepError as `sweep.quantity.lines`, or if no line has a unit that the limit's converts to.
+    Raises SweepError as `sweep.lines.lines`, or if no line has a unit that the limit's converts to.
     """
     found = lines(dataset, limit.variable, along, covariance)
     thresholds = _thresholds(limit, found)
@@ -70,7 +70,7 @@ def interpolate(
 
     The variables of the result carry the names ``variable`` and NAME_mc_error (one sigma, from the errors of the points
     on both sides; how far the variable is from a straight line between them is not in it).
-    Raises SweepError as `sweep.quantity.lines`, or for a place beyond the points of a line.
+    Raises SweepError as `sweep.lines.lines`, or for a place beyond the points of a line.
     """
     found = lines(dataset, variable, over, covariance)
     rows = np.full((len(found), 2), np.nan)

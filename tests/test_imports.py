@@ -22,7 +22,7 @@ SWEEP = [
     *("provenance", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
     *("results", "store", "covariance", "larger", "writer", "run", "repair", "revisit"),
     *("completion", "status", "tables", "eta", "account", "progress"),
-    *("fits", "levelling", "quantity", "conditions"),
+    *("fits", "levelling", "selection", "quantity", "lines", "conditions"),
     *("compare", "compare_tables", "paper", "analysis", "crossings", "analysis_tables"),
     *("calibrate", "views", "api", "__main__"),
 ]
@@ -33,7 +33,10 @@ CLI = [
 SEARCH = [
     *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
 ]
-PLOTS = [*("style", "layout", "lines", "law", "maps", "scatter", "scaling", "sky", "accuracy"), *("figure", "other")]
+PLOTS = [
+    *("style", "layout", "lines", "law", "maps", "scatter", "scaling", "sky", "accuracy"),
+    *("panels", "figure", "other"),
+]
 ONLY_IN = {
     "click": {f"sweep.cli.{module}" for module in CLI},
     "distributed": {"sweep.clusters", "sweep.on_client", "sweep.own_cluster", "sweep.pin"},
@@ -65,7 +68,8 @@ SEARCH_MAY_USE = {
 }
 # What pictures may import from outside of them: results, and what is derived from them.
 PLOTS_MAY_USE = {
-    f"sweep.{module}" for module in ("contract", "tally", "tables", "fits", "quantity", "compare", "analysis")
+    *("sweep.contract", "sweep.tally", "sweep.tables", "sweep.fits", "sweep.selection", "sweep.quantity"),
+    *("sweep.lines", "sweep.compare", "sweep.analysis"),
 }
 CORE_MAY_USE = {"numpy", "scipy", "core", "dataclasses", "typing", "collections", "types", "functools", "itertools"}
 CORE_EXTRAS = {"pygaia"}

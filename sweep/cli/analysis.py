@@ -56,7 +56,8 @@ def fit(
     """
     from sweep.analysis import fit_levelling, fit_power_law
     from sweep.conditions import parse_range
-    from sweep.quantity import between, main_quantity, require_axis
+    from sweep.quantity import main_quantity, require_axis
+    from sweep.selection import between
 
     if law == "levelling" and expect is not None:
         raise click.UsageError("--expect is an exponent and goes with --law power")

@@ -178,7 +178,7 @@ def load(
 def part_of(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the dataset of a store, of it the part that ``--at`` names."""
     from sweep.conditions import parse_places
-    from sweep.quantity import select
+    from sweep.selection import select
     from sweep.store import open_dataset
 
     places = parse_places(at)

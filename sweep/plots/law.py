@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 
 from sweep.analysis import fit_power_law
 from sweep.fits import PowerLaw, power_law
+from sweep.lines import lines
 from sweep.plots.style import (
     BAND,
     COLOURS,
@@ -20,7 +21,6 @@ from sweep.plots.style import (
     symbol,
     value_text,
 )
-from sweep.quantity import lines
 from sweep.tables import with_error
 
 

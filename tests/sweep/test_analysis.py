@@ -17,9 +17,11 @@ from sweep.conditions import Limit, parse_limit, parse_places, parse_range
 from sweep.contract import SweepError
 from sweep.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
 from sweep.fits import power_law
-from sweep.quantity import between, lines, main_quantity, quantities, require_axis, select, standard_error
+from sweep.lines import lines
+from sweep.quantity import main_quantity, quantities, require_axis, standard_error
 from sweep.reader import study_from_dict
 from sweep.run import Resources, run_study
+from sweep.selection import between, select
 from sweep.tally import DONE, EXCLUDED, FAILED, MISSING
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])

@@ -9,7 +9,7 @@ import xarray as xr
 
 from tests.conftest import COINS
 
-COMMANDS = ("run", "plan", "show", "status", "list", "params", "plot", "compare", "match", "calibrate")
+COMMANDS = ("run", "plan", "show", "status", "list", "params", "plot", "compare", "match", "calibrate", "fit", "find")
 
 
 @pytest.mark.parametrize("command", COMMANDS)

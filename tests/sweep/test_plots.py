@@ -20,9 +20,10 @@ from sweep.plots.other import accuracy_figure, sky_figure
 from sweep.plots.scaling import draw_efficiency, draw_speed_up
 from sweep.plots.scatter import draw_scatter
 from sweep.plots.sky import add_sky, draw_sky
-from sweep.quantity import select, standard_error
+from sweep.quantity import standard_error
 from sweep.reader import study_from_dict
 from sweep.run import Resources, run_study
+from sweep.selection import select
 from sweep.tally import MISSING
 from sweep.views import accuracy_curves, catalogue_of_point, catalogue_of_table
 

@@ -1,0 +1,75 @@
+"""Part of a dataset: at values of its axes, or where an axis is in a range."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.contract import FEW, SweepError, shown, suggest
+
+
+def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
+    """Return the part of a dataset at values of axes; these become coordinates without a dimension.
+
+    A value may be given as text, as on a command line.  Raises SweepError as `indices`.
+    """
+    return dataset.isel(indices(dataset, places))
+
+
+def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:
+    """Return the index along each dimension that values of axes stand for.
+
+    Raises SweepError that lists every name that is no axis, every value that is not in the grid, and values of axes
+    along one dimension that are not those of one point.
+    """
+    problems: list[str] = []
+    found: dict[str, set[int]] = {}
+    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and not str(n).endswith("_unit")]
+    for name, wanted in places.items():
+        if name not in axes:
+            problems.append(f"{shown(name)} is not an axis{suggest(name, axes) if axes else '; there are none'}")
+            continue
+        values = dataset[name].values.tolist()
+        hits = {i for i, value in enumerate(values) if _is_meant(value, wanted)}
+        dimension = str(dataset[name].dims[0])
+        if not hits:
+            listed = ", ".join(map(str, values[:FEW])) + (", ..." if len(values) > FEW else "")
+            problems.append(f"{name} = {wanted} is not in the grid, which has {listed}")
+        elif not found.setdefault(dimension, hits) & hits:
+            problems.append(f"{name} = {wanted} is at no point with the other values that are given along {dimension}")
+        else:
+            found[dimension] &= hits
+    if problems:
+        raise SweepError(problems)
+    return {dimension: min(hits) for dimension, hits in found.items()}
+
+
+def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Dataset:
+    """Return the part of a dataset where low <= axis <= high; raises SweepError if that is nowhere."""
+    inside = (dataset[axis].values >= low) & (dataset[axis].values <= high)
+    if not inside.any():
+        values = dataset[axis].values
+        raise SweepError(
+            f"{axis} has no value from {low:g} to {high:g}; it goes from {values.min():g} to {values.max():g}"
+        )
+    dimension = str(dataset[axis].dims[0])
+    both = [d for d in (dimension, f"{dimension}_other") if d in dataset.dims]
+    return dataset.isel({d: np.flatnonzero(inside) for d in both})
+
+
+def place_in_words(where: Mapping[str, Any]) -> str:
+    """Return a place on the axes as ``model=gaia, v_max=16``."""
+    return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in where.items())
+
+
+def _is_meant(value: object, wanted: object) -> bool:
+    """Return whether a value of a grid is the one wanted, which may be its text on a command line."""
+    if not isinstance(wanted, str) or isinstance(value, str):
+        return value == wanted
+    if isinstance(value, bool):
+        return wanted.lower() == str(value).lower()
+    try:
+        return value == float(wanted)
+    except ValueError:
+        return False
