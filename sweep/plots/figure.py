@@ -39,7 +39,9 @@ def draw_figure(
         raise SweepError(f"no kind {shown(kind)}{suggest(kind, KINDS)}")
     if is_scaling(dataset):
         return _scaling(dataset, kind)
-    if sampled(dataset) is not None and (kind == "scatter" or (kind is None and not variables)):
+    if sampled(dataset) is not None and (
+        kind == "scatter" or (kind is None and _suits_scatter(dataset, variables, over))
+    ):
         if variables:
             raise SweepError("a scatter is of kept samples, not of a variable; choose its two components with --over")
         return _scatter(dataset, over)
@@ -48,7 +50,7 @@ def draw_figure(
         require_quantity(dataset, name)
         _require_one_unit(dataset, name)
     whole = dataset
-    dataset = _without_single(dataset, names[0], over)
+    dataset = _without_single(dataset, over)
     possible = possible_kinds(dataset, names[0])
     chosen = kind or _suitable(dataset, names[0], over, possible)
     if chosen not in possible:
@@ -68,6 +70,11 @@ def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
     kinds += ["law"] if numeric else []
     kinds += ["map"] if len({dataset[axis].dims[0] for axis in numeric}) > 1 else []
     return kinds + (["scatter"] if sampled(dataset) is not None else [])
+
+
+def _suits_scatter(dataset: xr.Dataset, variables: Sequence[str], over: Sequence[str]) -> bool:
+    """Return whether kept samples are all that there is to draw: one point, and no axis or variable asked for."""
+    return dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str], possible: Sequence[str]) -> str:
@@ -163,7 +170,7 @@ def _title(figure: Figure, whole: xr.Dataset, drawn: xr.Dataset) -> None:
     figure.suptitle("\n".join(filter(None, (str(whole.attrs.get("title", "")), shared, words))), fontsize="medium")
 
 
-def _without_single(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> xr.Dataset:
+def _without_single(dataset: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
     """Return the dataset without dimensions of one value, but one to draw along."""
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1 and d not in over]
     if len(single) == dataset["status"].ndim and single:

@@ -16,7 +16,8 @@ CONFIDENCES = (0.683, 0.954)
 
 def sampled(dataset: xr.Dataset) -> str | None:
     """Return the variable of kept samples of several components, None if there is none."""
-    names = [str(n) for n, v in dataset.data_vars.items() if "sample" in v.dims and len(set(v.dims) - {"sample"}) >= 1]
+    known = {"sample", *dataset["status"].dims}
+    names = [str(n) for n, v in dataset.data_vars.items() if "sample" in v.dims and set(v.dims) - known]
     return names[0] if names else None
 
 

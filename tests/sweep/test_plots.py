@@ -263,6 +263,14 @@ def test_a_scatter_of_chosen_components(dataset_of):
         draw_figure(dataset_of("scatter"), over=["omega_x"])
 
 
+def test_kept_samples_of_several_points_do_not_hide_the_results(dataset_of):
+    one = dataset_of("scatter")
+    two = xr.concat([one.assign_coords(model=[name]) for name in ("amex", "gaia")], "model", data_vars="minimal")
+    assert axes_of(draw_figure(two))[0].get_xlabel() == "model"
+    with pytest.raises(SweepError, match=r"a scatter is of one point; choose it with --at AXIS=VALUE: model \(2\)"):
+        draw_figure(two, "scatter")
+
+
 # Scaling
 
 
