@@ -45,7 +45,7 @@ class Column:
         """Find the chunks among the names of all files of the store."""
         self.layout, self._location = layout, location
         self._codec = _Codec(layout)
-        self.chunks = {n for key in keys if (n := self._number(key)) is not None}
+        self.chunks = {n for key in keys if (n := self.number(key)) is not None}
         self._described = len(self) // layout.rows if self.description in keys else 0
         self._recent: dict[int, NDArray[Any]] = {}
         self.resume(0)
@@ -138,7 +138,8 @@ class Column:
         """No rows."""
         return self._empty(0)
 
-    def _number(self, key: str) -> int | None:
+    def number(self, key: str) -> int | None:
+        """Return which chunk a file holds, None for another file."""
         number = key.removeprefix(f"{self.layout.folder}/c/").removesuffix("/0")
         return int(number) if number.isdecimal() and key == self.key(int(number)) else None
 

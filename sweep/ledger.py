@@ -19,22 +19,23 @@ from sweep.location import Location
 KEY_BYTES = 32
 START_BYTES = 8
 FEWEST_ROWS = 64
-CHUNK_BYTES = {"sums": 2**20, "samples": 2**22}
+CHUNK_BYTES = {"index": 2**20, "sums": 2**21, "samples": 2**22}
+"""Few files for many blocks, against what each flush writes again."""
 
 Array = NDArray[np.float64]
 
 
 def shapes_of(experiment: Experiment, *, keep_samples: bool) -> dict[str, list[int]]:
     """Return rows and width of a chunk of each array, as a new store will remember them."""
-    sums = [_rows("sums", experiment.sums_width), experiment.sums_width]
-    shapes = {"index": [sums[0], KEY_BYTES + START_BYTES], "sums": sums}
+    widths = {"index": KEY_BYTES + START_BYTES, "sums": experiment.sums_width}
     if keep_samples:
-        shapes["samples"] = [_rows("samples", experiment.samples_width), experiment.samples_width]
-    return shapes
+        widths["samples"] = experiment.samples_width
+    return {name: [_rows(name, width), width] for name, width in widths.items()}
 
 
 def _rows(name: str, width: int) -> int:
-    return int(max(FEWEST_ROWS, 2 ** int(np.log2(CHUNK_BYTES[name] / (8 * max(width, 1))))))
+    row = width if name == "index" else 8 * max(width, 1)
+    return int(max(FEWEST_ROWS, 2 ** int(np.log2(max(1.0, CHUNK_BYTES[name] / row)))))
 
 
 def columns_of(location: Location, shapes: Mapping[str, Sequence[int]], keys: Collection[str]) -> dict[str, Column]:

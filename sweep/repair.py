@@ -120,13 +120,13 @@ def _problem(content: bytes | None) -> str:
 
 
 def _missing_chunks(columns: dict[str, Column]) -> dict[str, str]:
-    """Return the chunks that are missing: below those that are there, or of samples that a row speaks of."""
-    index = columns["index"]
+    """Return the chunks that are missing: below those that are there, or with what a row of the index speaks of."""
     needed = {name: set(range(len(column) // column.layout.rows)) for name, column in columns.items()}
-    needed["sums"] |= needed["index"]
-    if "samples" in columns:
-        with suppress(DamagedError):  # a damaged index is in the report, and must be repaired first
-            needed["samples"] |= _chunks_of_samples(index.read(), columns["samples"].layout.rows)
+    with suppress(DamagedError):  # a damaged index is in the report, and must be repaired first
+        index = columns["index"].read()
+        needed["sums"] |= set((np.flatnonzero(index.any(axis=1)) // columns["sums"].layout.rows).tolist())
+        if "samples" in columns:
+            needed["samples"] |= _chunks_of_samples(index, columns["samples"].layout.rows)
     files = (columns[name].key(number) for name in needed for number in sorted(needed[name] - columns[name].chunks))
     return dict.fromkeys(files, "it is missing")
 
@@ -162,11 +162,10 @@ def _remake(location: Location, file: str, columns: dict[str, Column]) -> str:
         if file == column.description:
             location.put(file, column.described(len(column) // column.layout.rows))
             return f"{file} was made anew"
-        for number in range(len(column) // column.layout.rows + 1):
-            if file == column.key(number):
-                if name == "samples":
-                    _strike_out(number, column, columns["index"])
-                column.write(number, column.none)
+        if (number := column.number(file)) is not None:
+            if name == "samples":
+                _strike_out(number, column, columns["index"])
+            column.write(number, column.none)
     return f"{file}: the next `sweep run` computes again what was in it"
 
 

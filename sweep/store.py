@@ -19,6 +19,7 @@ from sweep.sealed import group_document, sealed, unsealed
 from sweep.study import Study
 
 FAILURES = "failures/zarr.json"
+RESERVED = {"blocks", "failures"}
 MOST_UNWRITTEN = 2**26
 """Bytes of sums and samples that may wait for the next flush."""
 
@@ -189,6 +190,10 @@ def check_store(where: Where, study: Study) -> bool:
     """Return whether a place is free; raises SweepError unless it is, or holds results that this study can be mixed
     with.
     """
+    names = {*study.axes, *study.experiment.coordinates}
+    names |= {output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs)}
+    if taken := sorted(RESERVED & names):
+        raise SweepError(f"no axis or result can be named {', '.join(taken)}: a store has a group of that name")
     location = located(where)
     root = find_root(location)
     if root is None and (obstacle := location.obstacle()):
