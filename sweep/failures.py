@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+from sweep.sealed import unsealed
+
 MAX_TRACEBACKS = 1000
 TRACEBACK_BYTES = 4096
 DIGEST_BYTES = 16
@@ -31,6 +33,13 @@ def from_json(document: Mapping[str, Any]) -> dict[bytes, Record]:
     if any(len(digest) != DIGEST_BYTES for digest in failures):
         raise ValueError("it is no record of failed points: a digest of another length")
     return failures
+
+
+def read(content: bytes | None) -> dict[bytes, Record]:
+    """Return the failures that a stored document records, none where there is none; raises ValueError for a damaged
+    one.
+    """
+    return {} if content is None else from_json(unsealed(content)["attributes"]["failures"])
 
 
 def _end(text: str) -> str:

@@ -6,7 +6,7 @@ They are written in the opposite order, so that a process killed at any instant 
 A chunk that is lost costs the rows in it and no other.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +49,20 @@ def columns_of(location: Location, shapes: Mapping[str, Sequence[int]], keys: Co
         for name, kind in (("samples", ("float64", np.nan)), ("sums", ("float64", np.nan)), ("index", ("uint8", 0)))
         if name in shapes
     }
+
+
+def damaged_descriptions(columns: Iterable[Column], documents: Mapping[str, bytes | None]) -> dict[str, str]:
+    """Return what is wrong with which description of an array; one that is missing was not written yet, unless there
+    are chunks.
+    """
+    damaged: dict[str, str] = {}
+    for column in columns:
+        try:
+            if documents[column.description] is not None or column.chunks:
+                column.check_description(documents[column.description])
+        except ValueError as error:
+            damaged[column.description] = str(error)
+    return damaged
 
 
 class Ledger:

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep import snapshot
+from sweep import failures, snapshot
 from sweep.column import Column, DamagedError
 from sweep.contract import SweepError
-from sweep.identity import COPY, ROOT, find_root, readable_copy
-from sweep.ledger import columns_of, rows_of
+from sweep.identity import COPY, ROOT, damaged_copy, find_root, readable_copy
+from sweep.ledger import columns_of, damaged_descriptions, rows_of
 from sweep.location import Location, Where, located, reading, writing
 from sweep.lock import holder, locked
 from sweep.sealed import group_document, sealed, unsealed
-from sweep.store import FAILURES, damaged_documents, read_failures
+from sweep.store import FAILURES
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,10 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], dict[str, Column
     keys = location.keys()
     columns = columns_of(location, json.loads(attributes["ledger"]), keys)
     documents = location.get_all([COPY, FAILURES, *(column.description for column in columns.values())])
-    report.ledger.update(damaged_documents(columns.values(), documents))
-    if COPY in report.ledger or documents[COPY] is None:
-        report.ledger.pop(COPY, None)
-        report.identity[COPY] = _problem(documents[COPY])
+    report.ledger.update(damaged_descriptions(columns.values(), documents))
+    report.identity.update({COPY: "it is missing"} if documents[COPY] is None else damaged_copy(documents[COPY]))
     try:
-        read_failures(documents[FAILURES])
+        failures.read(documents[FAILURES])
     except ValueError as error:
         report.ledger[FAILURES] = str(error)
     for column in columns.values():

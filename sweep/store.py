@@ -10,10 +10,10 @@ from typing import Any
 import xarray as xr
 
 from sweep import failures, snapshot
-from sweep.column import Column, DamagedError
+from sweep.column import DamagedError
 from sweep.contract import Array, SweepError
-from sweep.identity import COPY, REPAIR, ROOT, differences, find_root, identity, read_root
-from sweep.ledger import Ledger, columns_of
+from sweep.identity import COPY, REPAIR, ROOT, damaged_copy, differences, find_root, identity, read_root
+from sweep.ledger import Ledger, columns_of, damaged_descriptions
 from sweep.location import Location, Where, located, reading, writing
 from sweep.sealed import group_document, sealed, unsealed
 from sweep.study import Study
@@ -44,9 +44,10 @@ class Store:
             keys = self.location.keys()
             columns = columns_of(self.location, shapes, keys)
             documents = self.location.get_all([COPY, FAILURES, *(c.description for c in columns.values())])
-            damaged |= damaged_documents(columns.values(), documents)
+            damaged |= damaged_descriptions(columns.values(), documents)
+            damaged |= damaged_copy(documents[COPY])
             try:
-                self.failures = read_failures(documents[FAILURES])
+                self.failures = failures.read(documents[FAILURES])
                 self._ledger = Ledger(columns)
             except ValueError as error:
                 damaged[FAILURES] = str(error)
@@ -58,7 +59,10 @@ class Store:
         self.rows = self._ledger.rows
         self._failures_changed = False
         self._unwritten = 0
-        self._documents = snapshot.arrays_of(root)
+        try:
+            self._documents = snapshot.arrays_of(root)
+        except ValueError as error:
+            raise SweepError(str(error), str(self.location)) from error
         self._digests: dict[str, bytes] = {}
         self._files = snapshot.leftovers(keys, self._documents)
 
@@ -251,30 +255,6 @@ def open_dataset(where: Where) -> xr.Dataset:
     if not dataset.data_vars:
         raise SweepError("has no results yet; `sweep run` the study to go on", str(location))
     return dataset
-
-
-def damaged_documents(columns: Iterable[Column], documents: Mapping[str, bytes | None]) -> dict[str, str]:
-    """Return what is wrong with which of the ledger's JSON documents; one that is missing was not written yet, unless
-    there are chunks that it should describe.
-    """
-    damaged: dict[str, str] = {}
-    if documents[COPY] is not None:
-        try:
-            unsealed(documents[COPY])
-        except ValueError as error:
-            damaged[COPY] = str(error)
-    for column in columns:
-        try:
-            if documents[column.description] is not None or column.chunks:
-                column.check_description(documents[column.description])
-        except ValueError as error:
-            damaged[column.description] = str(error)
-    return damaged
-
-
-def read_failures(content: bytes | None) -> dict[bytes, failures.Record]:
-    """Return the failures that a document records, none where there is none; raises ValueError for a damaged one."""
-    return {} if content is None else failures.from_json(unsealed(content)["attributes"]["failures"])
 
 
 def _damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.location import Folder
+from sweep.folder import Folder
 from sweep.reader import study_from_dict
 from sweep.repair import check, repair
 from sweep.run import Resources, run_study

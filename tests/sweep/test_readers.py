@@ -12,7 +12,7 @@ import xarray as xr
 from sweep.contract import SweepError
 from sweep.provenance import provenance
 from sweep.reader import study_from_dict
-from sweep.store import create_or_resume, open_dataset
+from sweep.store import create_or_resume, existing_store, open_dataset
 
 READ = """
 import json, sys, time
@@ -168,5 +168,6 @@ def test_an_array_of_another_codec_is_not_read(tmp_path, coins):
     root = json.loads((path / "zarr.json").read_text())
     root["consolidated_metadata"]["metadata"]["value"]["codecs"].append({"name": "numcodecs.pickle"})
     (path / "zarr.json").write_bytes(sealed(root))
-    with pytest.raises(SweepError, match="'value' was not written by linksweep"):
-        open_dataset(path)
+    for read in (open_dataset, lambda path: existing_store(path, study)):
+        with pytest.raises(SweepError, match="'value' was not written by linksweep"):
+            read(path)

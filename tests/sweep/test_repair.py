@@ -9,7 +9,8 @@ import xarray as xr
 
 from sweep import ledger
 from sweep.contract import SweepError
-from sweep.location import Folder, located
+from sweep.folder import Folder
+from sweep.location import located
 from sweep.lock import locked
 from sweep.reader import study_from_dict
 from sweep.repair import check, repair

@@ -1,0 +1,166 @@
+"""A store in a folder of this machine: files that are written beside their names and then renamed."""
+
+import fcntl
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import uuid4
+
+UNFINISHED = ".partial"
+"""Ends the name of a file that is being written."""
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A folder of this machine."""
+
+    path: Path
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    @property
+    def name(self) -> str:
+        """The folder's own name, whatever links lead to it: two names of one store have one lock."""
+        return self.path.resolve().name
+
+    @property
+    def parent(self) -> "Folder":
+        """The folder around it."""
+        return Folder(self.path.resolve().parent)
+
+    def get(self, key: str) -> bytes | None:
+        """Return the content of a file, None where there is none."""
+        try:
+            return (self.path / key).read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes | None]:
+        """Return the contents of files."""
+        return {key: self.get(key) for key in keys}
+
+    def put(self, key: str, content: bytes) -> None:
+        """Write a file by renaming a finished one, and wait until both are on the disk."""
+        path = self._write(key, content, durable=True)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def put_all(self, files: Mapping[str, bytes]) -> None:
+        """Write files one by one."""
+        for key, content in files.items():
+            self._write(key, content, durable=False)
+
+    def create(self, key: str, content: bytes) -> bool:
+        """Write a file unless there is one, by linking a finished one to its name."""
+        path = self.path / key
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _finished(path, content, durable=True) as temporary:
+            try:
+                os.link(temporary, path)
+            except FileExistsError:
+                return False
+            except OSError:  # a file system without links
+                return _create_directly(path, content)
+        return True
+
+    def swap(self, key: str, old: bytes, new: bytes) -> bool:
+        """Replace a file that still holds ``old``: who has the system's lock on the very file that is to go may do
+        so.
+        """
+        path = self.path / key
+        try:
+            descriptor = os.open(path, os.O_RDONLY)
+        except FileNotFoundError:
+            return False
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            if self.get(key) != old or not os.path.samestat(os.fstat(descriptor), path.stat()):
+                return False
+            self._write(key, new, durable=True)
+            return True
+        except FileNotFoundError:
+            return False
+        finally:
+            os.close(descriptor)
+
+    def delete(self, key: str) -> None:
+        """Remove a file if there is one."""
+        (self.path / key).unlink(missing_ok=True)
+
+    def keys(self, under: str = "") -> list[str]:
+        """Return the names of all finished files below a folder of it."""
+        found: list[str] = []
+        for folder, _, names in os.walk(self.path / under, onerror=_raise_unless_missing):
+            relative = Path(folder).relative_to(self.path)
+            found += [(relative / name).as_posix() for name in names if not name.endswith(UNFINISHED)]
+        return sorted(found)
+
+    def is_free(self) -> bool:
+        """Return whether nothing is there, or a folder with at most the first file that a killed process did not
+        finish.
+        """
+        if not self.path.exists():
+            return not self.path.is_symlink()
+        return self.path.is_dir() and all(p.name.endswith(UNFINISHED) and p.is_file() for p in self.path.iterdir())
+
+    def obstacle(self) -> str | None:
+        """Say whether there is a file in the way, or a folder around it that cannot be written."""
+        if self.path.exists():
+            return None if self.path.is_dir() else "is a file, not a Zarr store"
+        parent = next(p for p in self.path.absolute().parents if p.exists())
+        if parent.is_dir() and os.access(parent, os.W_OK | os.X_OK):
+            return None
+        return f"cannot make a store there: {parent} is not a directory that can be written"
+
+    @contextmanager
+    def tidied(self) -> Iterator[None]:
+        """Remove folders that were not there before and are empty now."""
+        missing = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                for folder in missing:
+                    folder.rmdir()
+
+    def _write(self, key: str, content: bytes, *, durable: bool) -> Path:
+        path = self.path / key
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _finished(path, content, durable=durable) as temporary:
+            temporary.replace(path)
+        return path
+
+
+@contextmanager
+def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
+    """Give a file beside ``path`` with this content, which is gone afterwards unless it was renamed."""
+    temporary = path.with_name(f"{path.name}.{uuid4().hex[:12]}{UNFINISHED}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(content)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
+        yield temporary
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _create_directly(path: Path, content: bytes) -> bool:
+    try:
+        with path.open("xb") as file:
+            file.write(content)
+    except FileExistsError:
+        return False
+    return True
+
+
+def _raise_unless_missing(error: OSError) -> None:
+    if not isinstance(error, FileNotFoundError | NotADirectoryError):
+        raise error
