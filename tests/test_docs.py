@@ -2,10 +2,14 @@
 
 import re
 import shlex
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 import xarray as xr
+
+from tests.sweep.outside import Outside
+from tests.sweep.test_tls import Files as TlsFiles
 
 ROOT = Path(__file__).parent.parent
 
@@ -68,3 +72,42 @@ def test_the_readme_shows_the_table_that_the_study_prints(tmp_path, sweep):
     assert len(printed) == 4
     shown = [line.split() for line in table.splitlines()]
     assert all(row in shown for row in printed)
+
+
+def test_the_commands_about_clusters_run(tmp_path, sweep):
+    (tmp_path / "dask").mkdir()
+    (tmp_path / "cluster.toml").write_text(code("clusters.md", "toml")[0])
+    files = TlsFiles(tmp_path / "tls")
+    with (
+        closing(Outside(tmp_path / "dask")) as plain,
+        closing(Outside(tmp_path / "tls", *files.options("--tls-ca-file"), protocol="tls")) as tls,
+    ):
+        plain.start_worker()
+        tls.start_worker()
+        here = {
+            "tcp://head.example.org:8786": plain.address,
+            "tls://head.example.org:8786": tls.address,
+            **{"ca.pem": files.ca, "me.pem": files.cert, "key.pem": files.key},
+        }
+        for command in commands("clusters.md"):
+            words = [here.get(word, word) for word in shlex.split(command)[1:]]
+            status, _, err = sweep(*words, cwd=tmp_path)
+            assert status == 0, f"{command}: {err}"
+
+
+def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
+    """The files make job scripts; a real SLURM runs one like the first in test_slurm."""
+    from sweep.clusterfile import cluster_class, read_cluster_file
+    from sweep.own_cluster import own_cluster
+
+    (tmp_path / "slurm.toml").write_text(code("clusters.md", "toml")[1])
+    (tmp_path / "pbs.yaml").write_text(code("clusters.md", "yaml")[0])
+    scripts = {}
+    for path in (tmp_path / "slurm.toml", tmp_path / "pbs.yaml"):
+        file = read_cluster_file(path)
+        with own_cluster(cluster_class(file), file.options) as cluster:
+            scripts[path.name] = cluster.job_script()
+    assert "#SBATCH -p short" in scripts["slurm.toml"]
+    assert "#SBATCH --account=astro" in scripts["slurm.toml"]
+    assert "#PBS -l select=1:ncpus=8:mem=16GB" in scripts["pbs.yaml"]
+    assert "--nworkers 8" in scripts["pbs.yaml"]
