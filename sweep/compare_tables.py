@@ -32,7 +32,7 @@ def as_text(comparisons: Sequence[Comparison]) -> "Table":
             table.add_section()
         previous = c.study
         name = f"{c.what} [{c.unit}]" if c.unit else c.what
-        table.add_row(*(escape(cell) for cell in (c.study, name, place_in_words(c.where), *_numbers(c), c.verdict)))
+        table.add_row(*(escape(cell) for cell in (c.study, name, place_in_words(c.where), *numbers_in_words(c), c.verdict)))
     return table
 
 
@@ -67,11 +67,7 @@ def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> s
     return json.dumps({"comparisons": rows, "summary": summary(comparisons), "remarks": list(remarks)}, indent=1)
 
 
-def _cell(value: Any, missing: str | None) -> Any:
-    return missing if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _numbers(c: Comparison) -> tuple[str, str, str, str, str]:
+def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     """Return value, published, difference, that in percent, and allowance, with the digits that count."""
     published = f"{c.published:.{_decimals(2.0 * c.rounding)}f}" if c.rounding > 0.0 else f"{c.published:g}"
     if not math.isfinite(c.value):
@@ -84,6 +80,10 @@ def _numbers(c: Comparison) -> tuple[str, str, str, str, str]:
     percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
     sign = "+" if c.difference > 0.0 else ""
     return value, published, sign + _fixed(c.difference, digits), percent, _allowance(c)
+
+
+def _cell(value: Any, missing: str | None) -> Any:
+    return missing if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _allowance(c: Comparison) -> str:

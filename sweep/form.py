@@ -27,6 +27,7 @@ class Form(Section):
     """The fixed part of a study file; axes and parameters are checked against the experiment."""
 
     title: str
+    question: str | None = None
     experiment: str = "core.experiment:link"
     axes: dict[str, Any] = Field(default_factory=dict)
     fixed: dict[str, Any] = Field(default_factory=dict)

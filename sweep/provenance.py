@@ -19,6 +19,7 @@ def provenance(study: Study) -> dict[str, Any]:
     """Return the attributes of a result that say how it was made; plain strings and numbers."""
     attributes: dict[str, Any] = {
         "title": study.title,
+        **({"question": study.question} if study.question else {}),
         "study_name": study.name,
         "study": study.text,
         "study_overrides": " ".join(study.overrides),

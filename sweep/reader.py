@@ -111,6 +111,7 @@ class _Reader:
         return Study(
             name=self.path.stem,
             title=form.title,
+            question=form.question or "",
             experiment_reference=absolute_reference(form.experiment, self.path.parent),
             experiment=experiment,
             axes={name: values for name, values in axes.items() if values is not None},

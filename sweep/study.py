@@ -162,6 +162,7 @@ class Study:
     excluded: tuple[tuple[Condition, ...], ...] = ()
     published: Published | None = None
     source: str = ""
+    question: str = ""
     claims: tuple[Claim, ...] = ()
     text: str = ""
     overrides: tuple[str, ...] = ()

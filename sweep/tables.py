@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import xarray as xr
@@ -14,6 +15,16 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 MOST_DECIMALS = 9
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column for reading: ``cells`` as they are printed, and the ``values`` that they stand for and sort by."""
+
+    name: str
+    unit: str
+    cells: list[str]
+    values: list[Any]
 
 
 def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
@@ -82,7 +93,6 @@ def as_text(dataset: xr.Dataset) -> "Table":
     from rich.table import Table
     from rich.text import Text
 
-    columns = _without_excluded(long_table(dataset))
     table = Table(
         title=Text(str(dataset.attrs.get("title", ""))),
         title_justify="left",
@@ -90,24 +100,35 @@ def as_text(dataset: xr.Dataset) -> "Table":
         pad_edge=False,
         header_style="bold",
     )
-    cells: list[list[str]] = []
-    axes = _axis_coordinates(dataset, axes_of(dataset))
-    for name in axes:
-        _add(table, cells, name, columns[name][0], [_plain(v) for v in columns[name][1]])
-    for name in _headline(dataset):
-        unit, values = columns[name]
-        errors = columns[f"{name}_mc_error"][1] if f"{name}_mc_error" in columns else [0.0] * len(values)
-        _add(table, cells, name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)])
-        if (predicted := columns.get(f"{name}_predicted")) is not None:
-            _add(table, cells, "predicted", unit, [_rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)])
-        if (published := columns.get(f"{name}_published")) is not None and not all(map(_is_missing, published[1])):
-            _add(table, cells, "published", unit, [_rounded(v, 0.0) for v in published[1]])
-            _add(table, cells, "difference", "", [_difference(v, p) for v, p in zip(values, published[1], strict=True)])
-    if set(columns["status"][1]) != {"done"}:
-        _add(table, cells, "status", "", columns["status"][1])
-    for row in zip(*cells, strict=True):
+    columns = headline_columns(dataset)
+    for column in columns:
+        heading = f"{column.name}\n[{column.unit}]" if column.unit else column.name
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    for row in zip(*(column.cells for column in columns), strict=True):
         table.add_row(*map(escape, row))
     return table
+
+
+def headline_columns(dataset: xr.Dataset) -> list[Column]:
+    """Return the columns of the headline results: axes, values with errors, prediction, published and difference."""
+    long = _without_excluded(long_table(dataset))
+    columns = [
+        Column(name, long[name][0], [_plain(v) for v in long[name][1]], long[name][1])
+        for name in _axis_coordinates(dataset, axes_of(dataset))
+    ]
+    for name in filter(long.__contains__, _headline(dataset)):
+        unit, values = long[name]
+        errors = long[f"{name}_mc_error"][1] if f"{name}_mc_error" in long else [0.0] * len(values)
+        columns.append(Column(name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)], values))
+        if (predicted := long.get(f"{name}_predicted")) is not None:
+            cells = [_rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
+            columns.append(Column("predicted", unit, cells, predicted[1]))
+        if (published := long.get(f"{name}_published")) is not None and not all(map(_is_missing, published[1])):
+            columns.append(Column("published", unit, [_rounded(v, 0.0) for v in published[1]], published[1]))
+            pairs = list(zip(values, published[1], strict=True))
+            columns.append(Column("difference", "", [_difference(*p) for p in pairs], [_relative(*p) for p in pairs]))
+    status = long["status"][1]
+    return columns if set(status) == {"done"} else [*columns, Column("status", "", status, status)]
 
 
 def with_error(value: float, error: float) -> str:
@@ -120,14 +141,6 @@ def with_error(value: float, error: float) -> str:
 def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tuple[str, list[Any]]]:
     kept = [i for i, status in enumerate(columns["status"][1]) if status != "excluded"]
     return {name: (unit, [values[i] for i in kept]) for name, (unit, values) in columns.items()}
-
-
-def _add(table: "Table", cells: list[list[str]], name: str, unit: str, values: list[str]) -> None:
-    from rich.text import Text
-
-    heading = f"{name}\n[{unit}]" if unit else name
-    table.add_column(Text(heading), justify="right", no_wrap=True)
-    cells.append(values)
 
 
 def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
@@ -159,6 +172,13 @@ def _rounded(value: float, error: float) -> str:
 
 
 def _difference(value: float, published: float) -> str:
-    if _is_missing(value) or _is_missing(published):
+    relative = _relative(value, published)
+    if _is_missing(relative):
         return ""
-    return "none" if value == published else f"{100.0 * (value / published - 1.0):+.1f} %"
+    return "none" if relative == 0.0 else f"{100.0 * relative:+.1f} %"
+
+
+def _relative(value: float, published: float) -> float:
+    if value == published:
+        return 0.0
+    return value / published - 1.0 if published else math.nan

@@ -57,14 +57,14 @@ def compare(
     if not everything and (results is not None or resources != Resources() or watching != Watching()):
         raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without it")
     if everything:
-        stores = _run_what_is_missing(results or Path("results"), resources, watching)
+        stores = run_what_is_missing(results or Path("results"), resources, watching)
     comparisons, remarks = compare_stores(stores)
     print_comparisons(comparisons, remarks, "json" if as_json else table_format)
     if not all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)
 
 
-def _run_what_is_missing(results: Path, resources: "Resources", watching: Watching) -> "tuple[Location, ...]":
+def run_what_is_missing(results: Path, resources: "Resources", watching: Watching) -> "tuple[Location, ...]":
     """Return the stores of all built-in studies with something published, after running those that need it."""
     from sweep.location import located
     from sweep.paper import published_studies, store_of, unfinished

@@ -1,0 +1,181 @@
+"""The answer to a study's question in words, from its headline results."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sweep.contract import SweepError
+from sweep.quantity import main_quantity, place_in_words, quantities, standard_error
+from sweep.tables import with_error
+from sweep.tally import DONE, EXCLUDED, FAILED, STATUS_WORDS
+
+Array = NDArray[np.float64]
+
+ERRORS_ALLOWED = 3.0
+"""A value agrees with its prediction if it is so many of its errors from it."""
+
+VISIBLE_FACTOR = 1.005
+"""An axis that changes a quantity by less is not said to change it."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the results say of one quantity: a heading, its meaning, and sentences."""
+
+    name: str
+    meaning: str
+    sentences: list[str]
+
+
+def headline(dataset: xr.Dataset) -> list[str]:
+    """Return the quantities that a study is about: those its experiment calls headline, or the first one there is."""
+    named = [name for name in quantities(dataset) if dataset[name].attrs.get("headline")]
+    with_errors = [name for name in named if standard_error(dataset, name) is not None]
+    rest = [name for name in named if name not in with_errors]
+    try:
+        return [*with_errors, *rest] or [main_quantity(dataset)]
+    except SweepError:
+        return []
+
+
+def answers(dataset: xr.Dataset) -> list[Answer]:
+    """Return what the results say of each headline quantity, of each of its components where it has any."""
+    return [
+        Answer(name, str(dataset[variable].attrs.get("long_name", "")), list(_sentences(part, variable, unit)))
+        for variable in headline(dataset)
+        for name, unit, part in _components(dataset, variable)
+    ]
+
+
+def completeness(dataset: xr.Dataset) -> list[str]:
+    """Return sentences about what these results lack; none if every point of the study is done."""
+    status = dataset["status"].values
+    wanted = int(np.sum(status != EXCLUDED))
+    counts = {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)}
+    lacking = [f"{n} {word}" for word, n in counts.items() if n and word not in (STATUS_WORDS[DONE], "excluded")]
+    if lacking:
+        return [
+            f"Incomplete: {counts[STATUS_WORDS[DONE]]} of {wanted} points are done, {' and '.join(lacking)}. "
+            "What follows is about those that are done."
+        ]
+    if not dataset.attrs.get("complete"):
+        return ["Incomplete: the store says that its run did not end."]
+    return []
+
+
+def failed(dataset: xr.Dataset) -> int:
+    """Return the number of points that failed."""
+    return int(np.sum(dataset["status"].values == FAILED))
+
+
+def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
+    """Yield name, unit and dataset of a variable with one value a point: itself, or each of its components."""
+    extra = [str(d) for d in dataset[variable].dims if d not in dataset["status"].dims]
+    unit = str(dataset[variable].attrs.get("units", ""))
+    for index in np.ndindex(*(dataset.sizes[d] for d in extra)):
+        part = dataset.isel(dict(zip(extra, index, strict=True)))
+        labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in zip(extra, index, strict=True)]
+        units = [str(part[f"{d}_unit"].item()) for d in extra if f"{d}_unit" in part.coords]
+        own = units[0] if "," in unit and len(units) == 1 else unit
+        yield f"{variable} ({', '.join(labels)})" if extra else variable, own, part
+
+
+def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
+    dims = [str(d) for d in part["status"].dims]
+    values = part[variable].transpose(*dims).values.astype(float)
+    known = standard_error(part, variable)
+    errors = np.zeros(values.shape) if known is None else known.transpose(*dims).values.astype(float)
+    finite = np.isfinite(values)
+    if not finite.any():
+        yield "No point has a value yet."
+        return
+    yield _range(part, values, errors, unit)
+    if sentence := _what_changes_it(dims, values):
+        yield sentence
+    if sentence := _accuracy(values[finite], errors[finite]):
+        yield sentence
+    predicted = part.get(f"{variable}_predicted")
+    if predicted is not None and (sentence := _agreement(values, errors, predicted.transpose(*dims).values)):
+        yield sentence
+    if infinite := int(np.sum((part["status"].values == DONE) & ~finite)):
+        yield f"At {infinite} points that are done it is not a finite number."
+
+
+def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
+    def number(index: tuple[Any, ...]) -> str:
+        return with_error(float(values[index]), float(errors[index])) + (f" {unit}" if unit else "")
+
+    low = np.unravel_index(np.nanargmin(values), values.shape)
+    high = np.unravel_index(np.nanargmax(values), values.shape)
+    count = int(np.isfinite(values).sum())
+    if values.size == 1:
+        return f"It is {number(low)}."
+    if count == 1:
+        return f"One point has a value: {number(low)} at {_place(part, low)}."
+    if values[low] == values[high]:
+        return f"It is {number(low)} at all {count} points."
+    return (
+        f"Over {count} points it goes from {number(low)}, at {_place(part, low)}, "
+        f"to {number(high)}, at {_place(part, high)}."
+    )
+
+
+def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:
+    point = part.isel(dict(zip(part["status"].dims, map(int, index), strict=True)))
+    dims = set(map(str, part["status"].dims))
+    names = [n for n in map(str, part.coords) if set(map(str, part[n].dims)) & dims and not point[n].dims]
+    return place_in_words({name: point[name].item() for name in sorted(names, key=lambda n: (n not in dims, n))})
+
+
+def _what_changes_it(dims: list[str], values: Array) -> str:
+    """Say by what factor a positive quantity changes at most along each axis, the others being equal."""
+    if values.ndim == 0 or np.nanmin(values) <= 0.0 or np.nanmax(values) == np.nanmin(values):
+        return ""
+    factors = {}
+    for axis, dim in enumerate(dims):
+        lines = np.moveaxis(values, axis, -1).reshape(-1, values.shape[axis])
+        seen = lines[np.isfinite(lines).sum(axis=1) > 1]
+        if len(seen):
+            factors[dim] = float(np.max(np.nanmax(seen, axis=1) / np.nanmin(seen, axis=1)))
+    order = sorted((dim for dim in dims if factors.get(dim, 0.0) >= VISIBLE_FACTOR), key=lambda dim: -factors[dim])
+    if not order:
+        return ""
+    words = [f"{dim} by a factor of up to {_factor(factors[dim])}" for dim in order]
+    return f"What changes it: {', '.join(words)}{', all else being equal' if len(dims) > 1 else ''}."
+
+
+def _factor(factor: float) -> str:
+    return f"{factor:.2f}" if factor < 10.0 else f"{float(f'{factor:.3g}'):,g}" if factor < 1e6 else f"{factor:.1e}"
+
+
+def _accuracy(values: Array, errors: Array) -> str:
+    use = (errors > 0.0) & (values != 0.0)
+    if not use.any():
+        return ""
+    relative = 100.0 * errors[use] / np.abs(values[use])
+    low, high = f"{relative.min():.2g}", f"{relative.max():.2g}"
+    return f"Its one-sigma error is {low} % of it." if low == high else f"Its one-sigma error is {low} to {high} % of it."
+
+
+def _agreement(values: Array, errors: Array, predicted: Array) -> str:
+    both = np.isfinite(values) & np.isfinite(predicted) & (predicted != 0.0)
+    count = int(both.sum())
+    if not count:
+        return ""
+    farthest = float(np.max(np.abs(values[both] / predicted[both] - 1.0)))
+    text = f"{100.0 * farthest:.2g} %"
+    if not (errors[both] > 0.0).all():
+        return f"It differs from its prediction by at most {text}."
+    deviations = np.abs(values[both] - predicted[both]) / errors[both]
+    within = int(np.sum(deviations <= ERRORS_ALLOWED))
+    largest = math.floor(10.0 * float(deviations.max()) + 0.5) / 10.0
+    share = "all" if within == count else f"{within} of"
+    return (
+        f"{share.capitalize()} {count} values are within {ERRORS_ALLOWED:g} of their errors of the prediction; "
+        f"the largest difference is {largest:g} errors, or up to {text}."
+    )

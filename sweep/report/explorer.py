@@ -1,0 +1,105 @@
+"""The interactive view of a grid: its numbers as the page's script takes them, and the library that draws them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from bokeh.resources import Resources
+
+from sweep.quantity import quantities, standard_error
+
+DIGITS = 7
+"""Significant digits of a number in the page: more than any Monte Carlo knows."""
+
+MOST_NUMBERS = 200_000
+"""So many numbers a page may hold for its interactive views together, some 2 MB."""
+
+LOGARITHMIC_UNITS = ("mag", "dB", "dex")
+
+BESIDE = ("predicted", "published", "published_rounding")
+
+
+def library() -> str:
+    """Return the script of BokehJS that draws in the page, without anything that needs a network or a server."""
+    resources = Resources(mode="inline", minified=True, log_level="error", components=["bokeh", "bokeh-api"])
+    return "\n".join(resources.js_raw)
+
+
+def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict[str, Any], int, list[str]]:
+    """Return what a grid holds in at most ``room`` numbers, how many they are, and the quantities left out.
+
+    ``first`` are the quantities that come first; each has flat lists in C order of its own dimensions, None where a
+    value is missing.
+    """
+    everything = [*first, *(name for name in quantities(dataset) if name not in first)]
+    names = [name for name in everything if np.isfinite(dataset[name].values).any()]
+    shown: list[dict[str, Any]] = []
+    left_out, used = [], 0
+    for name in names:
+        parts = _parts(dataset, name)
+        size = sum(part.size for part in parts.values())
+        if used + size > room:
+            left_out.append(name)
+            continue
+        used += size
+        shown.append(_quantity(dataset, name, parts))
+    dims = list(dict.fromkeys(d for quantity in shown for d in quantity["dims"]))
+    return {"quantities": shown, "axes": [_axis(dataset, name) for name in _axes(dataset, dims)]}, used, left_out
+
+
+def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
+    """Return a quantity and what belongs to it, all with its own dimensions."""
+    value = dataset[name]
+    found = {"value": value, "error": standard_error(dataset, name)}
+    found |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in BESIDE}
+    wanted = {suffix: part for suffix, part in found.items() if part is not None and set(part.dims) <= set(value.dims)}
+    return {
+        suffix: part.broadcast_like(value).transpose(*value.dims)
+        for suffix, part in wanted.items()
+        if suffix == "value" or np.isfinite(part.values).any()
+    }
+
+
+def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
+    attributes = dataset[name].attrs
+    return {
+        "name": name,
+        "unit": str(attributes.get("units", "")),
+        "meaning": str(attributes.get("long_name", "")),
+        "dims": list(map(str, dataset[name].dims)),
+        **{suffix: _numbers(part.values) for suffix, part in parts.items()},
+    }
+
+
+def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> list[str]:
+    """Return the coordinates along dimensions, and the dimensions without one."""
+    names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and str(n).removesuffix("_unit") == str(n)]
+    return [n for d in dims for n in dict.fromkeys([d, *(m for m in names if dataset[m].dims == (d,))])]
+
+
+def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
+    array = dataset[name]  # xarray counts along a dimension without a coordinate
+    numeric = array.dtype.kind in "iuf"
+    values = _numbers(array.values) if numeric else list(map(str, array.values.tolist()))
+    unit = str(array.attrs.get("units", ""))
+    return {
+        "name": name,
+        "dim": str(array.dims[0]),
+        "unit": unit,
+        "numeric": numeric,
+        "logarithmic": unit in LOGARITHMIC_UNITS,
+        "values": values,
+    }
+
+
+def _numbers(values: np.ndarray[Any, Any]) -> list[float | int | None]:
+    """Return the numbers of an array in C order with `DIGITS` digits, None for what is not finite."""
+    return [_number(value) for value in values.reshape(-1).tolist()]
+
+
+def _number(value: float) -> float | int | None:
+    if not np.isfinite(value):
+        return None
+    short = float(f"{value:.{DIGITS}g}")
+    return int(short) if short.is_integer() and abs(short) < 1e15 else short

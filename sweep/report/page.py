@@ -1,0 +1,107 @@
+"""The page: sections in a template, scripts that its own policy allows and no others, written in one step."""
+
+import base64
+import hashlib
+import os
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from uuid import uuid4
+
+import xarray as xr
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from sweep.contract import SweepError
+from sweep.location import Where, located
+from sweep.report.cite import citations, message
+from sweep.report.explorer import MOST_NUMBERS, library
+from sweep.report.section import Section, section
+from sweep.store import open_dataset
+
+MARK = "<!doctype html>\n<!-- linksweep report -->\n"
+"""Begins every report: a file that does not is not replaced."""
+
+TEMPLATES = "templates"
+
+
+def report_of(stores: Sequence[Where]) -> str:
+    """Return the page about stores; raises SweepError for what is no store, has no results, or is damaged."""
+    places = [located(store) for store in stores]
+    datasets = [(place.name, open_dataset(place)) for place in places]
+    return report_page(datasets)
+
+
+def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
+    """Return one HTML page about named datasets of results, the same for the same datasets."""
+    sections: list[Section] = []
+    room = MOST_NUMBERS
+    for number, (name, dataset) in enumerate(datasets):
+        try:
+            sections.append(section(name, dataset, number, room))
+        except SweepError as error:
+            raise SweepError(error.problems, error.where or name) from error
+        room -= sections[-1].numbers
+    scripts = [library(), _file("page.js"), _file("explorer.js")]
+    environment = Environment(
+        loader=PackageLoader("sweep.report", TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.lstrip_blocks = True
+    versions = list(dict.fromkeys(one.version for one in sections))
+    body = environment.get_template("page.html.j2").render(
+        sections=sections,
+        policy=_policy(scripts),
+        style=Markup(_file("page.css")),
+        scripts=[Markup(script) for script in scripts],
+        cite=[text for version in versions for text in citations(version)[-1:]],
+        cite_first=citations(versions[0])[:-1],
+        cite_message=message(),
+    )
+    return MARK + body
+
+
+def default_path(stores: Sequence[Where]) -> Path:
+    """Return where a report goes if nothing else is said: named for its store, in the working directory."""
+    names = [located(store).name for store in stores]
+    stem = names[0].removesuffix(".zarr") if len(names) == 1 else "linksweep"
+    return Path(f"{stem}-report.html")
+
+
+def check_output(path: Path) -> None:
+    """Raise SweepError unless a report can be written to a path: a new file or an earlier report in a folder."""
+    try:
+        if path.is_dir():
+            raise SweepError("is a directory; give the name of a file with -o", str(path))
+        if path.exists():
+            with path.open("rb") as file:
+                if file.read(len(MARK)) != MARK.encode():
+                    raise SweepError("exists and is no report of linksweep; give another name with -o", str(path))
+        if not path.parent.is_dir():
+            raise SweepError("cannot be written: its directory does not exist", str(path))
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+
+
+def write_report(page: str, path: Path) -> None:
+    """Write a page to a new file or over an earlier report, whole or not at all; raises SweepError as `check_output`.
+    """
+    check_output(path)
+    partial = path.with_name(f".{path.name}.{uuid4().hex}")
+    try:
+        partial.write_text(page, encoding="utf-8", newline="\n")
+        os.replace(partial, path)
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _file(name: str) -> str:
+    return (files("sweep.report") / TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _policy(scripts: Sequence[str]) -> str:
+    """Return the policy that a browser enforces: these scripts and no others, no network, styles of this page only."""
+    digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"

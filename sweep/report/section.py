@@ -1,0 +1,127 @@
+"""What a page says about one store."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import xarray as xr
+
+from sweep.compare import Comparison, compare, remarks
+from sweep.compare_tables import notes, numbers_in_words, summary_line
+from sweep.quantity import place_in_words
+from sweep.report.answer import Answer, answers, completeness, failed, headline
+from sweep.report.explorer import explorer
+from sweep.report.figures import Picture, picture
+from sweep.tables import Column, headline_columns
+
+MOST_ROWS = 2000
+"""A table has at most so many rows in the page, some 0.5 MB."""
+
+PROVENANCE = {
+    "study_name": "study",
+    "study_overrides": "changed on the command line",
+    "experiment": "experiment",
+    "seed": "seed",
+    "n_sim": "realisations of each catalogue",
+    "n_cat": "catalogues of each point",
+    "precision": "precision wanted",
+    "common_random_numbers": "common random numbers",
+    "points": "points",
+    "points_done": "points done",
+    "study_digest": "digest of the study",
+    "command": "command",
+    "started": "started",
+    "finished": "last written",
+    "host": "host",
+    "machine": "machine",
+    "git_commit": "git commit of linksweep",
+}
+"""Attributes of a dataset and what they are called in a page."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table to sort: headings, and rows of (text, value that it sorts by)."""
+
+    headings: list[str]
+    rows: list[list[tuple[str, Any]]]
+    left_out: int = 0
+
+
+@dataclass(frozen=True)
+class Section:
+    """All that a page says about one store; every string in it is text, except for the SVG of ``pictures``."""
+
+    store: str
+    title: str
+    question: str
+    gaps: list[str]
+    answers: list[Answer]
+    verdicts: str
+    pictures: list[Picture]
+    explorer: Mapping[str, Any]
+    not_explored: list[str]
+    numbers: int
+    results: Table
+    comparison: Table | None
+    notes: list[str]
+    failures: Mapping[str, str]
+    failures_not_named: int
+    provenance: dict[str, str]
+    study: str
+    version: str
+
+
+def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
+    """Return the section of a dataset, the ``number``-th of a page, with at most ``room`` numbers to explore.
+
+    Raises SweepError for a dataset whose claims cannot be read.
+    """
+    names = headline(dataset)
+    comparisons = compare(dataset)
+    explored, numbers, left_out = explorer(dataset, names, room)
+    attributes = dataset.attrs
+    failures = json.loads(attributes.get("failures", "{}"))
+    versions = json.loads(attributes.get("versions", "{}"))
+    known = {label: str(attributes[key]) for key, label in PROVENANCE.items() if attributes.get(key, "") != ""}
+    title = str(attributes.get("title", store))
+    return Section(
+        store=store,
+        title=title,
+        question=str(attributes.get("question", "")),
+        gaps=completeness(dataset),
+        answers=answers(dataset),
+        verdicts=summary_line(comparisons) if comparisons else "",
+        pictures=[picture(dataset, name, 100 * number + i) for i, name in enumerate(names)],
+        explorer=explored | {"title": title},
+        not_explored=left_out,
+        numbers=numbers,
+        results=_results(headline_columns(dataset)),
+        comparison=_comparison(comparisons) if comparisons else None,
+        notes=[*(notes(comparisons) if comparisons else []), *remarks(dataset)],
+        failures=failures,
+        failures_not_named=failed(dataset) - len(failures),
+        provenance=known | {package: f"version {version}" for package, version in versions.items()},
+        study=str(attributes.get("study", "")) or json.dumps(json.loads(attributes["study_document"]), indent=1),
+        version=str(versions.get("linksweep", "unknown")),
+    )
+
+
+def _results(columns: list[Column]) -> Table:
+    headings = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns]
+    cells = (list(zip(c.cells, c.values, strict=True)) for c in columns)
+    rows = [list(row) for row in zip(*cells, strict=True)]
+    return Table(headings, rows[:MOST_ROWS], max(0, len(rows) - MOST_ROWS))
+
+
+def _comparison(comparisons: list[Comparison]) -> Table:
+    headings = ["what", "where", "computed", "published", "difference", "in percent", "allowance", "verdict"]
+    rows = []
+    for c in comparisons:
+        what = f"{c.what} [{c.unit}]" if c.unit else c.what
+        texts = [what, place_in_words(c.where), *numbers_in_words(c), c.verdict]
+        relative = c.difference / abs(c.published) if c.published else c.difference
+        values = [what, texts[1], c.value, c.published, c.difference, relative, c.allowance, c.verdict]
+        rows.append(list(zip(texts, values, strict=True)))
+    return Table(headings, rows)

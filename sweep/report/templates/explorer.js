@@ -1,0 +1,300 @@
+"use strict";
+// The view of a grid: choose a quantity, the axis along x, the axis of the series, and a value for each other axis.
+(() => {
+  const MOST_SERIES = 14;
+  const COLOURS = 7;
+  const MARKERS = ["circle", "square", "diamond", "triangle", "inverted_triangle", "star", "x"];
+  const WIDE = 5; // positive numbers whose largest is so many times the smallest are drawn on a logarithmic axis
+
+  // BokehJS would load a library for formulae from the network for a text with these.
+  const plain = (text) => String(text).replaceAll("$$", "$\u200b$").replaceAll("\\(", "\\\u200b(").replaceAll("\\[", "\\\u200b[");
+  const labelled = (thing) => (thing.unit ? `${thing.name} [${thing.unit}]` : thing.name);
+  const nan = (value) => (value === null || value === undefined ? NaN : value);
+  const shown = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "");
+
+  const colour = (element, name) => {
+    const probe = document.createElement("span");
+    probe.style.color = `var(--${name})`;
+    element.append(probe);
+    const found = getComputedStyle(probe).color;
+    probe.remove();
+    const parts = found.match(/[\d.]+/g).slice(0, 3).map(Number); // of Bokeh's colours, rgb() is what all browsers give
+    return `#${parts.map((part) => Math.round(part).toString(16).padStart(2, "0")).join("")}`;
+  };
+
+  const isWide = (values) => {
+    const finite = values.filter(Number.isFinite);
+    return finite.length > 1 && Math.min(...finite) > 0 && Math.max(...finite) > WIDE * Math.min(...finite);
+  };
+
+  class Explorer {
+    constructor(element) {
+      this.element = element;
+      this.data = JSON.parse(document.getElementById(element.dataset.explorer).textContent);
+      this.choice = { quantity: 0, fixed: {}, x: "", series: "", scale: "" };
+      this.turn = 0;
+      this.settle();
+      this.draw();
+      document.addEventListener("theme", () => this.draw());
+    }
+
+    get quantity() { return this.data.quantities[this.choice.quantity]; }
+
+    axesOf(dims) { return this.data.axes.filter((axis) => dims.includes(axis.dim)); }
+
+    axis(name) { return this.data.axes.find((axis) => axis.name === name); }
+
+    size(dim) { return this.axis(dim).values.length; }
+
+    // Make the choice one that this quantity has: its own axes, the longest with numbers along x.
+    settle() {
+      const axes = this.axesOf(this.quantity.dims);
+      const known = (name) => axes.some((axis) => axis.name === name);
+      if (!known(this.choice.x)) {
+        const candidates = axes.filter((axis) => axis.numeric && axis.values.length > 1);
+        const longest = (candidates.length ? candidates : axes).reduce((a, b) => (b.values.length > a.values.length ? b : a), axes[0]);
+        this.choice.x = longest ? longest.name : "";
+      }
+      const dim = this.choice.x ? this.axis(this.choice.x).dim : "";
+      if (this.choice.series && (!known(this.choice.series) || this.axis(this.choice.series).dim === dim)) this.choice.series = "";
+      if (!this.choice.series && !this.choice.noSeries) {
+        const other = axes.find((axis) => axis.name === axis.dim && axis.dim !== dim && axis.values.length > 1 && axis.values.length <= COLOURS);
+        this.choice.series = other ? other.name : "";
+      }
+    }
+
+    select(name, label, options, current, change) {
+      const box = document.createElement("label");
+      box.append(label);
+      const select = document.createElement("select");
+      select.name = name;
+      for (const [value, text] of options) {
+        const option = document.createElement("option");
+        option.value = value;
+        option.textContent = text;
+        option.selected = String(value) === String(current);
+        select.append(option);
+      }
+      select.addEventListener("change", () => {
+        change(select.value);
+        this.settle();
+        this.draw();
+        const again = [...this.element.querySelectorAll("select")].find((other) => other.name === name);
+        if (again) again.focus();
+      });
+      box.append(select);
+      return box;
+    }
+
+    controls() {
+      const { choice, quantity } = this;
+      const axes = this.axesOf(quantity.dims);
+      const boxes = [
+        this.select("quantity", "Quantity", this.data.quantities.map((one, i) => [i, labelled(one)]), choice.quantity, (v) => { choice.quantity = Number(v); }),
+      ];
+      if (axes.length) {
+        boxes.push(this.select("x", "Along x", axes.map((axis) => [axis.name, labelled(axis)]), choice.x, (v) => { choice.x = v; }));
+        const along = this.axis(choice.x).dim;
+        const others = axes.filter((axis) => axis.dim !== along);
+        if (others.length) {
+          const options = [["", "none"], ...others.map((axis) => [axis.name, labelled(axis)])];
+          boxes.push(this.select("series", "Series", options, choice.series, (v) => { choice.series = v; choice.noSeries = v === ""; }));
+        }
+        for (const dim of this.fixedDims()) {
+          const axis = this.axis(dim);
+          const options = axis.values.map((value, i) => [i, String(value)]);
+          boxes.push(this.select(`fixed-${dim}`, `${labelled(axis)} =`, options, choice.fixed[dim] || 0, (v) => { choice.fixed[dim] = Number(v); }));
+        }
+      }
+      const scales = [["", "automatic"], ["linear", "linear"], ["log", "logarithmic"]];
+      boxes.push(this.select("scale", "Scale of y", scales, choice.scale, (v) => { choice.scale = v; }));
+      this.element.querySelector(".controls").replaceChildren(...boxes);
+    }
+
+    fixedDims() {
+      const used = [this.choice.x, this.choice.series].filter(Boolean).map((name) => this.axis(name).dim);
+      return this.quantity.dims.filter((dim) => !used.includes(dim));
+    }
+
+    // The numbers of one series: columns in the order of x; a value that is missing is left out or breaks a line.
+    columns(number) {
+      const { choice, quantity } = this;
+      const x = choice.x ? this.axis(choice.x) : null;
+      const series = choice.series ? this.axis(choice.series) : null;
+      const count = x ? x.values.length : 1;
+      const rows = [];
+      for (let i = 0; i < count; i += 1) {
+        let flat = 0;
+        for (const dim of quantity.dims) {
+          let index = choice.fixed[dim] || 0;
+          if (x && dim === x.dim) index = i;
+          else if (series && dim === series.dim) index = number;
+          flat = flat * this.size(dim) + Math.min(index, this.size(dim) - 1);
+        }
+        const at = (part) => (quantity[part] ? nan(quantity[part][flat]) : NaN);
+        rows.push({ x: x ? x.values[i] : "", i, value: at("value"), error: at("error"), predicted: at("predicted"), published: at("published"), rounding: at("published_rounding") });
+      }
+      if (x && x.numeric) rows.sort((a, b) => a.x - b.x);
+      return rows.filter((row) => row.x !== null);
+    }
+
+    async draw() {
+      this.turn += 1;
+      const turn = this.turn;
+      this.controls();
+      const { choice, quantity } = this;
+      const x = choice.x ? this.axis(choice.x) : null;
+      const series = choice.series ? this.axis(choice.series) : null;
+      const total = series ? series.values.length : 1;
+      const drawn = Math.min(total, MOST_SERIES);
+      const numeric = x !== null && x.numeric;
+      const factors = x && !numeric ? this.factors(x) : [""];
+      const everything = Array.from({ length: drawn }, (_, number) => this.columns(number));
+      const flat = everything.flat();
+      const positive = flat.every((row) => !(row.value <= 0));
+      const logY = choice.scale === "log" ? positive : choice.scale !== "linear" && isWide(flat.map((row) => row.value));
+      const logX = numeric && !x.logarithmic && isWide(x.values);
+      const ink = colour(this.element, "ink");
+      const line = colour(this.element, "line");
+      const figure = Bokeh.Plotting.figure({
+        height: 416,
+        sizing_mode: "stretch_width",
+        tools: "pan,box_zoom,wheel_zoom,reset,save",
+        x_axis_type: numeric ? (logX ? "log" : "linear") : "auto",
+        y_axis_type: logY ? "log" : "linear",
+        ...(numeric ? {} : { x_range: new Bokeh.FactorRange({ factors }) }),
+        x_axis_label: plain(x ? labelled(x) : ""),
+        y_axis_label: plain(labelled(quantity)),
+        background_fill_alpha: 0,
+        border_fill_alpha: 0,
+        outline_line_color: line,
+      });
+      figure.toolbar.logo = null;
+      figure.toolbar.active_scroll = null;
+      this.dress(figure, ink, line);
+      const legend = [];
+      const values = [];
+      everything.forEach((rows, number) => {
+        const name = series ? String(series.values[number]) : quantity.name;
+        const parts = this.series(figure, rows, { name, number, numeric, factors, logY });
+        if (parts.renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers: parts.renderers }));
+        values.push(...parts.values);
+      });
+      this.hover(figure, values, x);
+      if (legend.length > 1 || quantity.predicted || quantity.published) {
+        const box = new Bokeh.Legend({ items: legend, click_policy: "hide", orientation: "horizontal", ncols: this.element.clientWidth < 500 ? 1 : 4, background_fill_alpha: 0, border_line_alpha: 0, label_text_color: ink, label_text_font_size: "12px", inactive_fill_alpha: 0.5 });
+        figure.add_layout(box, "below");
+      }
+      const target = document.createElement("div");
+      const view = await Bokeh.Plotting.show(figure, target);
+      if (turn !== this.turn) return; // a later choice was drawn meanwhile
+      this.element.querySelector(".plot").replaceChildren(target);
+      if (this.view) this.view.model.document.clear();
+      this.view = view;
+      this.note(flat, total, drawn, logY);
+      this.element.dataset.drawn = getComputedStyle(document.documentElement).colorScheme === "dark" || this.isDark() ? "dark" : "light";
+      this.element.dataset.turn = String(turn);
+    }
+
+    isDark() {
+      const set = document.documentElement.dataset.theme;
+      return set ? set === "dark" : window.matchMedia("(prefers-color-scheme: dark)").matches;
+    }
+
+    // A name that occurs twice along an axis is told apart by its place.
+    factors(axis) {
+      const names = axis.values.map((value) => (value === null ? "missing" : plain(value)));
+      return names.map((name, i) => (names.indexOf(name) === i ? name : `${name} (${i + 1})`));
+    }
+
+    dress(figure, ink, line) {
+      for (const axis of [...figure.xaxis, ...figure.yaxis]) {
+        axis.axis_label_text_color = ink;
+        axis.axis_label_text_font_style = "normal";
+        axis.major_label_text_color = ink;
+        for (const part of ["axis_line_color", "major_tick_line_color", "minor_tick_line_color"]) axis[part] = line;
+      }
+      for (const grid of [...figure.xgrid, ...figure.ygrid]) {
+        grid.grid_line_color = line;
+        grid.grid_line_alpha = 0.6;
+      }
+    }
+
+    series(figure, rows, { name, number, numeric, factors, logY }) {
+      const tint = colour(this.element, `series-${number % COLOURS}`);
+      const marker = MARKERS[(number + Math.floor(number / COLOURS)) % MARKERS.length];
+      const place = (row) => (numeric ? row.x : factors[row.i]);
+      const at = (part, others = {}) => {
+        const kept = rows.filter((row) => Number.isFinite(row[part]) && !(logY && row[part] <= 0));
+        const source = { x: kept.map(place), y: kept.map((row) => row[part]) };
+        for (const [key, make] of Object.entries(others)) source[key] = kept.map(make);
+        return new Bokeh.ColumnDataSource({ data: source });
+      };
+      const lowest = (centre, half) => (logY && centre - half <= 0 ? centre / 10 : centre - half);
+      const renderers = [];
+      const values = [];
+      const main = at("value", {
+        name: () => name,
+        place: (row) => (row.x === "" ? "" : String(row.x)),
+        value: (row) => shown(row.value),
+        error: (row) => shown(row.error),
+        predicted: (row) => shown(row.predicted),
+        published: (row) => shown(row.published),
+        low: (row) => lowest(row.value, row.error > 0 ? row.error : 0),
+        high: (row) => row.value + (row.error > 0 ? row.error : 0),
+      });
+      const lineOf = (part, options) => {
+        if (!numeric) return;
+        const y = rows.map((row) => (logY && row[part] <= 0 ? NaN : row[part]));
+        if (y.filter(Number.isFinite).length < 2) return;
+        renderers.push(figure.line(rows.map(place), y, { line_color: tint, ...options }));
+      };
+      if (this.quantity.predicted) {
+        lineOf("predicted", { line_width: 1.4 });
+        if (!numeric) {
+          const predicted = at("predicted");
+          if (predicted.data.x.length) renderers.push(figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 }));
+        }
+      } else {
+        lineOf("value", { line_width: 1, line_alpha: 0.55 });
+      }
+      if (this.quantity.error && main.data.x.length) {
+        const segments = figure.segment({ field: "x" }, { field: "low" }, { field: "x" }, { field: "high" }, { source: main, line_color: tint, line_width: 1.5 });
+        renderers.push(segments);
+      }
+      if (main.data.x.length) {
+        const points = figure.scatter({ field: "x" }, { field: "y" }, { source: main, marker, size: 7, fill_color: tint, line_color: tint });
+        renderers.push(points);
+        values.push(points);
+      }
+      if (this.quantity.published) {
+        const published = at("published");
+        if (published.data.x.length) renderers.push(figure.scatter({ field: "x" }, { field: "y" }, { source: published, marker, size: 14, fill_alpha: 0, line_color: tint, line_width: 1.5 }));
+      }
+      return { renderers, values };
+    }
+
+    hover(figure, renderers, x) {
+      const rows = [[this.choice.series || "quantity", "@name"]];
+      if (x) rows.push([x.name, "@place"]);
+      rows.push([this.quantity.name, "@value"]);
+      for (const part of ["error", "predicted", "published"]) if (this.quantity[part]) rows.push([part, `@${part}`]);
+      figure.add_tools(new Bokeh.HoverTool({ renderers, tooltips: rows.map(([name, value]) => [plain(name).replaceAll("@", "＠").replaceAll("$", "＄"), value]) }));
+    }
+
+    note(flat, total, drawn, logY) {
+      const parts = [];
+      if (this.quantity.meaning) parts.push(`${this.quantity.name}: ${this.quantity.meaning}.`);
+      if (this.quantity.error) parts.push("Bars are one-sigma errors.");
+      if (this.quantity.predicted) parts.push("The prediction is a line, or a dash where x has no numbers.");
+      if (this.quantity.published) parts.push("Published values are large and open.");
+      if (drawn < total) parts.push(`The first ${drawn} of ${total} series are drawn; exchange x and series to see all.`);
+      const gone = flat.filter((row) => !Number.isFinite(row.value)).length;
+      if (gone) parts.push(`${gone} of ${flat.length} values are missing and not drawn.`);
+      if (this.choice.scale === "log" && !logY) parts.push("There are values that are not above zero: the scale stays linear.");
+      this.element.querySelector(".status").textContent = parts.join(" ");
+    }
+  }
+
+  for (const element of document.querySelectorAll("[data-explorer]")) new Explorer(element);
+})();
