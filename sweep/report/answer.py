@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 ERRORS_ALLOWED = 3.0
 """A value agrees with its prediction if it is so many of its errors from it."""
 
+ERROR_WORDS = {"mc_error": "Monte Carlo", "catalogue_error": "the choice of catalogues"}
+"""Where the errors of `sweep.quantity.ERROR_SUFFIXES` come from."""
+
 VISIBLE_FACTOR = 1.005
 """An axis that changes a quantity by less is not said to change it."""
 
@@ -97,7 +100,8 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     yield _range(part, values, errors, unit)
     if sentence := _what_changes_it(dims, values):
         yield sentence
-    if sentence := _accuracy(values[finite], errors[finite]):
+    parts = [words for suffix, words in ERROR_WORDS.items() if f"{variable}_{suffix}" in part]
+    if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
         yield sentence
     predicted = part.get(f"{variable}_predicted")
     if predicted is not None and (sentence := _agreement(values, errors, predicted.transpose(*dims).values)):
@@ -153,13 +157,14 @@ def _factor(factor: float) -> str:
     return f"{factor:.2f}" if factor < 10.0 else f"{float(f'{factor:.3g}'):,g}" if factor < 1e6 else f"{factor:.1e}"
 
 
-def _accuracy(values: Array, errors: Array) -> str:
+def _accuracy(values: Array, errors: Array, origin: str) -> str:
     use = (errors > 0.0) & (values != 0.0)
     if not use.any():
         return ""
     relative = 100.0 * errors[use] / np.abs(values[use])
     low, high = f"{relative.min():.2g}", f"{relative.max():.2g}"
-    return f"Its one-sigma error is {low} % of it." if low == high else f"Its one-sigma error is {low} to {high} % of it."
+    share = low if low == high else f"{low} to {high}"
+    return f"Its one-sigma error, from {origin}, is {share} % of it."
 
 
 def _agreement(values: Array, errors: Array, predicted: Array) -> str:

@@ -116,12 +116,12 @@ def _results(columns: list[Column]) -> Table:
 
 
 def _comparison(comparisons: list[Comparison]) -> Table:
-    headings = ["what", "where", "computed", "published", "difference", "in percent", "allowance", "verdict"]
+    headings = ["what", "where", "verdict", "computed", "published", "difference", "in percent", "allowance"]
     rows = []
     for c in comparisons:
         what = f"{c.what} [{c.unit}]" if c.unit else c.what
-        texts = [what, place_in_words(c.where), *numbers_in_words(c), c.verdict]
+        texts = [what, place_in_words(c.where), c.verdict, *numbers_in_words(c)]
         relative = c.difference / abs(c.published) if c.published else c.difference
-        values = [what, texts[1], c.value, c.published, c.difference, relative, c.allowance, c.verdict]
+        values = [what, texts[1], c.verdict, c.value, c.published, c.difference, relative, c.allowance]
         rows.append(list(zip(texts, values, strict=True)))
     return Table(headings, rows)

@@ -36,6 +36,8 @@
       this.settle();
       this.draw();
       document.addEventListener("theme", () => this.draw());
+      window.addEventListener("beforeprint", () => this.showTools(false));
+      window.addEventListener("afterprint", () => this.showTools(true));
     }
 
     get quantity() { return this.data.quantities[this.choice.quantity]; }
@@ -182,7 +184,7 @@
       });
       this.hover(figure, values, x);
       if (legend.length > 1 || quantity.predicted || quantity.published) {
-        const box = new Bokeh.Legend({ items: legend, click_policy: "hide", orientation: "horizontal", ncols: this.element.clientWidth < 500 ? 1 : 4, background_fill_alpha: 0, border_line_alpha: 0, label_text_color: ink, label_text_font_size: "12px", inactive_fill_alpha: 0.5 });
+        const box = new Bokeh.Legend({ items: legend, click_policy: "hide", orientation: "horizontal", location: "left", ncols: this.element.clientWidth < 500 ? 1 : 4, background_fill_alpha: 0, border_line_alpha: 0, label_text_color: ink, label_text_font_size: "12px", inactive_fill_alpha: 0.5 });
         figure.add_layout(box, "below");
       }
       const target = document.createElement("div");
@@ -192,8 +194,12 @@
       if (this.view) this.view.model.document.clear();
       this.view = view;
       this.note(flat, total, drawn, logY);
-      this.element.dataset.drawn = getComputedStyle(document.documentElement).colorScheme === "dark" || this.isDark() ? "dark" : "light";
+      this.element.dataset.drawn = this.isDark() ? "dark" : "light";
       this.element.dataset.turn = String(turn);
+    }
+
+    showTools(visible) {
+      if (this.view) this.view.model.toolbar.visible = visible;
     }
 
     isDark() {
