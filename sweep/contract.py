@@ -8,6 +8,7 @@ import math
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -260,7 +261,7 @@ class Experiment:
         """Return the number of floats of one value of an output."""
         return math.prod(len(self.coordinates[dim]) for dim in output.dims)
 
-    @property
+    @cached_property
     def sums_width(self) -> int:
         """Number of floats in one block's sums."""
         return sum(math.prod(shape) for shape in self.sums.values())

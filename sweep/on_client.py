@@ -92,8 +92,8 @@ class OnClient:
         while True:
             for errand in [retries.popleft() for _ in range(min(self._room(), len(retries)))]:
                 yield from self._retry(errand)
-            for works in take(room) if (room := self._room()) else []:
-                self._send(_Errand(works))
+            while self._room() and (tasks := take(1)):  # one by one: workers need not wait for the rest
+                self._send(_Errand(tasks[0]))
             if not retries and not self._in_flight:
                 return
             if self._in_flight and (future := self._next()):

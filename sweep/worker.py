@@ -75,6 +75,7 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     """Yield the result of each unit of a task; no more of a point that took too long is tried."""
     experiment = load_experiment(task.experiment_reference)
+    defaults = experiment.defaults()
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in task.units:
         result = failed(len(unit.points), experiment.sums_width)
@@ -83,9 +84,10 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
             result.failures.update(dict.fromkeys(known, reason))
         rows = [row for row in range(len(unit.points)) if row not in result.failures]
         begun = time.perf_counter()
-        if rows and not _try(experiment, rows, unit, task, result, deadlines) and len(rows) > 1:
-            for row in rows:  # who of those that share the draw is to blame?
-                _try(experiment, [row], unit, task, result, deadlines)
+        points = [defaults | unit.points[row] for row in rows]
+        if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
+            for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
+                _try(experiment, [point], [row], unit, task, result, deadlines)
         result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
         late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
         given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
@@ -93,10 +95,15 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
 
 
 def _try(
-    experiment: Experiment, rows: list[int], unit: Unit, task: Task, result: TaskResult, deadlines: Deadlines
+    experiment: Experiment,
+    points: Sequence[Point],
+    rows: list[int],
+    unit: Unit,
+    task: Task,
+    result: TaskResult,
+    deadlines: Deadlines,
 ) -> bool:
-    """Compute some points (rows) of a unit; return whether that went well."""
-    points = [experiment.defaults() | unit.points[row] for row in rows]
+    """Compute some points of a unit into these rows of its result; return whether that went well."""
     try:
         with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
             sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
@@ -157,14 +164,15 @@ def run_block(
     evaluate = experiment.samples if keep_samples and experiment.samples is not None else experiment.evaluate
     kept = experiment.sample_outputs if keep_samples else ()
     total = np.zeros((len(points), experiment.sums_width))
-    samples = [np.empty((len(points), 0, experiment.samples_width))]
+    samples: list[NDArray[np.float64]] = []
     for rng, catalogue_rng in _streams(stream, block, seed):
         drawn = evaluate(points, block.n_sim, rng, catalogue_rng)
-        total += np.hstack([np.reshape(drawn[name], (len(points), -1)) for name in experiment.sums], dtype=np.float64)
+        rows = [np.asarray(drawn[name]).reshape(len(points), -1) for name in experiment.sums]
+        total += np.concatenate(rows, axis=1, dtype=np.float64)
         if kept:
             shape = (len(points), block.n_sim, -1)
             samples.append(np.concatenate([np.reshape(drawn[o.name], shape) for o in kept], axis=2))
-    return total, np.concatenate(samples, axis=1)
+    return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))
 
 
 def _streams(stream: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:

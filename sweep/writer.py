@@ -59,7 +59,8 @@ class Writer:
         """Start with an open store whose ledger the tally holds."""
         self.plan, self.tally, self.store = plan, tally, store
         self._pending, self._held = pending, held
-        self._started = store.attributes.get("started", now())
+        self._provenance = provenance(plan.grid.study)
+        self._provenance["started"] = store.attributes.get("started", self._provenance["started"])
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
         self._long_write = False
@@ -105,8 +106,7 @@ class Writer:
             dataset = dataset.assign(covariances(self.plan, self.tally, self.store.rows, self.store.sums()))
         points = int(np.count_nonzero(self.tally.status != EXCLUDED))
         done = int(np.count_nonzero(self.tally.status == DONE))
-        dataset.attrs = provenance(study) | {
-            "started": self._started,
+        dataset.attrs = self._provenance | {
             "finished": now(),
             "points": points,
             "points_done": done,

@@ -1,6 +1,7 @@
 """The platform with a small experiment that is not astronomical."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,7 +63,7 @@ def test_a_point_that_raises_is_recorded_and_the_rest_goes_on(coins, tmp_path, m
 
     toss = study.experiment.evaluate
     monkeypatch.setattr("sweep.worker.load_experiment", lambda reference: broken)
-    broken = type(study.experiment)(**{**vars(study.experiment), "evaluate": fail})
+    broken = replace(study.experiment, evaluate=fail)
     dataset, failures = run(coins, tmp_path / "s.zarr")
     assert failures == {"metal=tin,coins=5": "ZeroDivisionError: no coins left"}
     assert dataset["status"].sel(metal="tin", coins=5).item() == 2

@@ -128,3 +128,13 @@ def test_the_survey_counts_what_is_pending(coins):
     assert survey.held.blocks == 3
     assert survey.pending.blocks == len(keys) - 3
     assert survey.total.cost == pytest.approx(6 * (20_000 + 20 * 2 * OVERHEAD))
+
+
+@pytest.mark.parametrize("seed", [0, 5, 2**32, 2**64 - 1])
+def test_streams_are_numpys_own_children_of_the_seed(seed):
+    name = bytes(range(100, 116))
+    words = [int.from_bytes(name[i : i + 4], "little") for i in range(0, 16, 4)]
+    for ours, place in zip(generators(seed, name, 70_000, 3), [(70_000, 1, 3), (70_000, 0)], strict=True):
+        child = np.random.SeedSequence(seed, spawn_key=(*words, *place))
+        theirs = np.random.Generator(np.random.SFC64(child))
+        assert ours.integers(0, 2**63, 4).tolist() == theirs.integers(0, 2**63, 4).tolist()
