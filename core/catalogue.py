@@ -5,7 +5,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from core.constants import DEGREE, GALACTIC_AXES, MAS
 from core.frames import position
@@ -111,6 +110,8 @@ def galaxies(rng: np.random.Generator, n_obj: int, faint_limit_mag: float, sky: 
     """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint
     limit.
     """
+    from scipy.special import ndtr, ndtri  # a tenth of the start of every other study
+
     ra, dec = sky.positions(rng, n_obj)
     brighter = ndtr((faint_limit_mag - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
     v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(brighter * (1.0 - rng.random(n_obj)))

@@ -122,13 +122,15 @@ def resource_options(command: Command) -> Command:
 
 
 def _bytes(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:
+    if value is None:
+        return None
     from dask.utils import parse_bytes
 
     try:
-        number = None if value is None else parse_bytes(value)
+        number = int(parse_bytes(value))
     except ValueError as error:
         raise click.BadParameter(f"{value!r} is no number of bytes; write 2GB or 500MiB") from error
-    if number is not None and number < MEMORY_AT_LEAST:
+    if number < MEMORY_AT_LEAST:
         raise click.BadParameter(f"{value!r} is less than the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself")
     return number
 
