@@ -1,19 +1,30 @@
 """A distributed parameter-sweep platform for experiments that add up realisations.
 
-``sweep.run`` runs a study, ``sweep.open`` reads its results; both give an `xarray.Dataset`.
+``sweep.run`` runs a study, ``sweep.open`` reads its results; both give an `xarray.Dataset`.  ``fit_power_law``,
+``fit_levelling``, ``find`` and ``ratio`` derive others from it, ``plot`` draws it.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sweep.analysis import fit_levelling, fit_power_law, ratio
     from sweep.api import open, run  # noqa: A004
+    from sweep.crossings import find
+    from sweep.plots.figure import draw_figure as plot
 
-__all__ = ["open", "run"]
+__all__ = ["find", "fit_levelling", "fit_power_law", "open", "plot", "ratio", "run"]
+
+_HOMES = {
+    **dict.fromkeys(("open", "run"), "sweep.api"),
+    **dict.fromkeys(("fit_levelling", "fit_power_law", "ratio"), "sweep.analysis"),
+    "find": "sweep.crossings",
+    "plot": "sweep.plots.figure",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in __all__:
+    """Import what is asked for only then: each needs much that most commands do not."""
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from sweep import api  # only here: it imports all that a run needs, and most commands need less
-
-    return getattr(api, name)
+    return getattr(import_module(_HOMES[name]), "draw_figure" if name == "plot" else name)

@@ -1,0 +1,58 @@
+"""The tutorial is run from top to bottom: files are saved, commands and scripts run where they stand."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+TUTORIAL = Path(__file__).parent.parent / "docs" / "tutorial.md"
+BLOCK = re.compile(r"```(\w+)(?: (\S+))?\n(.*?)```", re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The folder in which the tutorial was done, and what its scripts printed."""
+    path = tmp_path_factory.mktemp("tutorial")
+    printed = []
+    for language, file, text in BLOCK.findall(TUTORIAL.read_text()):
+        if file:
+            (path / file).write_text(text)
+        elif language == "sh":
+            for line in filter(None, text.splitlines()):
+                words = shlex.split(line, comments=True)
+                assert words[0] == "sweep"
+                run(path, "-m", "sweep", *words[1:])
+        elif language == "python":
+            (path / "script.py").write_text(text)
+            printed.append(run(path, "script.py"))
+    return path, printed
+
+
+def run(folder, *arguments):
+    done = subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{arguments}: {done.stderr}"
+    return done.stdout
+
+
+def test_every_file_and_figure_is_there(folder):
+    path, _ = folder
+    assert {p.name for p in (path / "results").glob("*.zarr")} == {
+        *("first.zarr", "precise.zarr", "mission.zarr", "pi.zarr", "elsewhere.zarr"),
+    }
+    assert all((path / name).stat().st_size > 10_000 for name in ("first.png", "curves.png", "spin.png"))
+
+
+def test_the_numbers_are_what_the_text_says(folder):
+    path, printed = folder
+    exponents = [float(x) for x in re.findall(r"-0\.\d+", printed[-1])]
+    assert len(exponents) == 2, printed
+    assert exponents == pytest.approx([-0.5, -0.5], abs=0.05)
+    mission = xr.open_zarr(path / "results" / "mission.zarr")["sigma_spin"].load()
+    ratio = mission.sel(model="half") / mission.sel(model="gaia")
+    assert ratio.values == pytest.approx(0.5, rel=0.1)
+    share = xr.open_zarr(path / "results" / "pi.zarr")["share"].load()
+    assert share.sel(side=1.0).item() == pytest.approx(3.14159 / 4, abs=4 * 0.41 / 20000**0.5)
