@@ -85,6 +85,7 @@ class OnClient:
                 problems.append(f"{worker}: {type(what).__name__}: {what}")
         if problems:
             raise SweepError(problems, "workers that would not compute what this process would")
+        self._look()
 
     def __call__(self, take: Take) -> Results:
         """Run everything that ``take`` gives."""
