@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sweep.contract import Experiment, Output, Value, shown, suggest
+from sweep.contract import Experiment, Named, Output, Value, shown, suggest
 from sweep.study import Claim, Ratio, Reading, Slope, printed_rounding
 
 Problem = Callable[[tuple[str, ...], str], None]
@@ -140,7 +140,7 @@ def _on_axis(
     values = around.axes.get(name)
     if values is not None and name not in around.overridden and value not in values:
         problem(where, f"{shown(value)} is not on the axis, which has {_listed(values)}")
-    return value
+    return value.name if isinstance(value, Named) else value
 
 
 def _known_axes(name: str, around: Surroundings) -> str:

@@ -49,10 +49,69 @@ class _Short(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
         return super().repr_int(x, level) if x.bit_length() <= 1100 else f"an integer of {x.bit_length()} bits"
 
+    def repr_Named(self, x: "Named", level: int) -> str:  # noqa: N802 (the name is reprlib's)
+        return self.repr_str(x.name, level)
+
 
 def shown(value: object) -> str:
     """Return a value as messages show it: its repr, cut short where it is long or deep."""
     return _Short().repr(value)
+
+
+class DefinitionError(ValueError):
+    """A definition of a value that is wrong; ``problems`` holds (key, sentence) for each mistake, with an empty key for
+    the whole.
+    """
+
+    def __init__(self, problems: Sequence[tuple[str, str]]) -> None:
+        self.problems = list(problems)
+        super().__init__("; ".join(f"{key}: {sentence}" if key else sentence for key, sentence in problems))
+
+
+class Function(Protocol):
+    """A function from a user's module or file, by its name and the digest of its source."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in its source."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """The digest of its source."""
+        ...
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Named:
+    """A value of a parameter that a study defines under a name of its own.
+
+    ``identity`` is JSON of everything in it that decides a number; equal identities are equal values, whatever their
+    names.  ``value`` is what the experiment made of the definition.
+    """
+
+    name: str = field(compare=False)
+    identity: str
+    value: Any = field(compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+class Define(Protocol):
+    """What an experiment makes of a study's table [define.PARAMETER.NAME]."""
+
+    def __call__(self, table: Mapping[str, Any], load: Callable[[str], Function]) -> tuple[Any, Mapping[str, Any]]:
+        """Return the value and everything that decides a number in it, as JSON knows it.
+
+        ``load`` returns the function at ``module:function`` or ``file.py:function``.  Raises DefinitionError for a
+        wrong table, SweepError where a function cannot be loaded.
+        """
+        ...
 
 
 def suggest(word: str, known: Sequence[str]) -> str:
@@ -68,8 +127,9 @@ class Parameter:
 
     A default of None means that the experiment decides (the meaning says how).  ``minimum`` and ``maximum`` are
     inclusive, ``above`` is not.  A "vector" has three components, a "map" is a table of strings, and of a "file" the
-    experiment gets an object that gives the columns of the table in it.  Pictures show the ``symbol`` where there is
-    one, as Matplotlib sets it.
+    experiment gets an object that gives the columns of the table in it.  With ``define`` a study may define further
+    choices of a "str"; ``defined`` are those of one study, and the experiment gets them as they stand there.  Pictures
+    show the ``symbol`` where there is one, as Matplotlib sets it.
     """
 
     name: str
@@ -82,16 +142,19 @@ class Parameter:
     maximum: float | None = None
     above: float | None = None
     symbol: str = ""
+    define: Define | None = field(default=None, compare=False, repr=False)
+    defined: tuple[Named, ...] = ()
 
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if self.kind == "str":
-            if not isinstance(raw, str) or (self.choices and raw not in self.choices):
-                hint = suggest(raw, self.choices) if isinstance(raw, str) and self.choices else ""
+            known = (*self.choices, *(named.name for named in self.defined))
+            if not isinstance(raw, str) or (self.choices and raw not in known):
+                hint = suggest(raw, known) if isinstance(raw, str) and self.choices else ""
                 raise ValueError(
                     f"{self.name} = {shown(raw)}: must be {self.allowed()}{hint if 'did you mean' in hint else ''}"
                 )
-            return raw
+            return next((named for named in self.defined if named.name == raw), raw)
         if self.kind == "bool":
             if not isinstance(raw, bool):
                 raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")
@@ -124,7 +187,9 @@ class Parameter:
     def allowed(self) -> str:
         """Return in words what values are allowed."""
         if self.choices:
-            return "one of " + ", ".join(repr(c) for c in self.choices)
+            further = "" if self.define is None or self.defined else f", or of [define.{self.name}.NAME]"
+            known = (*self.choices, *(named.name for named in self.defined))
+            return "one of " + ", ".join(repr(c) for c in known) + further
         words = {
             "float": "a finite number",
             "int": "an integer",

@@ -31,6 +31,7 @@ class Form(Section):
     experiment: str = "core.experiment:link"
     axes: dict[str, Any] = Field(default_factory=dict)
     fixed: dict[str, Any] = Field(default_factory=dict)
+    define: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
     sampling: Sampling = Sampling()
     grid: GridForm = GridForm()
     exclude: list[dict[str, Any]] = Field(default_factory=list)

@@ -1,14 +1,16 @@
 """Whether a store holds a larger study already, and which of its points a smaller one asks for."""
 
+import json
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from sweep.contract import SweepError
+from sweep.contract import Named, SweepError, Value
 from sweep.grid import Grid
 from sweep.location import Where
 from sweep.store import open_dataset
+from sweep.tablefile import content_digest
 from sweep.tally import DONE
 
 
@@ -27,7 +29,7 @@ def part_of_larger(store: Where, grid: Grid) -> xr.Dataset | None:
     for name, coordinate in dataset.coords.items():
         if name in study.experiment.defaults() and name not in study.axes and coordinate.ndim:
             value = dict(study.fixed).get(str(name), study.experiment.defaults()[str(name)])
-            places = np.flatnonzero(coordinate.values == value)
+            places = np.flatnonzero(coordinate.values == _as_stored(dataset, str(name), value))
             if len(places) != 1 or coordinate.dims[0] not in part.dims:
                 return None
             part = part.isel({coordinate.dims[0]: places[0]})
@@ -58,8 +60,16 @@ def _places(dataset: xr.Dataset, dimension: str, axes: tuple[str, ...], grid: Gr
     if any(name not in dataset.coords or dataset[name].dims != (dimension,) for name in axes):
         return None
     stored = list(zip(*(dataset[name].values.tolist() for name in axes), strict=True))
-    wanted = zip(*(grid.study.axes[name] for name in axes), strict=True)
+    wanted = zip(*([_as_stored(dataset, name, v) for v in grid.study.axes[name]] for name in axes), strict=True)
     try:
         return [stored.index(values) for values in wanted]
     except ValueError:
         return None
+
+
+def _as_stored(dataset: xr.Dataset, parameter: str, value: Value) -> Value:
+    """Return a value as the coordinate has it; None for one that the study defines otherwise than the store's did."""
+    if not isinstance(value, Named):
+        return value
+    defined = json.loads(dataset.attrs.get("defined", "{}")).get(parameter, {})
+    return next((name for name, digest in defined.items() if digest == content_digest(value)), None)

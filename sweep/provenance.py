@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sweep.study import Study
+from sweep.tablefile import content_digest
 
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
 
@@ -37,6 +38,13 @@ def provenance(study: Study) -> dict[str, Any]:
         "command": command_line(),
         "started": now(),
     }
+    defined = {
+        parameter.name: {named.name: content_digest(named) for named in parameter.defined}
+        for parameter in study.experiment.parameters
+        if parameter.defined
+    }
+    if defined:
+        attributes["defined"] = json.dumps(defined)
     if study.claims:
         claims = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
         attributes["claims"] = json.dumps(claims)

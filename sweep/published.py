@@ -73,4 +73,5 @@ def _wrong_cell(parameter: Parameter | None, cell: str, optional: bool) -> str |
         return None if optional or is_number(number) else "a finite number"
     if parameter.kind == "bool":
         return None if cell in ("True", "False") else "True or False"
-    return parameter.allowed() if parameter.choices and cell not in parameter.choices else None
+    known = (*parameter.choices, *(named.name for named in parameter.defined))
+    return parameter.allowed() if parameter.choices and cell not in known else None

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from sweep.axes import axis_values, override
 from sweep.claims import Surroundings, checked_claim
 from sweep.contract import Experiment, SweepError, Value, shown, suggest
+from sweep.definitions import defined_values
 from sweep.exclusions import exclusion
 from sweep.form import Form, known_keys
 from sweep.load import absolute_reference, load_experiment
@@ -95,6 +96,7 @@ class _Reader:
         experiment = None if form is None else self._experiment(form)
         if form is None or experiment is None:
             raise SweepError(self.problems.found, str(self.path))
+        experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.problems.add)
         axes = {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
         fixed = {name: self._fixed(experiment, form, name, raw) for name, raw in form.fixed.items()}
         zipped = zipped_axes(form.grid.zip, axes, self.problems)
@@ -124,7 +126,7 @@ class _Reader:
             claims=claims,
             text=self.text,
             overrides=self.overrides,
-            document=self._portable(form, fixed),
+            document=self._portable(form, fixed) | ({"define": definitions} if definitions else {}),
         )
 
     def _portable(self, form: Form, fixed: Mapping[str, Value]) -> dict[str, Any]:

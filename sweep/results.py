@@ -100,7 +100,10 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)
-            values = np.array(study.axes[name], dtype=object if parameter.kind == "str" else None)
+            text = parameter.kind == "str"
+            values = np.array(
+                [str(v) for v in study.axes[name]] if text else study.axes[name], object if text else None
+            )
             coordinates[name] = (dimension, values, _attributes(parameter))
     for dimension, labels in experiment.coordinates.items():
         coordinates[dimension] = (

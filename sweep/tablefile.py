@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import SweepError
+from sweep.contract import Named, SweepError
 
 Array = NDArray[np.float64]
 
@@ -103,9 +103,13 @@ def read_astropy_table(path: Path) -> Any:
 
 
 def content_digest(value: object) -> str:
-    """Return what stands for a value that JSON does not know, in a point's identity: a table's content."""
+    """Return what stands for a value that JSON does not know, in a point's identity: the content of a table or of a
+    definition, whatever their names.
+    """
     if isinstance(value, TableFile):
         return f"sha256:{value.digest}"
+    if isinstance(value, Named):
+        return f"sha256:{hashlib.sha256(value.identity.encode()).hexdigest()}"
     raise TypeError(f"{type(value).__name__} is no value of a parameter")
 
 

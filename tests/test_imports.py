@@ -15,8 +15,8 @@ CORE = [
     *("parameters", "scenario", "checks", "experiment", "calibration"),
 ]
 SWEEP = [
-    *("interrupt", "contract", "byaxes", "load", "tablefile", "study", "source", "form", "problems", "axes", "claims"),
-    *("published", "exclusions", "rules", "reader"),
+    *("interrupt", "contract", "byaxes", "load", "definitions", "tablefile", "study", "source", "form", "problems"),
+    *("axes", "claims", "published", "exclusions", "rules", "reader"),
     *("grid", "plan", "tally", "pending", "limit", "worker", "agreement", "guard", "pin"),
     *("execute", "on_client", "clusterfile", "own_cluster", "clusters"),
     *(

@@ -1,0 +1,83 @@
+"""Further values of parameters that a study defines in its tables [define.PARAMETER.NAME]."""
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from sweep.contract import DefinitionError, Experiment, Function, Named, Parameter, shown
+from sweep.load import load_function
+
+Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
+"""Definitions as the study has them, by parameter and name."""
+
+Problem = Callable[[tuple[str, ...], str], None]
+"""Takes the place of a problem in the study, and a sentence."""
+
+GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
+"""Names that a command line can hold wherever it takes a value of an axis."""
+
+
+def defined_values(
+    experiment: Experiment, tables: Tables, folder: Path, problem: Problem
+) -> tuple[Experiment, dict[str, dict[str, dict[str, Any]]]]:
+    """Return the experiment whose parameters know what the study defines, and the definitions as they hold from any
+    directory; ``problem`` is told of everything that is wrong.
+    """
+    known: dict[str, Parameter] = {}
+    portable: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, by_name in tables.items():
+        try:
+            parameter = experiment.parameter(name)
+        except ValueError as error:
+            problem(("define", name), str(error))
+            continue
+        if parameter.define is None:
+            problem(("define", name), f"{name} takes no values that a study defines, but {parameter.allowed()}")
+            continue
+        found: list[Named] = []
+        for own_name, table in by_name.items():
+            where = ("define", name, own_name)
+            if not GOOD_NAME.fullmatch(own_name):
+                problem(where, "a name begins with a letter and has at most 60 letters, digits and any of _ . + -")
+            if own_name in parameter.choices:
+                problem(where, f"{shown(own_name)} is there already; take another name")
+            loaded: dict[str, str] = {}
+            if (one := _named(parameter, own_name, table, partial(_load, folder, loaded), where, problem)) is not None:
+                found.append(one)
+            portable.setdefault(name, {})[own_name] = {
+                key: loaded.get(text, text) if isinstance(text, str) else text for key, text in table.items()
+            }
+        known[name] = replace(parameter, defined=tuple(found))
+    parameters = tuple(known.get(parameter.name, parameter) for parameter in experiment.parameters)
+    return replace(experiment, parameters=parameters), portable
+
+
+def _named(
+    parameter: Parameter,
+    name: str,
+    table: Mapping[str, Any],
+    load: Callable[[str], Function],
+    where: tuple[str, ...],
+    problem: Problem,
+) -> Named | None:
+    assert parameter.define is not None, "asked for before"
+    try:
+        value, identity = parameter.define(table, load)
+        return Named(name, json.dumps(identity, sort_keys=True), value)
+    except DefinitionError as error:
+        for key, sentence in error.problems:
+            problem((*where, key) if key else where, sentence)
+    except Exception as error:  # whatever a user's experiment raises
+        problem(where, f"the experiment cannot make anything of it: {type(error).__name__}: {error}")
+    return None
+
+
+def _load(folder: Path, loaded: dict[str, str], reference: str) -> Function:
+    """Return the function at a reference, and note where it is for any directory."""
+    function = load_function(reference, folder)
+    loaded[reference] = function.reference
+    return function
