@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.checks import check
+from core.expected_errors import has_errors
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
-from core.scenario import catalogue_size, errors_at_limit, scenario
+from core.scenario import catalogue_size, scenario
 from core.simulate import BlockSums, simulate
 from sweep.contract import Experiment, Point
 
@@ -87,12 +88,12 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
 
 def cost(point: Point) -> float:
     """Return how many normal deviates one realisation takes; a projected one takes a chi-square for each chunk too."""
-    reference, satellite = (np.any(sigma) for sigma in errors_at_limit(point))
+    reference, satellite = has_errors(point, "reference"), has_errors(point, "satellite")
     if point["method"] == "projected":
         unknowns = 9 if point["solve_glide"] else 6
         columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
         return float(min(columns, 4 * catalogue_size(point)) if reference or satellite else 0)
-    return float(4 * (int(reference) + int(satellite)) * catalogue_size(point))
+    return float(4 * (reference + satellite) * catalogue_size(point))
 
 
 def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,10 @@ class Exponentials:
         """Return the sum at each magnitude."""
         return np.asarray(sum(a * np.exp(slope * (v_mag - pivot)) for a, slope, pivot in self.terms))
 
+    def times(self, factor: float) -> "Exponentials":
+        """Return the curve times a factor."""
+        return Exponentials(tuple((factor * a, slope, pivot) for a, slope, pivot in self.terms))
+
 
 @dataclass(frozen=True)
 class LogLinear:
@@ -40,6 +44,10 @@ class LogLinear:
     def __call__(self, v_mag: Array) -> Array:
         """Return the interpolated value at each magnitude."""
         return np.asarray(np.exp(np.interp(v_mag, self.magnitudes, np.log(self.values))))
+
+    def times(self, factor: float) -> "LogLinear":
+        """Return the curve times a factor."""
+        return LogLinear(self.magnitudes, tuple(factor * value for value in self.values))
 
 
 class MissionUnavailableError(ImportError):
@@ -98,8 +106,26 @@ class Mission:
         return 1.0 if mission_length_yr is None else mission_length_yr / self.nominal_length_yr
 
 
-def _scaled(factor: float, curve: Exponentials) -> Exponentials:
-    return Exponentials(tuple((factor * a, slope, pivot) for a, slope, pivot in curve.terms))
+class AccuracyCurves(NamedTuple):
+    """Curves of M missions at V magnitudes: names (M,), mag (V,), sigma_pos in mas and sigma_pm in mas/yr (M, V).
+
+    NaN is beyond a mission's faint limit.
+    """
+
+    name: tuple[str, ...]
+    v_mag: Array
+    sigma_pos_mas: Array
+    sigma_pm_mas_yr: Array
+
+
+def accuracy_curves(missions: Mapping[str, Mission], v_mag: Array) -> AccuracyCurves:
+    """Return the curves of missions at their nominal lengths; raises MissionUnavailableError, CurveError."""
+    sigmas = np.full((2, len(missions), len(v_mag)), np.nan)
+    for row, mission in enumerate(missions.values()):
+        seen = v_mag <= mission.faint_limit_mag
+        sigmas[0, row, seen] = mission.sigma_pos_mas(v_mag[seen])
+        sigmas[1, row, seen] = mission.sigma_pm_mas_yr(v_mag[seen])
+    return AccuracyCurves(tuple(missions), v_mag, *sigmas)
 
 
 def _gaia_release(release: Literal["dr3", "dr4", "dr5"], months: float) -> Mission:
@@ -121,7 +147,7 @@ _GAIA_2001_POS_UAS = (3, 3, 3, 4, 6, 9, 15, 23, 39, 70, 140, 440)
 MISSIONS: Mapping[str, Mission] = MappingProxyType(
     {
         "amex": Mission(
-            curve_pos_mas=_scaled(0.60, AMEX_PM),
+            curve_pos_mas=AMEX_PM.times(0.60),
             curve_pm_mas_yr=AMEX_PM,
             nominal_length_yr=2.0,
             faint_limit_mag=np.inf,
@@ -130,7 +156,7 @@ MISSIONS: Mapping[str, Mission] = MappingProxyType(
             "fitted curve has 0.18 mas/yr)",
         ),
         "gaia": Mission(
-            curve_pos_mas=_scaled(1.15, GAIA_PM),
+            curve_pos_mas=GAIA_PM.times(1.15),
             curve_pm_mas_yr=GAIA_PM,
             nominal_length_yr=5.0,
             faint_limit_mag=np.inf,

@@ -1,6 +1,7 @@
 """What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
 
 from core.missions import MISSIONS
+from core.own_mission import mission_from_table
 from sweep.contract import Output, Parameter
 
 PARAMETERS = (
@@ -113,7 +114,12 @@ PARAMETERS = (
         choices=("none", "normal", "catalogue"),
     ),
     Parameter(
-        "model", "str", "amex", "mission whose accuracy curve gives the 'magnitude' errors", choices=tuple(MISSIONS)
+        "model",
+        "str",
+        "amex",
+        "mission whose accuracy curve gives the 'magnitude' errors",
+        choices=tuple(MISSIONS),
+        define=mission_from_table,
     ),
     Parameter(
         "mission_length",

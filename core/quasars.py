@@ -1,6 +1,7 @@
 """The quasar counts of the paper, and catalogues drawn from them."""
 
 import itertools
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ _COMPLETENESS = ((16.5, 0.57), (19.0, 0.054))
 % and 5.4 +- 0.1 %, from the SDSS)."""
 
 
+@lru_cache(maxsize=1024)
 def quasar_count(v_max: float, completed: bool = False) -> int:
     """Return how many quasars are brighter than ``v_max``: the paper's number at its half magnitudes, log-linear
     between.

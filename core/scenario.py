@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue, Sky, galaxies, radio_stars, resample, synthetic
 from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import CatalogueErrors, ErrorModel, MagnitudeErrors, NoErrors, NormalErrors
-from core.missions import MISSIONS
+from core.missions import MISSIONS, Mission
 from core.quasars import V_MAX, quasar_count, quasars
 from core.setup import Scenario, TrueVector, Vector
 from core.table_catalogue import Table, catalogue_from_table
-from sweep.contract import Point
+from sweep.contract import Named, Point
 
 Array = NDArray[np.float64]
 
@@ -48,32 +48,32 @@ def scenario(point: Point) -> Scenario:
 
 def catalogue_size(point: Point) -> int:
     """Return the number of objects of a point's catalogue."""
-    if point["n_obj"] is not None:
-        return int(point["n_obj"])
-    return {
-        "quasars": lambda: quasar_count(limiting_magnitude(point), point["counts"] == "completed"),
-        "galaxies": lambda: N_GALAXIES,
-        "radio-stars": lambda: len(radio_stars()),
-        "file": lambda: len(table_objects(point)),
-    }[point["catalogue"]]()
+    n_obj = point["n_obj"]
+    return available_objects(point) if n_obj is None else int(n_obj)
+
+
+def available_objects(point: Point) -> int:
+    """Return how many objects there are where a point does not say how many it wants."""
+    catalogue = point["catalogue"]
+    if catalogue == "quasars":
+        return quasar_count(limiting_magnitude(point), point["counts"] == "completed")
+    if catalogue == "file":
+        return len(table_objects(point))
+    return N_GALAXIES if catalogue == "galaxies" else len(radio_stars())
 
 
 def limiting_magnitude(point: Point) -> float:
     """Return the limiting magnitude of a synthetic, quasar or galaxy catalogue."""
-    return float(FAINTEST_MAG[point["catalogue"]] if point["v_max"] is None else point["v_max"])
+    v_max = point["v_max"]
+    return float(FAINTEST_MAG[point["catalogue"]] if v_max is None else v_max)
 
 
-def errors_at_limit(point: Point) -> tuple[Array, Array]:
-    """Return the standard errors of the reference and the satellite for a point's objects, or one at its limit; (4,
-    N).
-    """
-    probe = own_objects(point)
-    if probe is None:
-        zero = np.zeros(1)
-        probe = Catalogue(zero, zero, zero, zero, zero + limiting_magnitude(point))
-    with np.errstate(over="ignore"):  # a curve far beyond its range is infinite, and refused for that
-        reference, satellite = (error_model(point, side).standard_errors(probe) for side in ("reference", "satellite"))
-    return reference, satellite
+def mission_of(model: str | Named) -> Mission:
+    """Return the mission of a point's model: a built-in one, or one that its study defines."""
+    if isinstance(model, str):
+        return MISSIONS[model]
+    mission: Mission = model.value
+    return mission
 
 
 def error_model(point: Point, side: str) -> ErrorModel:
@@ -83,7 +83,7 @@ def error_model(point: Point, side: str) -> ErrorModel:
     if kind == "normal":
         return NormalErrors(point[f"{side}_sigma_pos"], point[f"{side}_sigma_pm"], scale)
     if kind == "magnitude":
-        return MagnitudeErrors(MISSIONS[point["model"]], point["mission_length"], scale)
+        return MagnitudeErrors(mission_of(point["model"]), point["mission_length"], scale)
     return CatalogueErrors(scale) if kind == "catalogue" else NoErrors()
 
 
@@ -97,6 +97,11 @@ def own_objects(point: Point) -> Catalogue | None:
 def table_objects(point: Point) -> Catalogue:
     """Return the objects of the file that are brighter than the limit."""
     return _table_objects(point["file"], point["columns"], point["pmra_cos_dec"], point["v_max"])
+
+
+def whole_table(point: Point) -> Catalogue:
+    """Return all objects of the file."""
+    return _table_objects(point["file"], point["columns"], point["pmra_cos_dec"], None)
 
 
 @lru_cache(maxsize=4)

@@ -24,6 +24,8 @@ class ByAxes(Generic[T]):
 
     def __call__(self, parameters: dict[str, Any]) -> T:
         """Return what the function says of these parameters."""
+        if len(self._read) == len(self._axes):
+            return self._function(parameters)  # no two points are alike to it, and nothing is left to be noticed
         key = tuple([parameters[name] for name in self._read])
         if key in self._known:
             return self._known[key]
