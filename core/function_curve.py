@@ -31,7 +31,7 @@ class CurveOfFunction:
         try:
             with np.errstate(all="ignore"):  # the values are looked at below
                 found = np.asarray(self.function(flat.copy()))
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # whatever a user's function raises
             raise CurveError(f"the function {name!r} raises {type(error).__name__}: {error}") from error
         if found.shape != flat.shape or found.dtype.kind not in "fiu":
             what = f"{found.dtype} of shape {found.shape}"

@@ -1,20 +1,26 @@
 """The link as the platform sees it: units, checks, cost and the formulas of the results."""
 
+import json
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from astropy import units
 from astropy.table import Table
 
+from core.catalogue import Catalogue
 from core.constants import GALACTIC_AXES, MAS
+from core.expected_errors import errors_at_limit, has_errors
 from core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS, LinkError
 from core.missions import MISSIONS
+from core.own_mission import mission_from_table
 from core.parameters import OUTPUTS, PARAMETERS
 from core.quasars import quasar_count
+from core.scenario import error_model
 from core.simulate import simulate
+from sweep.contract import Named
 from sweep.tablefile import table_file
 
 SIX = ["mas"] * 3 + ["mas / yr"] * 3
@@ -512,3 +518,105 @@ def test_scaling_of_the_prediction(n_obj_factor, length_factor):
     ratio = np.sqrt(after / before)
     np.testing.assert_allclose(ratio[:3], n_obj_factor**-0.5 * length_factor**-0.5, rtol=1e-9)
     np.testing.assert_allclose(ratio[3:], n_obj_factor**-0.5 * length_factor**-1.5, rtol=1e-9)
+
+
+class Watched(dict):
+    """A point that notes what is looked at, and is never copied."""
+
+    def __init__(self, point):
+        super().__init__(point)
+        self.read = set()
+
+    def __getitem__(self, name):
+        self.read.add(name)
+        return super().__getitem__(name)
+
+    def __iter__(self):
+        raise AssertionError("copied")
+
+    keys = items = values = copy = __or__ = __iter__
+
+
+FILE_ONLY = {"columns", "pmra_cos_dec"}
+SIGMAS = {f"{side}_sigma_{what}" for side in ("reference", "satellite") for what in ("pos", "pm")}
+NEVER = {"mean_pm", "pm_distribution", "epsilon", "omega", "epsilon_size", "omega_size", "directions", "glide"}
+NEVER |= {"corrections", "arithmetic"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "not_for_check", "not_for_cost"),
+    [
+        ({}, FILE_ONLY | SIGMAS | {"counts"}, SIGMAS | {"model", "v_max", "mission_length", "counts", "catalogue"}),
+        ({"satellite_errors": "normal"}, {"model", "mission_length"}, {"model", "mission_length", "v_max"}),
+        ({"satellite_errors": "none"}, SIGMAS | {"model", "mission_length", "error_scale"}, SIGMAS | {"error_scale"}),
+        ({"catalogue": "quasars", "n_obj": None}, SIGMAS | {"v_min"}, SIGMAS | {"model", "mission_length", "v_min"}),
+        ({"catalogue": "radio-stars"}, SIGMAS | {"v_min", "counts"}, SIGMAS | {"v_min", "v_max"}),
+    ],
+)
+def test_check_and_cost_look_only_at_what_matters(changes, not_for_check, not_for_cost):
+    for function, spared in ((check, not_for_check), (cost, not_for_cost)):
+        watched = Watched(point(**changes))
+        assert function(watched) == function(point(**changes))
+        assert not watched.read & (spared | NEVER | {"weighting"}), function.__name__
+
+
+@pytest.mark.parametrize("model", sorted(MISSIONS))
+@pytest.mark.parametrize("length", [None, 0.7, 6.0])
+def test_errors_expected_at_the_limit_are_those_that_objects_there_get(model, length):
+    here = point(model=model, mission_length=length, error_scale=0.3, satellite_error_scale=1.7, v_max=16.4)
+    here |= {"reference_errors": "normal", "reference_sigma_pos": 0.02, "reference_sigma_pm": 7.0}
+    zero = np.zeros(1)
+    faintest = Catalogue(zero, zero, zero, zero, zero + 16.4)
+    for side in ("reference", "satellite"):
+        expected = error_model(here, side).standard_errors(faintest)[1:3, 0] / MAS
+        np.testing.assert_allclose(errors_at_limit(here, side), expected, rtol=1e-14)
+        assert has_errors(here, side)
+
+
+def test_a_mission_so_short_that_its_errors_overflow_is_a_problem():
+    assert check(point(mission_length=5e-324)).startswith("errors of inf mas and inf mas/yr: must be from")
+    assert check(point(mission_length=1e-250)).endswith("mas and inf mas/yr: must be from 1e-09 to 1e+07")
+
+
+def own(table, function=None):
+    value, identity = mission_from_table(table, lambda reference: function)
+    return Named("mine", json.dumps(identity), value)
+
+
+MINE = {"nominal_length": 4.0, "sigma_pm": [[9.0, 0.1], [17.0, 3.2]], "position_ratio": 0.5}
+
+
+def test_a_mission_of_the_study_has_the_numbers_of_its_table():
+    exponential = {"at": 15.0, "sigma": 0.01496, "slope": 0.443}
+    mine = own({"nominal_length": 5.0, "sigma_pm": [exponential], "position_ratio": 1.15})
+    theirs, ours = (evaluated(point(model=model, mission_length=3.0), 20) for model in ("gaia", mine))
+    for name in SUMS:
+        np.testing.assert_array_equal(ours[name], theirs[name])
+    assert cost(point(model=mine)) == cost(point(model="gaia"))
+
+
+def test_a_mission_of_the_study_ends_where_its_table_does():
+    assert check(point(model=own(MINE), v_max=17.0)) is None
+    assert check(point(model=own(MINE), v_max=17.5)) == "v_max = 17.5 mag: the curve of 'mine' ends at 17 mag"
+    assert check(point(model=own(MINE), v_max=17.5, satellite_errors="none")) is None
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A function of the platform's kind that is wrong for the bright."""
+
+    name: str = "counted"
+    digest: str = "0123456789ab"
+
+    def __call__(self, v):
+        return np.where(v < 8.0, -1.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "good"),
+    [({}, False), ({"v_min": 8.5}, True), ({"catalogue": "quasars"}, True), ({"catalogue": "radio-stars"}, False)],
+)
+def test_a_function_is_asked_about_all_magnitudes_that_objects_can_have(changes, good):
+    mine = own({"nominal_length": 4.0, "sigma_pm": "x.py:f", "position_ratio": 1.0}, Counted())
+    problem = check(point(model=mine, **changes))
+    assert problem is None if good else "'counted' returns -1 at V = " in problem
