@@ -32,7 +32,9 @@ def as_text(comparisons: Sequence[Comparison]) -> "Table":
             table.add_section()
         previous = c.study
         name = f"{c.what} [{c.unit}]" if c.unit else c.what
-        table.add_row(*(escape(cell) for cell in (c.study, name, place_in_words(c.where), *numbers_in_words(c), c.verdict)))
+        table.add_row(
+            *(escape(cell) for cell in (c.study, name, place_in_words(c.where), *numbers_in_words(c), c.verdict))
+        )
     return table
 
 

@@ -87,6 +87,10 @@ class TerminalProgress:
             line = f"{self._description()}, {_left_in_words(self._eta, now)}"
             (SENTENCES if self._bar is None else RECORD).info(line)
 
+    def written(self) -> None:
+        """Take the bar away."""
+        self._end_bar()
+
     def _tell_points(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         if result.failures:
             points = [point for work in works for point in work.points]

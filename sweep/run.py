@@ -53,6 +53,9 @@ class Progress(Protocol):
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """A task's result is in the ledger."""
 
+    def written(self) -> None:
+        """All results are on disk; the workers are about to end."""
+
     def say(self, text: str) -> None:
         """Tell something in a sentence."""
 
@@ -64,6 +67,9 @@ class Silent:
         """Do nothing."""
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
+        """Do nothing."""
+
+    def written(self) -> None:
         """Do nothing."""
 
     def say(self, text: str) -> None:
@@ -123,7 +129,9 @@ def run_study(
                     progress.say(f"Dask dashboard: {place.dashboard}")
                 for works, result in run(pending.take):
                     progress.advance(works, result, writer.take(works, result))
-                return writer.write(final=True), writer.failures()
+                dataset = writer.write(final=True)
+                progress.written()
+                return dataset, writer.failures()
             except KeyboardInterrupt:
                 writer.stop()
                 raise

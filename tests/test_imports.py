@@ -36,11 +36,11 @@ SWEEP = [
     *("completion", "status", "tables", "eta", "account", "progress"),
     *("fits", "levelling", "selection", "quantity", "lines", "conditions"),
     *("compare", "compare_tables", "paper", "analysis", "crossings", "analysis_tables"),
-    *("calibrate", "views", "api", "__main__"),
+    *("calibrate", "scaling", "views", "api", "__main__"),
 ]
 CLI = [
     *("group", "options", "output", "stopping", "watching", "running", "again"),
-    *("reading", "analysis", "drawing", "paper", "about", "match"),
+    *("reading", "analysis", "drawing", "scaling", "paper", "about", "match"),
 ]
 SEARCH = [
     *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
@@ -73,6 +73,7 @@ ACROSS = {
     *(("sweep.views", f"core.{module}") for module in ("calibration", "constants", "missions", "scenario")),
     *(("sweep.plots.sky", f"core.{module}") for module in ("constants", "frames")),
     *(("sweep.cli.drawing", f"sweep.plots.{module}") for module in ("figure", "other", "style")),
+    *(("sweep.cli.scaling", f"sweep.plots.{module}") for module in ("figure", "style")),
     ("sweep.__main__", "sweep.cli.main"),
     *(("sweep.cli.match", f"sweep.search.{module}") for module in ("match", "options", "outputs", "summary")),
 }

@@ -1,0 +1,112 @@
+"""`sweep scaling`: what it measures, what it leaves behind, and what it refuses."""
+
+import json
+import tempfile
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.reader import study_from_dict
+from sweep.run import run_study
+from sweep.scaling import measure_scaling
+
+
+@pytest.fixture
+def slow_clock(monkeypatch):
+    """Runs whose seconds are known: the realisations over the workers, and 10 s a start; a list of what was run."""
+    asked = []
+
+    def timed(study, workers, pool):
+        work = study.sampling.n_cat * study.sampling.n_sim
+        asked.append((work, workers, pool))
+        overhead = 1.0 if workers == 1 else 1.25
+        return work / workers * overhead, 10.0
+
+    monkeypatch.setattr("sweep.scaling._timed", timed)
+    return asked
+
+
+def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, slow_clock):
+    study = study_from_dict(coins | {"sampling": {"n_sim": 100, "n_cat": 4, "seed": 1}})
+    found = measure_scaling(study, [1, 2, 4], repetitions=2)
+    assert found["seconds"].sel(kind="strong").values.tolist() == [400.0, 250.0, 125.0]
+    assert found["seconds"].sel(kind="weak").values.tolist() == [400.0, 500.0, 500.0]
+    for kind in ("strong", "weak"):  # every pair of workers loses a fifth
+        assert found["efficiency"].sel(kind=kind).values == pytest.approx([1.0, 0.8, 0.8])
+        assert found["speedup"].sel(kind=kind).values == pytest.approx([1.0, 1.6, 3.2])
+    assert (found["start_seconds"] == 10.0).all()
+    assert (found["efficiency_error"] == 0.0).all()
+    assert found.attrs["weak_scaling_grows"] == "n_cat"
+    assert max(work for work, _, _ in slow_clock) == 1600
+
+
+def test_a_study_of_one_catalogue_grows_its_realisations(coins, slow_clock):
+    study = study_from_dict(coins | {"sampling": {"n_sim": 100, "n_cat": 1, "seed": 1}})
+    found = measure_scaling(study, [1, 2], repetitions=1)
+    assert found.attrs["weak_scaling_grows"] == "n_sim"
+    assert found.attrs["study_digest"] == study.digest()
+    assert "efficiency_error" not in found
+
+
+def test_the_command_leaves_the_measurements_and_nothing_else(coins, tmp_path, sweep, monkeypatch):
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setenv("TMPDIR", str(scratch))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    arguments = ["quasars", "--axis", "v_max=14", "--set", "n_cat=2", "--set", "n_sim=10", "--repetitions", "1"]
+    status, out, err = sweep(
+        "scaling", *arguments, "--pool", "threads", "--figure", "scaling.png", "--json", cwd=tmp_path
+    )
+    assert status == 0, err
+    rows = json.loads(out)
+    assert [(row["kind"], row["workers"]) for row in rows] == [
+        (kind, workers) for kind in ("strong", "weak") for workers in (1, 2)
+    ]
+    found = xr.open_zarr(tmp_path / "results" / "quasars-scaling.zarr", consolidated=False).load()
+    assert found["efficiency"].dims == ("kind", "workers")
+    assert np.allclose(found["speedup"], found["efficiency"] * found["workers"])
+    assert (found["seconds"] > 0.0).all()
+    assert (found["start_seconds"] > 0.0).all()
+    assert {"versions", "host", "study_digest", "pool", "cores"} <= set(found.attrs)
+    assert (tmp_path / "scaling.png").stat().st_size > 10_000
+    assert sorted(p.name for p in (tmp_path / "results").iterdir()) == ["quasars-scaling.zarr"]
+    assert not list(scratch.glob("linksweep*"))
+
+    status, _, err = sweep("scaling", *arguments, cwd=tmp_path)
+    assert status == 2
+    assert "exists already" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--workers", "2,4"], "must increase from 1"),
+        (["--workers", "1,2,2"], "must increase from 1"),
+        (["--workers", "1,5000"], "4096"),
+        (["--workers", "1,two"], "no list of numbers"),
+        (["--workers", "-1"], "no list of numbers"),
+        (["--repetitions", "0"], "repetitions"),
+        (["--set", "precision=0.1"], "decides itself"),
+        (["--set", "n_sim=none"], "n_sim"),
+        (["--figure", "scaling.txt"], "the name must end"),
+    ],
+)
+def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, sweep):
+    status, _, err = sweep("scaling", "sqrt-n", *arguments, cwd=tmp_path)
+    assert status == 2
+    assert words in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_point_that_fails_ends_it(coins, monkeypatch):
+    study = study_from_dict(coins | {"sampling": {"n_sim": 10, "n_cat": 1, "seed": 1}})
+
+    def failing(*arguments):
+        dataset, _ = run_study(*arguments)
+        return dataset, {"metal=tin,coins=1": "ZeroDivisionError: no coins left"}
+
+    monkeypatch.setattr("sweep.scaling.run_study", failing)
+    with pytest.raises(SweepError, match=r"1 points fail, e\.g\. metal=tin,coins=1: ZeroDivisionError"):
+        measure_scaling(study, [1], "threads")
