@@ -15,6 +15,11 @@ NAMED = 5
 """So many of the slowest points are named."""
 
 
+def counted(n: int, noun: str) -> str:
+    """Return a count with its noun: '1 point', '2 points'."""
+    return f"{n:,} {noun}{'' if n == 1 else 's'}"
+
+
 class Account:
     """Adds up a run from its results."""
 
@@ -55,7 +60,7 @@ class Account:
         rate = self.done.realisations / max(elapsed, 1e-9)
         took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
         lines = [
-            f"{self.done.points:,} points and {self.done.realisations:,} realisations in {took}: "
+            f"{counted(self.done.points, 'point')} and {counted(self.done.realisations, 'realisation')} in {took}: "
             f"{rate:,.0f} realisations/s, {self.busy:,.1f} s of work by all workers together, "
             f"worth {self.done.cost:.2g} random numbers"
         ]

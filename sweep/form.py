@@ -5,7 +5,7 @@ from typing import Any
 from pydantic import Field
 
 from sweep.source import Place
-from sweep.study import Claim, Ratio, Reading, Sampling, Section, Slope, Tolerance
+from sweep.study import Claim, Ratio, Reading, Sampling, Section, Slope, Text, Tolerance
 
 
 class GridForm(Section):
@@ -18,16 +18,16 @@ class PublishedForm(Section):
     """The table [published]."""
 
     file: str
-    source: str
+    source: Text
     tolerance: Tolerance | None = None
-    tolerance_reason: str | None = None
+    tolerance_reason: Text | None = None
 
 
 class Form(Section):
     """The fixed part of a study file; axes and parameters are checked against the experiment."""
 
-    title: str
-    question: str | None = None
+    title: Text
+    question: Text | None = None
     experiment: str = "core.experiment:link"
     axes: dict[str, Any] = Field(default_factory=dict)
     fixed: dict[str, Any] = Field(default_factory=dict)

@@ -134,7 +134,7 @@ def _module_of_file(place: str, folder: Path | None) -> ModuleType:
     if name in sys.modules:
         return sys.modules[name]
     if not path.is_file():
-        raise SweepError(f"there is no file {path}")
+        raise SweepError(f"there is no file {shown(str(path))}")
     spec = importlib.util.spec_from_file_location(name, path, loader=_Loader(name, str(path)))
     if spec is None or spec.loader is None:
         raise SweepError(f"{path} is not a Python file")

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
-from sweep.account import Account
+from sweep.account import Account, counted
 from sweep.eta import Eta, in_words
 from sweep.grid import describe
 from sweep.plan import Work
@@ -63,7 +63,8 @@ class TerminalProgress:
         partly = (
             ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
         )
-        self.say(f"{total.points:,} points{held}{partly}; {pending.realisations:,} realisations to do on {where}")
+        to_do = counted(pending.realisations, "realisation")
+        self.say(f"{counted(total.points, 'point')}{held}{partly}; {to_do} to do on {where}")
         if self._with_bar and pending.blocks:
             columns = (BarColumn(), TextColumn("{task.description}"), _Left(self._eta))
             self._bar = Progress(*columns, console=self._console, transient=True)
@@ -124,7 +125,7 @@ class TerminalProgress:
         if failures:
             kinds = self._account.kinds()
             SENTENCES.error(
-                f"{failures:,} point{'s' if failures > 1 else ''} failed{f' ({kinds})' if kinds else ''}; "
+                f"{counted(failures, 'point')} failed{f' ({kinds})' if kinds else ''}; "
                 f"`sweep status {store}` names them and says why, `sweep retry {store}` tries them again, "
                 f"`sweep reproduce {store} --at ...` runs one here"
             )

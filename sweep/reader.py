@@ -150,6 +150,8 @@ class _Reader:
                     self.problems.add(where, f"unknown key{suggest(str(where[-1]), known_keys(where))}")
                 elif item["type"] == "missing":
                     self.problems.add(where, "is required")
+                elif item["type"] == "value_error":
+                    self.problems.add(where, f"{shown(item['input'])} {item['ctx']['error']}")
                 else:
                     self.problems.add(where, f"{item['msg'][0].lower()}{item['msg'][1:]}, not {shown(item['input'])}")
             return self._rest_of_form({item["loc"][0] for item in error.errors()})

@@ -11,6 +11,11 @@ from sweep.contract import SweepError, shown, suggest
 
 MAX_FILE_BYTES = 1_000_000
 
+DEEPEST = 100
+"""Parts of a dotted key at most: the parser takes their square in time, minutes for a long line of them."""
+
+TOO_DEEP = "not valid TOML: nested too deeply"
+
 Place = tuple[str | int, ...]
 """Keys and indices that lead to a value of the document."""
 
@@ -62,12 +67,14 @@ def read_text(path: Path) -> str:
 
 def parsed(text: str, path: Path) -> dict[str, Any]:
     """Return the document of a TOML text; raises SweepError that quotes the line where it is not valid."""
+    if _has_deep_key(text):
+        raise SweepError(TOO_DEEP, str(path))
     try:
         return tomllib.loads(text)
     except ValueError as error:  # a TOMLDecodeError, or an integer of too many digits
         raise SweepError(f"not valid TOML: {error}{_quoted_line(text, str(error))}", str(path)) from error
     except RecursionError as error:
-        raise SweepError("not valid TOML: nested too deeply", str(path)) from error
+        raise SweepError(TOO_DEEP, str(path)) from error
 
 
 def lines_of_keys(text: str) -> dict[Place, int]:
@@ -91,6 +98,11 @@ def lines_of_keys(text: str) -> dict[Place, int]:
 def line_of(lines: Mapping[Place, int], where: Place) -> int | None:
     """Return the line of a place, or of the innermost table around it that has one."""
     return next((lines[where[:n]] for n in range(len(where), 0, -1) if where[:n] in lines), None)
+
+
+def _has_deep_key(text: str) -> bool:
+    tokens = (token for token in re.findall(r"[^,=\[\]{}#\n]+", text) if token.count(".") > DEEPEST)
+    return any(len(re.findall(r"[\w\"'-]\s*\.\s*(?=[\w\"'-])", token)) > DEEPEST for token in tokens)
 
 
 def _quoted_line(text: str, message: str) -> str:

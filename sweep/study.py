@@ -3,12 +3,13 @@
 import hashlib
 import json
 import math
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from sweep.contract import Experiment, Value
 from sweep.tablefile import content_digest
@@ -16,6 +17,22 @@ from sweep.tablefile import content_digest
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+HIDDEN = {"Cc", "Cs", "Zl", "Zp"}
+"""Unicode's categories of control characters, surrogates and separators of lines and paragraphs."""
+
+TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+"""Characters that change the direction of what follows them."""
+
+
+def _plain(text: str) -> str:
+    if hidden := next((c for c in text if unicodedata.category(c) in HIDDEN or c in TURNING), None):
+        raise ValueError(f"holds the control character U+{ord(hidden):04X}; a terminal or a report would obey it")
+    return text
+
+
+Text = Annotated[str, AfterValidator(_plain)]
+"""A sentence for people, in one line."""
 
 MOST_SIMS = 1_000_000
 """`Sampling.max_n_sim` where a study says nothing: enough for an error of 0.04 % of an RMS."""
@@ -113,12 +130,12 @@ class Claim(Section, frozen=True):
     axes for any of the three; an axis that is fixed nowhere gives one comparison for each of its values.
     """
 
-    text: str
-    source: str
+    text: Text
+    source: Text
     published: str
     exact: bool = False
     tolerance: Tolerance | None = None
-    tolerance_reason: str | None = None
+    tolerance_reason: Text | None = None
     slope: Slope | None = None
     ratio: Ratio | None = None
     value: Reading | None = None

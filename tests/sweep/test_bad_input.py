@@ -121,6 +121,14 @@ STUDIES = {
     "misspelt choice": (edited('"quasars"', '"quasar"'), "catalogue = 'quasar': must be", "did you mean 'quasars'?"),
     "number for bool": (fixed("corrections = 1"), "fixed.corrections (line 9): corrections = 1: must be true or false"),
     "date for number": (fixed("error_scale = 2020-01-01"), "error_scale = datetime.date(2020, 1, 1): must be"),
+    "control character in the title": (
+        edited("A good study", r"A \u001b[2J study"),
+        "title (line 1): 'A \\x1b[2J study' holds the control character U+001B",
+    ),
+    "direction of text": (
+        after(PUBLISHED.replace("A paper", r"A \u202e paper")),
+        "published.source (line 16): 'A \\u202e paper' holds the control character U+202E",
+    ),
     "number for title": (edited('"A good study"', "5"), "title (line 1): input should be a valid string, not 5"),
     "list for section": (edited('[fixed]\ncatalogue = "quasars"\n', "") + "[[fixed]]", "fixed", "valid dictionary"),
     "number for section": ("sampling = 3\n" + GOOD.partition("[sampling]")[0], "sampling (line 1)", "not 3"),
@@ -272,7 +280,9 @@ STUDIES = {
     "duplicate key": (sampling("n_sim = 10\nn_sim = 20"), "not valid TOML", "at line 12", "'n_sim = 20'"),
     "duplicate section": (after("[axes]"), "not valid TOML", "at line 14", "'[axes]'"),
     "brackets without end": (fixed(f"omega = {'[' * 10_000}"), "not valid TOML: nested too deeply"),
-    "deep keys": (fixed(f"error_scale{'.a' * 2_000} = 1"), "error_scale = {'a': {'a': {'a': {...}}}}: must be"),
+    "deep keys": (fixed(f"error_scale{'.a' * 90} = 1"), "error_scale = {'a': {'a': {'a': {...}}}}: must be"),
+    "deeper keys": (fixed(f"error_scale{' . a' * 200_000} = 1"), "not valid TOML: nested too deeply"),
+    "deep header": (after(f"[fixed.{'a.' * 400_000}b]"), "not valid TOML: nested too deeply"),
     "many unknown keys": (
         fixed("\n".join(f"k{i} = {i}" for i in range(50_000))),
         "fixed.k0 (line 9): unknown parameter",

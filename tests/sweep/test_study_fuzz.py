@@ -1,16 +1,29 @@
 """A mutilated study document gives a valid study or a SweepError, never anything else."""
 
 import copy
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
 import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
+from click.testing import CliRunner, Result
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.grid import make_grid
 from sweep.reader import load_study, study_from_dict
+from tests.sweep.mutations import ROOT, mutants
 
 GOOD: dict[str, Any] = {
     "title": "A good study",
@@ -177,3 +190,117 @@ def repr_of(node: Any) -> Any:
     if isinstance(node, list):
         return [repr_of(value) for value in node]
     return hex(node) if isinstance(node, int) else repr(node)
+
+
+# Whole files through the command line
+
+
+class HangError(BaseException):
+    """Not an Exception, which the code under test might catch."""
+
+
+@contextmanager
+def within(seconds: int) -> Iterator[None]:
+    """Raise HangError in this block if it takes longer."""
+
+    def hang(number: int, frame: object) -> None:
+        raise HangError
+
+    before = signal.signal(signal.SIGALRM, hang)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A directory with what the studies need beside them."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(ROOT / "sweeps" / "published", tmp_path / "published")
+    walk = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "experiments.md").read_text(), flags=re.DOTALL)
+    assert walk is not None
+    (tmp_path / "walk.py").write_text(walk[1])
+    return tmp_path
+
+
+def check_answer(result: Result, what: str) -> None:
+    """Success, or one message for a terminal and exit code 2."""
+    assert result.exception is None or isinstance(result.exception, SystemExit), (what, result.exception)
+    assert result.exit_code in (0, 2), what
+    if result.exit_code == 2:
+        assert result.stderr.startswith("error: study.toml: "), (what, result.stderr)
+        assert len(result.stderr) < 20_000, what
+        assert all(c.isprintable() for line in result.stderr.splitlines() for c in line), (what, result.stderr)
+
+
+def test_mutants_of_every_study_are_planned_or_refused(folder: Path) -> None:
+    codes: Counter[int] = Counter()
+    for what, text in mutants(20031, 2000):
+        (folder / "study.toml").write_text(text, encoding="utf-8")
+        with within(120):
+            result = CliRunner().invoke(main, ["plan", "study.toml"])
+        check_answer(result, what)
+        codes[result.exit_code] += 1
+    assert min(codes[0], codes[2]) > 200  # the mutations are neither too gentle nor too wild
+
+
+def test_mutants_that_are_planned_can_be_run(folder: Path) -> None:
+    small = ["study.toml", "--set", "n_sim=2", "--set", "n_cat=1"]
+    ran = 0
+    for what, text in mutants(7, 5000):
+        (folder / "study.toml").write_text(text, encoding="utf-8")
+        planned = CliRunner().invoke(main, ["plan", *small, "--json"])
+        check_answer(planned, what)
+        if planned.exit_code or json.loads(planned.stdout)["points"] > 40 or "completeness" in what:
+            continue  # the latter works seconds on each point
+        with within(120):
+            result = CliRunner().invoke(main, ["run", *small, "--pool", "serial", "--quiet"])
+        if result.exit_code == 1:  # a walk of 1e18 steps is a good study, but no array holds it
+            assert "failed (" in result.stderr, what
+        else:
+            check_answer(result, what)
+            assert result.exit_code == 0, (what, result.stderr)
+        shutil.rmtree(folder / "results")
+        ran += 1
+        if ran == 100:
+            return
+    pytest.fail(f"only {ran} studies could be run")
+
+
+START = """title = "x"
+[axes]
+v_max = [16.0]
+[fixed]
+catalogue = "quasars"
+"""
+
+LARGE = {
+    "a file of 50 MB": START + "#" * 50_000_000,
+    "a string of 50 MB": f'x = "{"a" * 50_000_000}"',
+    "an axis of 1e9 values by step": START.replace("[16.0]", "{ start = 14, stop = 16, step = 2e-9 }"),
+    "an axis of 1e9 values by number": START.replace("[16.0]", "{ start = 14, stop = 16, num = 1000000000 }"),
+    "brackets without end": f"{START}omega = {'[' * 400_000}",
+    "braces without end": f"{START}omega = {'{a=' * 200_000}",
+    "a key of 300 000 parts": f"{START}a{'.a' * 300_000} = 1",
+    "a table of 300 000 parts": f"{START}[a{'.a' * 300_000}]",
+    "90 000 tables": START + "".join(f"[t{i}]\n" for i in range(90_000)),
+    "20 000 claims": START + "[[claim]]\ntext = 'a'\nsource = 'b'\npublished = '1'\n" * 20_000,
+    "150 000 equal values": START.replace("[16.0]", f"[{'16.0,' * 150_000}]"),
+    "80 000 zipped names": START + "[grid]\nzip = [[" + "'v_max'," * 80_000 + "]]",
+    "10^18 realisations": f"{START}[sampling]\nn_cat = 1000000000\nn_sim = 1000000000",
+}
+ADDRESSES_KB = 2**20
+"""A gigabyte of addresses, of which the interpreter with NumPy, SciPy, Dask and xarray takes half."""
+
+
+@pytest.mark.parametrize("case", LARGE)
+def test_what_is_too_large_is_refused_soon_and_in_little_memory(tmp_path: Path, case: str) -> None:
+    (tmp_path / "study.toml").write_text(LARGE[case])
+    command = ["sh", "-c", f"ulimit -v {ADDRESSES_KB}; exec {sys.executable} -m sweep plan study.toml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("error: study.toml: ")
+    assert "Traceback" not in done.stderr
