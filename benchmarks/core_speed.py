@@ -1,8 +1,6 @@
 """How near the link comes to the speed of the random numbers it is made of.
 
-    python benchmarks/core_speed.py                  a table
-    python benchmarks/core_speed.py --json out.json  and the numbers in a file
-    python benchmarks/core_speed.py --quick          few repetitions, for a test that it still runs
+    python -m benchmarks core-speed
 
 The unit is the bare generator: the same buffers of unit normals, filled by the same generator in the same process and
 nothing else done.  A ratio of 0.9 says that drawing took 90 % of the time.  For points that share a draw the ratio is
@@ -10,18 +8,15 @@ that of points times normals, as if each had drawn its own, so it may be far abo
 it, catalogue and set-up too.  Medians over repetitions in which all cases take turns, in CPU time, BLAS on one thread.
 """
 
-import argparse
-import json
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.measured import Measured, Size
 from core.experiment import cost, evaluate, link
 from core.noise import ROWS, TILE
 from core.quasars import V_MAX
@@ -95,7 +90,7 @@ def repeated(work: Callable[[], object], times: int) -> Callable[[], None]:
     return several
 
 
-def ratios(repetitions: int) -> dict[str, float]:
+def ratios(repetitions: int) -> dict[str, list[float]]:
     """Return for each case the throughput of normals as a fraction of the bare generator's."""
     chosen, fill_count = cases(), 2**22
     fill = bare(fill_count)
@@ -108,7 +103,7 @@ def ratios(repetitions: int) -> dict[str, float]:
             taken = seconds(repeated(block(case), times))
             if turn:  # the first turn is to warm up
                 found[name].append(times * normals(case) * per_normal / taken)
-    return {name: median(values) for name, values in found.items()}
+    return found
 
 
 def projected(n_sim: int) -> dict[str, float]:
@@ -118,31 +113,17 @@ def projected(n_sim: int) -> dict[str, float]:
     return {"n_sim": float(n_sim), "set_up_s": one, "after_set_up_s": max(0.0, many - one)}
 
 
-def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to a file")
-    parser.add_argument("--quick", action="store_true", help="one repetition")
-    arguments = parser.parse_args()
+def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
+    """Return the rate of the bare generator, the ratio of every case and the seconds of the projected method."""
     with threadpool_limits(1):
         fill = bare(2**24)
         rate = 2**24 / min(seconds(fill) for _ in range(3))
-        report = {
-            "bare_normals_per_s": rate,
-            "ratio": ratios(1 if arguments.quick else 7),
-            "projected": projected(10_000 if arguments.quick else 1_000_000),
-        }
-    print(f"bare generator: {rate / 1e6:.0f} million normals a second and core\n")
-    for name, ratio in report["ratio"].items():
-        print(f"{ratio:7.2f}  {name}")
-    measured = report["projected"]
-    print(
-        f"\nprojected, {PROJECTED_OBJECTS} objects: set-up {measured['set_up_s']:.2f} s, "
-        f"{measured['n_sim']:.0f} realisations {measured['after_set_up_s']:.2f} s"
-    )
-    if arguments.json:
-        arguments.json.write_text(json.dumps(report, indent=2) + "\n")
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        found = ratios(1 if size == "tiny" else repetitions)
+        once = projected(10_000 if size == "tiny" else 1_000_000)
+    n_sim = f"{once['n_sim']:,.0f}"
+    return [
+        Measured("bare generator", [rate / 1e6], "M/s", note="unit normals a second and core"),
+        *(Measured(name, values, "of bare") for name, values in found.items()),
+        Measured(f"projected, {PROJECTED_OBJECTS:,} objects: set-up", [once["set_up_s"]], "s CPU"),
+        Measured(f"projected: {n_sim} realisations", [once["after_set_up_s"]], "s CPU"),
+    ]

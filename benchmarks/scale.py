@@ -1,0 +1,38 @@
+"""Large grids: a million points planned, a hundred thousand run; memory over the points, and files in the store."""
+
+import tempfile
+from pathlib import Path
+
+from benchmarks.measured import SWEEP, Measured, Size, Target, watch
+from benchmarks.trivial import toml
+
+PLANNED = {"tiny": 10_000, "normal": 1_000_000, "full": 1_000_000}
+RUN = {"tiny": (100, 900), "normal": (10_000, 100_000), "full": (10_000, 100_000)}
+
+
+def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
+    """Return seconds and memory of a plan, and of runs of few and many points (once: they are long)."""
+    report: list[Measured] = []
+    whole = size != "tiny"
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "plan.toml").write_text(toml(PLANNED[size]))
+        plans = [watch([*SWEEP, "plan", "plan.toml"], folder) for _ in range(repetitions if whole else 1)]
+        what = f"plan of {PLANNED[size]:,} points"
+        report.append(Measured(what, [p.seconds for p in plans], "s", Target("<=", 10.0) if whole else None))
+        peak = [p.peak_bytes / 1e6 for p in plans]
+        report.append(Measured(f"{what}: peak memory", peak, "MB", Target("<=", 1000.0) if whole else None))
+        for points in RUN[size]:
+            (folder / "run.toml").write_text(toml(points))
+            run = watch([*SWEEP, "run", "run.toml", "--workers", "2", "--json", "-o", f"{points}.zarr"], folder)
+            files = [path for path in (folder / f"{points}.zarr").rglob("*") if path.is_file()]
+            middle = [memory for when, memory in run.own_bytes if 0.4 < when / run.seconds < 0.6]
+            report += [
+                Measured(f"run of {points:,} points, whole process", [run.seconds], "s"),
+                Measured("  client and scheduler, half-way", [memory / 1e6 for memory in middle], "MB"),
+                Measured("  client and scheduler, peak", [max(m for _, m in run.own_bytes) / 1e6], "MB"),
+                Measured("  largest process, peak", [run.peak_bytes / 1e6], "MB"),
+                Measured("  files in the store", [len(files)]),
+                Measured("  size of the store", [sum(path.stat().st_size for path in files) / 1e6], "MB"),
+            ]
+    return report

@@ -1,0 +1,59 @@
+"""Every benchmark runs in its smallest size and says what it should; its numbers are for people, not for a test."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+COUNTS = {"core-speed": 4 * 4 + 2 + 3, "overhead": 3, "main-job": 6, "memory": 3, "scaling": 8, "scale": 14}
+
+
+@pytest.mark.parametrize("name", [*COUNTS, "start-up"])
+def test_a_benchmark_runs(name, tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks",
+        name,
+        "--tiny",
+        "--without-peers",
+        "--json",
+        str(tmp_path / "r.json"),
+    ]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode in (0, 1), run.stderr  # 1: a target is missed, as it may be on a busy machine
+    report = json.loads((tmp_path / "r.json").read_text())
+    assert report["size"] == "tiny"
+    measured = report["benchmarks"][name]["measured"]
+    assert len(measured) >= COUNTS.get(name, 6)
+    for one in measured:
+        assert one["values"], one["name"]
+        assert math.isfinite(one["value"]), one["name"]
+        assert one["name"].strip() in run.stdout
+        assert (one["verdict"] == "") == (one["target"] is None)
+    assert any(one["value"] > 0.0 for one in measured)
+
+
+def test_a_target_that_is_missed_is_said():
+    code = (
+        "from benchmarks.measured import Measured, Target\n"
+        "from benchmarks.__main__ import line\n"
+        "print(line(Measured('fast', [1.0, 3.0, 9.0], 'x', Target('>=', 4.0))))\n"
+        "print(line(Measured('small', [1.0, 3.0, 9.0], 'x', Target('<=', 4.0))))"
+    )
+    out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    first, second = out.splitlines()
+    assert first.split() == ["fast", "3", "x", ">=", "4", "MISSED"]
+    assert second.split() == ["small", "3", "x", "<=", "4", "holds"]
+
+
+def test_an_unknown_benchmark_is_refused():
+    run = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "speed"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 2
+    assert "no benchmark speed" in run.stderr
