@@ -8,9 +8,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from sweep.eta import Eta
-from sweep.reader import study_from_dict
-from sweep.run import Resources, Silent, run_study
+from sweep.running.eta import Eta
+from sweep.running.run import Resources, Silent, run_study
+from sweep.studies.reader import study_from_dict
 
 STUDIES = {
     "quasars brighter and fainter, cheap to dear": {

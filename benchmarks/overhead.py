@@ -44,8 +44,8 @@ OURS = """
 import sys, tempfile, time
 from pathlib import Path
 from benchmarks.trivial import study
-from sweep.reader import study_from_dict
-from sweep.run import Resources, Silent, run_study
+from sweep.studies.reader import study_from_dict
+from sweep.running.run import Resources, Silent, run_study
 
 class Clock(Silent):
     def start(self, survey, where, workers):

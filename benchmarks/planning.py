@@ -46,8 +46,8 @@ def document(name: str, n: int) -> dict[str, object]:
 def plan(name: str, n: int) -> None:
     """Plan one study as `sweep plan` does, and print what it took."""
     from sweep.load import load_experiment
-    from sweep.reader import study_from_dict
-    from sweep.run import plan_study
+    from sweep.running.run import plan_study
+    from sweep.studies.reader import study_from_dict
 
     load_experiment("core.experiment:link")  # what is imported is not planned
     begun = time.process_time()

@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 import xarray as xr
 
-from sweep.execute import GUARD, NO_LIMITS, Limits
-from sweep.location import Where, located
-from sweep.reader import load_study, study_from_dict
-from sweep.run import Progress, Resources, Silent, run_study
-from sweep.store import open_dataset
-from sweep.study import Study
+from sweep.executing.execute import GUARD, NO_LIMITS, Limits
+from sweep.running.run import Progress, Resources, Silent, run_study
+from sweep.stores.location import Where, located
+from sweep.stores.store import open_dataset
+from sweep.studies.reader import load_study, study_from_dict
+from sweep.studies.study import Study
 
 log = logging.getLogger("linksweep")
 

@@ -7,134 +7,122 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 
-# From the ground up: a module may import only what stands before it.
-CORE = [
-    *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),
-    *("missions", "function_curve", "own_mission", "radio_stars", "catalogue", "quasars", "table_catalogue"),
-    *("errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "projected", "simulate"),
-    *("parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
-]
-SWEEP = [
-    *("interrupt", "contract", "byaxes", "load", "definitions", "tablefile", "study", "source", "form", "problems"),
-    *("axes", "claims", "published", "exclusions", "rules", "reader"),
-    *("grid", "plan", "tally", "pending", "limit", "worker", "agreement", "guard", "pin"),
-    *("execute", "on_client", "clusterfile", "own_cluster", "clusters"),
-    *(
-        "provenance",
-        "folder",
-        "bucket",
-        "location",
-        "lock",
-        "sealed",
-        "column",
-        "ledger",
-        "identity",
-        "snapshot",
-        "failures",
-    ),
-    *("results", "store", "covariance", "larger", "writer", "run", "repair", "revisit"),
-    *("completion", "status", "tables", "eta", "account", "progress"),
-    *("fits", "levelling", "selection", "quantity", "lines", "conditions"),
-    *("compare", "compare_tables", "paper", "analysis", "crossings", "analysis_tables"),
-    *("calibrate", "scaling", "views", "api", "__main__"),
-]
-CLI = [
-    *("group", "options", "output", "stopping", "watching", "running", "again"),
-    *("reading", "analysis", "drawing", "scaling", "paper", "about", "match"),
-]
-SEARCH = [
-    *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
-]
-PLOTS = [
-    *("style", "layout", "lines", "law", "maps", "scatter", "scaling", "sky", "accuracy"),
-    *("panels", "figure", "other"),
-]
+# From the ground up, rooms and the modules in each: a module may import only what stands before it.
+GROUND = ["sweep.interrupt", "sweep.contract", "sweep.load", "sweep.tablefile"]
+HOUSE = {
+    "core": [
+        *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),
+        *("missions", "function_curve", "own_mission", "radio_stars", "catalogue", "quasars", "table_catalogue"),
+        *("errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "projected", "simulate"),
+        *("parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
+    ],
+    "sweep.studies": [
+        *("definitions", "study", "source", "form", "problems", "axes", "claims", "published", "exclusions", "rules"),
+        *("reader", "provenance"),
+    ],
+    "sweep.planning": ["byaxes", "grid", "plan", "tally", "pending"],
+    "sweep.executing": [
+        *("limit", "worker", "agreement", "guard", "pin", "execute"),
+        *("on_client", "clusterfile", "own_cluster", "clusters"),
+    ],
+    "sweep.stores": [
+        *("folder", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
+        *("store", "repair"),
+    ],
+    "sweep.running": [
+        *("results", "covariance", "larger", "writer", "run", "revisit"),
+        *("completion", "status", "eta", "account", "progress", "scaling"),
+    ],
+    "sweep.analysis": [
+        *("tables", "fits", "levelling", "selection", "quantity", "lines", "conditions"),
+        *("compare", "compare_tables", "laws", "crossings", "law_tables"),
+    ],
+    "sweep.paper": ["published_stores", "calibrate"],
+    "sweep.plots": [
+        *("style", "layout", "lines", "law", "maps", "scatter", "scaling", "sky", "accuracy", "views"),
+        *("panels", "figure", "other"),
+    ],
+    "sweep.report": ["cite", "answer", "figures", "explorer", "section", "page"],
+    "sweep.search": [
+        *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
+    ],
+    "sweep.cli": [
+        *("group", "options", "output", "stopping", "watching", "running", "again"),
+        *("reading", "analysis", "drawing", "paper", "report", "scaling", "about", "match"),
+    ],
+}
+ROOF = ["sweep.api", "sweep.__init__", "sweep.__main__"]
 ONLY_IN = {
-    "click": {f"sweep.cli.{module}" for module in CLI},
-    "distributed": {"sweep.clusters", "sweep.on_client", "sweep.own_cluster", "sweep.pin"},
-    "zarr": {"sweep.column", "sweep.snapshot"},
-    "matplotlib": {"sweep.search.skymap", *(f"sweep.plots.{module}" for module in PLOTS)},
-    "pydantic": {"sweep.study", "sweep.form", "sweep.reader"},
-    "astropy": {"sweep.tables", "sweep.tablefile", "sweep.conditions", "sweep.search.columns", "sweep.search.ecsv"},
+    "click": {"sweep.cli"},
+    "distributed": {"sweep.executing"},
+    "zarr": {"sweep.stores"},
+    "obstore": {"sweep.stores"},
+    "matplotlib": {"sweep.plots", "sweep.report", "sweep.search"},
+    "bokeh": {"sweep.report"},
+    "jinja2": {"sweep.report"},
+    "pydantic": {"sweep.studies"},
+    "astropy": {"sweep.tablefile", "sweep.analysis", "sweep.search"},
     "pygaia": {"core.missions"},
-    "obstore": {"sweep.bucket"},
 }
-# The platform knows nothing of astrometry; the calibration and the galaxy search are commands
-# beside it, not a part of it.  Only the command line knows the search.
-ACROSS = {
-    ("core.experiment", "sweep.contract"),
-    ("core.parameters", "sweep.contract"),
-    ("core.scenario", "sweep.contract"),
-    ("core.function_curve", "sweep.contract"),
-    ("core.own_mission", "sweep.contract"),
-    ("core.expected_errors", "sweep.contract"),
-    ("core.checks", "sweep.contract"),
-    ("sweep.calibrate", "core.calibration"),
-    *(("sweep.views", f"core.{module}") for module in ("calibration", "constants", "missions", "scenario")),
-    *(("sweep.plots.sky", f"core.{module}") for module in ("constants", "frames")),
-    *(("sweep.cli.drawing", f"sweep.plots.{module}") for module in ("figure", "other", "style")),
-    *(("sweep.cli.scaling", f"sweep.plots.{module}") for module in ("figure", "style")),
-    ("sweep.__main__", "sweep.cli.main"),
-    *(("sweep.cli.match", f"sweep.search.{module}") for module in ("match", "options", "outputs", "summary")),
+# The platform knows nothing of astrometry; of the core, the experiment and what it is made of know the contract.
+KNOWS_THE_CORE = {"sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.search"}
+KNOWS_THE_CONTRACT = {
+    *("core.parameters", "core.scenario", "core.checks", "core.experiment"),
+    *("core.function_curve", "core.own_mission", "core.expected_errors"),
 }
-# What the search may import from outside of itself.
-SEARCH_MAY_USE = {
-    *(f"core.{module}" for module in ("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes")),
-    *("core.crossmatch", "sweep.contract", "sweep.tablefile"),
-}
-# What pictures may import from outside of them: results, and what is derived from them.
-PLOTS_MAY_USE = {
-    *("sweep.contract", "sweep.tally", "sweep.tables", "sweep.fits", "sweep.selection", "sweep.quantity"),
-    *("sweep.lines", "sweep.compare", "sweep.analysis"),
-}
+# The search is a command beside the platform.
+SEARCH_MAY_USE = {"sweep.contract", "sweep.tablefile"}
+KNOWS_THE_SEARCH = {"sweep.cli.match"}
 CORE_MAY_USE = {
-    *("numpy", "scipy", "core", "dataclasses", "typing", "collections", "types", "functools", "itertools", "math"),
+    *("numpy", "scipy", "pygaia"),
+    *("dataclasses", "typing", "collections", "types", "functools", "itertools", "math"),
 }
-CORE_EXTRAS = {"pygaia"}
 
-
-def modules(package):
-    folder = ROOT.joinpath(*package.split("."))
-    return {f"{package}.{p.stem}": p for p in folder.glob("*.py") if p.stem != "__init__"}
+ORDER = [*GROUND, *(f"{room}.{m}" for room, modules in HOUSE.items() for m in [*modules, "__init__"]), *ROOF]
+FILES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts): path
+    for top in ("core", "sweep")
+    for path in sorted((ROOT / top).rglob("*.py"))
+}
 
 
 def imported(path):
+    """Yield the modules that a file imports: those of the house by their own names."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"relative import in {path}"
-            inside = node.module in FLOORS
-            yield from ([f"{node.module}.{alias.name}" for alias in node.names] if inside else [node.module])
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                package = f"{node.module}.__init__"
+                yield inner if inner in FILES else package if package in FILES else node.module
 
 
-FLOORS = {"core": CORE, "sweep": SWEEP, "sweep.search": SEARCH, "sweep.plots": PLOTS, "sweep.cli": CLI}
-EVERY = [item for package in FLOORS for item in modules(package).items()]
+def is_in(module, places):
+    return any(module == place or module.startswith(f"{place}.") for place in places)
 
 
-@pytest.mark.parametrize(("name", "path"), EVERY, ids=[name for name, _ in EVERY])
-def test_imports_point_down(name, path):
-    package, _, own = name.rpartition(".")
-    for other in imported(path):
+@pytest.mark.parametrize("name", FILES)
+def test_imports_point_down(name):
+    for other in imported(FILES[name]):
         top = other.partition(".")[0]
-        package_of_other, _, rest = other.rpartition(".")
-        if package_of_other == package:
-            assert FLOORS[package].index(rest) < FLOORS[package].index(own), f"{name} imports {other}"
-        elif package == "sweep.cli" and package_of_other == "sweep":
-            assert rest != "__main__", f"{name} imports {other}"
-        elif package == "sweep.search" and top in FLOORS:
+        if other in FILES:
+            assert ORDER.index(other) < ORDER.index(name), f"{name} imports {other}"
+        if name.startswith("core.") and top == "sweep":
+            assert name in KNOWS_THE_CONTRACT, f"{name} imports {other}"
+            assert other == "sweep.contract", f"{name} imports {other}"
+        if name.startswith("core.") and top not in ("core", "sweep"):
+            assert top in CORE_MAY_USE, f"{name} imports {other}"
+        if name.startswith("sweep.") and top == "core":
+            assert is_in(name, KNOWS_THE_CORE), f"{name} imports {other}"
+        if is_in(name, ["sweep.search"]) and top == "sweep" and not is_in(other, ["sweep.search"]):
             assert other in SEARCH_MAY_USE, f"{name} imports {other}"
-        elif package == "sweep.plots" and package_of_other == "sweep":
-            assert other in PLOTS_MAY_USE, f"{name} imports {other}"
-        elif top in FLOORS:
-            assert (name, other) in ACROSS, f"{name} imports {other}"
+        if is_in(other, ["sweep.search"]) and not is_in(name, ["sweep.search"]):
+            assert name in KNOWS_THE_SEARCH, f"{name} imports {other}"
         if top in ONLY_IN:
-            assert name in ONLY_IN[top], f"{name} imports {other}"
-        if package == "core" and (name, "sweep.contract") not in ACROSS:
-            assert top in CORE_MAY_USE | CORE_EXTRAS, f"{name} imports {other}"
+            assert is_in(name, ONLY_IN[top]), f"{name} imports {other}"
 
 
-def test_every_module_has_its_floor():
-    assert sorted(name for name, _ in EVERY) == sorted(f"{package}.{m}" for package in FLOORS for m in FLOORS[package])
-    folders = {str(path.parent.relative_to(ROOT)) for top in ("core", "sweep") for path in (ROOT / top).rglob("*.py")}
-    assert folders == {package.replace(".", "/") for package in FLOORS}
+def test_every_module_has_its_place():
+    assert sorted(ORDER) == sorted(FILES)

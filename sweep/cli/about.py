@@ -18,7 +18,7 @@ def list_studies(as_json: bool) -> None:
     """
     import tomllib
 
-    from sweep.source import built_in_studies
+    from sweep.studies.source import built_in_studies
 
     titles = {
         name: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for name, path in built_in_studies().items()

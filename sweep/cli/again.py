@@ -14,8 +14,8 @@ from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
-    from sweep.location import Location
-    from sweep.run import Resources
+    from sweep.running.run import Resources
+    from sweep.stores.location import Location
 
 
 @main.command()
@@ -30,7 +30,7 @@ def retry(store: "Location", resources: "Resources", break_lock: bool, watching:
     \b
     sweep retry results/quasars.zarr
     """
-    from sweep.revisit import study_of
+    from sweep.running.revisit import study_of
 
     dataset, failures = run_with_progress(
         study_of(store), store, resources, watching, retry=True, break_lock=break_lock
@@ -54,7 +54,7 @@ def reproduce(store: "Location", at: str, debug: bool, as_json: bool) -> None:
     sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
     """
     from sweep.contract import SweepError
-    from sweep.revisit import reproduce as compute_again
+    from sweep.running.revisit import reproduce as compute_again
 
     try:
         again = compute_again(store, at)

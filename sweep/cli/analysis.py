@@ -9,7 +9,7 @@ from sweep.cli.options import json_option, naming, part_of, place_option, store_
 from sweep.cli.output import print_whole
 
 if TYPE_CHECKING:
-    from sweep.location import Location
+    from sweep.stores.location import Location
 
 
 @main.command()
@@ -54,10 +54,10 @@ def fit(
     sweep fit results/error-surface.zarr --over satellite_error_scale --range 2: --at reference_error_scale=0
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from sweep.analysis import fit_levelling, fit_power_law
-    from sweep.conditions import parse_range
-    from sweep.quantity import main_quantity, require_axis
-    from sweep.selection import between
+    from sweep.analysis.conditions import parse_range
+    from sweep.analysis.laws import fit_levelling, fit_power_law
+    from sweep.analysis.quantity import main_quantity, require_axis
+    from sweep.analysis.selection import between
 
     if law == "levelling" and expect is not None:
         raise click.UsageError("--expect is an exponent and goes with --law power")
@@ -91,9 +91,9 @@ def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], 
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --along v_max
     sweep find results/grid.zarr --where "sigma_spin <= 0.5" --along n_obj --at model=amex,error_scale=1
     """
-    from sweep.conditions import parse_limit
-    from sweep.crossings import find as find_crossings
-    from sweep.quantity import require_axis
+    from sweep.analysis.conditions import parse_limit
+    from sweep.analysis.crossings import find as find_crossings
+    from sweep.analysis.quantity import require_axis
 
     limit = parse_limit(where)
     dataset = part_of(store, at)
@@ -103,7 +103,7 @@ def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], 
 
 
 def _print(result: Any, as_json: bool) -> None:
-    from sweep import analysis_tables
+    from sweep.analysis import law_tables as analysis_tables
 
     if as_json:
         click.echo(analysis_tables.as_json(result))

@@ -70,16 +70,16 @@ def _figure(
     models: tuple[str, ...],
     at: tuple[str, ...],
 ) -> Any:
-    from sweep.location import located
     from sweep.plots.figure import draw_figure
     from sweep.plots.other import accuracy_figure, sky_figure
+    from sweep.stores.location import located
 
     if source is None:
-        from sweep.views import accuracy_curves
+        from sweep.plots.views import accuracy_curves
 
         return accuracy_figure(accuracy_curves(models))
     if kind == "sky":
-        from sweep.views import catalogue_of_point, catalogue_of_table
+        from sweep.plots.views import catalogue_of_point, catalogue_of_table
 
         if Path(source).is_file():
             return sky_figure(catalogue_of_table(Path(source)))

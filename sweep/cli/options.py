@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from sweep.location import Location
-    from sweep.run import Resources
-    from sweep.study import Study
+    from sweep.running.run import Resources
+    from sweep.stores.location import Location
+    from sweep.studies.study import Study
 
 Command = Callable[..., Any]
 
@@ -35,7 +35,7 @@ break_lock_option = click.option(
 
 def _located(_context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
     """Turn what names a store, or several, into places."""
-    from sweep.location import located
+    from sweep.stores.location import located
 
     if value == "" or (isinstance(value, tuple) and "" in value):
         raise click.BadParameter("is empty; give the path of a store, or s3://BUCKET/NAME")
@@ -147,8 +147,8 @@ def _resources(
     memory_limit: int | None,
 ) -> "Resources":
     """Return the resources that the options name; raises click.UsageError for options that contradict each other."""
-    from sweep.execute import Limits
-    from sweep.run import Resources
+    from sweep.executing.execute import Limits
+    from sweep.running.run import Resources
 
     if scheduler is not None and cluster is not None:
         raise click.UsageError("--scheduler and --cluster are two places; name one")
@@ -170,8 +170,8 @@ def load(
     study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: "Location | None"
 ) -> "tuple[Study, Location]":
     """Return the study with its overrides, and where its store is."""
-    from sweep.location import located
-    from sweep.reader import load_study
+    from sweep.stores.location import located
+    from sweep.studies.reader import load_study
 
     loaded = load_study(study, settings, axes)
     return loaded, store or located(Path("results") / f"{loaded.name}.zarr")
@@ -179,9 +179,9 @@ def load(
 
 def part_of(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the dataset of a store, of it the part that ``--at`` names."""
-    from sweep.conditions import parse_places
-    from sweep.selection import select
-    from sweep.store import open_dataset
+    from sweep.analysis.conditions import parse_places
+    from sweep.analysis.selection import select
+    from sweep.stores.store import open_dataset
 
     places = parse_places(at)
     dataset = open_dataset(store)

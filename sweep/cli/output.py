@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from sweep.location import Location
-    from sweep.study import Study
+    from sweep.stores.location import Location
+    from sweep.studies.study import Study
 
 
 def print_whole(renderable: Any) -> None:
@@ -25,7 +25,7 @@ def print_whole(renderable: Any) -> None:
 
 def print_plan(study: "Study", store: "Location", as_json: bool) -> None:
     """Print what a run would do."""
-    from sweep.status import plan_report
+    from sweep.running.status import plan_report
 
     report = plan_report(study, store)
     if as_json:
@@ -37,7 +37,7 @@ def print_plan(study: "Study", store: "Location", as_json: bool) -> None:
 
 def print_table(dataset: Any, table_format: str) -> None:
     """Print the results of a dataset, and whether they are incomplete."""
-    from sweep import tables
+    from sweep.analysis import tables
 
     if table_format == "text":
         print_whole(tables.as_text(dataset))
@@ -52,7 +52,7 @@ def print_table(dataset: Any, table_format: str) -> None:
 
 def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -> None:
     """Print a comparison with published numbers, and its remarks."""
-    from sweep import compare_tables
+    from sweep.analysis import compare_tables
 
     if table_format == "json":
         click.echo(compare_tables.as_json(comparisons, remarks))
@@ -69,7 +69,7 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
 
 def print_status(report: dict[str, Any]) -> None:
     """Print how far a run is."""
-    from sweep.completion import as_lines
+    from sweep.running.completion import as_lines
 
     for key, value in report.items():
         if key == "axes":

@@ -15,8 +15,8 @@ from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
-    from sweep.location import Location
-    from sweep.run import Resources
+    from sweep.running.run import Resources
+    from sweep.stores.location import Location
 
 
 @main.command()
@@ -48,9 +48,9 @@ def compare(
     sweep compare results/quasars.zarr
     sweep compare --all --workers 4
     """
-    from sweep.compare import all_is_well
-    from sweep.paper import compare_stores
-    from sweep.run import Resources
+    from sweep.analysis.compare import all_is_well
+    from sweep.paper.published_stores import compare_stores
+    from sweep.running.run import Resources
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")
@@ -66,8 +66,8 @@ def compare(
 
 def run_what_is_missing(results: Path, resources: "Resources", watching: Watching) -> "tuple[Location, ...]":
     """Return the stores of all built-in studies with something published, after running those that need it."""
-    from sweep.location import located
-    from sweep.paper import published_studies, store_of, unfinished
+    from sweep.paper.published_stores import published_studies, store_of, unfinished
+    from sweep.stores.location import located
 
     studies = published_studies()
     for study in unfinished(studies, results):
@@ -87,7 +87,7 @@ def calibrate(as_json: bool) -> None:
     sweep calibrate
     sweep calibrate --json > calibration.json
     """
-    from sweep.calibrate import as_text, calibration_report
+    from sweep.paper.calibrate import as_text, calibration_report
 
     report = calibration_report()
     if as_json:

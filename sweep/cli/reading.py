@@ -12,7 +12,7 @@ from sweep.cli.options import break_lock_option, json_option, store_argument
 from sweep.cli.output import print_status, print_table, status_as_json
 
 if TYPE_CHECKING:
-    from sweep.location import Location
+    from sweep.stores.location import Location
 
 
 @main.command()
@@ -28,7 +28,7 @@ def show(store: "Location", table_format: str, as_json: bool) -> None:
     sweep show results/quasars.zarr
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
-    from sweep.store import open_dataset
+    from sweep.stores.store import open_dataset
 
     print_table(open_dataset(store), "json" if as_json else table_format)
 
@@ -42,7 +42,7 @@ def status(store: "Location", as_json: bool) -> None:
     \b
     sweep status results/quasars.zarr
     """
-    from sweep.status import status_report
+    from sweep.running.status import status_report
 
     report = status_report(store)
     if as_json:
@@ -60,7 +60,7 @@ def check(store: "Location", as_json: bool) -> None:
     \b
     sweep check results/quasars.zarr
     """
-    from sweep.repair import check as check_files
+    from sweep.stores.repair import check as check_files
 
     report = check_files(store)
     if as_json:
@@ -84,7 +84,7 @@ def repair(store: "Location", break_lock: bool) -> None:
     \b
     sweep repair results/quasars.zarr
     """
-    from sweep.repair import repair as repair_files
+    from sweep.stores.repair import repair as repair_files
 
     for sentence in repair_files(store, break_lock=break_lock) or ["every file is as it was written"]:
         click.echo(sentence)

@@ -20,9 +20,9 @@ from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
 from sweep.cli.watching import Watching, told, watching_options
 
 if TYPE_CHECKING:
-    from sweep.location import Location
-    from sweep.run import Resources
-    from sweep.study import Study
+    from sweep.running.run import Resources
+    from sweep.stores.location import Location
+    from sweep.studies.study import Study
 
 
 @main.command()
@@ -88,8 +88,8 @@ def run_with_progress(
 ) -> tuple[Any, dict[str, str]]:
     """Run a study with progress and a summary shown; an interruption ends the command."""
     from sweep.interrupt import RunInterruptedError
-    from sweep.progress import TerminalProgress
-    from sweep.run import run_study
+    from sweep.running.progress import TerminalProgress
+    from sweep.running.run import run_study
 
     bar = watching.level < logging.ERROR
     with a_signal_ends_the_command(), told(watching), TerminalProgress(study, bar) as progress:

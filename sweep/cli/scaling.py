@@ -64,8 +64,8 @@ def scaling(
             raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
         style.require_format(figure)
     from sweep.interrupt import RunInterruptedError
-    from sweep.reader import load_study
-    from sweep.scaling import check_free, measure_scaling, write_scaling
+    from sweep.running.scaling import check_free, measure_scaling, write_scaling
+    from sweep.studies.reader import load_study
 
     loaded = load_study(study, settings, axes)
     path = output or Path("results") / f"{loaded.name}-scaling.zarr"

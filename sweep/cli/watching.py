@@ -59,7 +59,7 @@ def _log_file(context: click.Context, _parameter: click.Parameter, value: str | 
 def told(watching: Watching) -> Iterator[None]:
     """Send what a run says, and what Dask logs, to standard error and the log file in this block."""
     from sweep.contract import SweepError
-    from sweep.progress import RECORD, SENTENCES, Sentences
+    from sweep.running.progress import RECORD, SENTENCES, Sentences
 
     shown = Sentences()
     shown.setLevel(watching.level)

@@ -6,8 +6,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.compare import claims_of
+from sweep.analysis.compare import claims_of
+from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, require_quantity
 from sweep.contract import SweepError, shown, suggest
+from sweep.planning.tally import DONE, EXCLUDED
 from sweep.plots.law import draw_law, draw_law_residuals
 from sweep.plots.layout import arrange
 from sweep.plots.lines import draw_lines
@@ -16,8 +18,6 @@ from sweep.plots.panels import draw_panels
 from sweep.plots.scaling import draw_efficiency, draw_speed_up, is_scaling
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
 from sweep.plots.style import value_text
-from sweep.quantity import main_quantity, numeric_axes, quantities, require_axis, require_quantity
-from sweep.tally import DONE, EXCLUDED
 
 KINDS = ("lines", "law", "map", "scatter", "scaling")
 

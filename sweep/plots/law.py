@@ -6,9 +6,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from sweep.analysis import fit_power_law
-from sweep.fits import PowerLaw, power_law
-from sweep.lines import lines
+from sweep.analysis.fits import PowerLaw, power_law
+from sweep.analysis.laws import fit_power_law
+from sweep.analysis.lines import lines
+from sweep.analysis.tables import with_error
 from sweep.plots.style import (
     BAND,
     COLOURS,
@@ -21,7 +22,6 @@ from sweep.plots.style import (
     symbol,
     value_text,
 )
-from sweep.tables import with_error
 
 
 def draw_law(axes: Axes, dataset: xr.Dataset, variable: str, over: str, expected: float | None = None) -> Axes:

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
+from sweep.analysis.quantity import standard_error
 from sweep.plots.style import (
     BAND,
     COLOURS,
@@ -20,7 +21,6 @@ from sweep.plots.style import (
     quantity_label,
     value_text,
 )
-from sweep.quantity import standard_error
 
 PUBLISHED: Mapping[str, Any] = MappingProxyType(
     {"linestyle": "none", "marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}

@@ -10,8 +10,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
+from sweep.analysis.quantity import standard_error
 from sweep.plots.style import edges, is_wide, label, logarithmic, quantity_label
-from sweep.quantity import standard_error
 
 LEVELS = 8
 DECADES = 30.0

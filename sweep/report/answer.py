@@ -9,10 +9,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from sweep.analysis.quantity import main_quantity, place_in_words, quantities, standard_error
+from sweep.analysis.tables import with_error
 from sweep.contract import SweepError
-from sweep.quantity import main_quantity, place_in_words, quantities, standard_error
-from sweep.tables import with_error
-from sweep.tally import DONE, EXCLUDED, FAILED, STATUS_WORDS
+from sweep.planning.tally import DONE, EXCLUDED, FAILED, STATUS_WORDS
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ ERRORS_ALLOWED = 3.0
 """A value agrees with its prediction if it is so many of its errors from it."""
 
 ERROR_WORDS = {"mc_error": "Monte Carlo", "catalogue_error": "the choice of catalogues"}
-"""Where the errors of `sweep.quantity.ERROR_SUFFIXES` come from."""
+"""Where the errors of `sweep.analysis.quantity.ERROR_SUFFIXES` come from."""
 
 VISIBLE_FACTOR = 1.005
 """An axis that changes a quantity by less is not said to change it."""

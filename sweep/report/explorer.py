@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from bokeh.resources import Resources
 
-from sweep.quantity import quantities, standard_error
+from sweep.analysis.quantity import quantities, standard_error
 
 DIGITS = 7
 """Significant digits of a number in the page: more than any Monte Carlo knows."""

@@ -13,11 +13,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from sweep.contract import SweepError
-from sweep.location import Where, located
 from sweep.report.cite import citations, message
 from sweep.report.explorer import MOST_NUMBERS, library
 from sweep.report.section import Section, section
-from sweep.store import open_dataset
+from sweep.stores.location import Where, located
+from sweep.stores.store import open_dataset
 
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
 """Begins every report: a file that does not is not replaced."""
@@ -83,7 +83,7 @@ def check_output(path: Path) -> None:
 
 
 def write_report(page: str, path: Path) -> None:
-    """Write a page to a new file or over an earlier report, whole or not at all; raises SweepError as `check_output`."""
+    """Write a page to a new file or over an earlier report, all of it or nothing; raises SweepError as `check_output`."""
     check_output(path)
     partial = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
@@ -103,4 +103,5 @@ def _policy(scripts: Sequence[str]) -> str:
     """Return the policy that a browser enforces: these scripts and no others, no network, styles of this page only."""
     digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
     allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
-    return f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
+    rest = "style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
+    return f"default-src 'none'; script-src {allowed}; {rest}"

@@ -7,13 +7,13 @@ from typing import Any
 
 import xarray as xr
 
-from sweep.compare import Comparison, compare, remarks
-from sweep.compare_tables import notes, numbers_in_words, summary_line
-from sweep.quantity import place_in_words
+from sweep.analysis.compare import Comparison, compare, remarks
+from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
+from sweep.analysis.quantity import place_in_words
+from sweep.analysis.tables import Column, headline_columns
 from sweep.report.answer import Answer, answers, completeness, failed, headline
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, picture
-from sweep.tables import Column, headline_columns
 
 MOST_ROWS = 2000
 """A table has at most so many rows in the page, some 0.5 MB."""

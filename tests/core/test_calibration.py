@@ -20,7 +20,7 @@ from core.errors import MagnitudeErrors
 from core.link import design_matrix, solve
 from core.missions import MISSIONS
 from core.quasars import quasars
-from sweep.calibrate import published_numbers
+from sweep.paper.calibrate import published_numbers
 
 
 @pytest.fixture(scope="module", params=["amex", "gaia"])

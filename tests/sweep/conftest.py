@@ -9,8 +9,8 @@ from uuid import uuid4
 
 import pytest
 
-from sweep.reader import load_study
-from sweep.run import Resources, run_study
+from sweep.running.run import Resources, run_study
+from sweep.studies.reader import load_study
 
 
 def free_port():
@@ -91,6 +91,6 @@ def store_of(tmp_path_factory):
 @pytest.fixture
 def dataset_of(store_of):
     """A function that returns the dataset of a built-in study, run with fewer realisations."""
-    from sweep.store import open_dataset
+    from sweep.stores.store import open_dataset
 
     return lambda name: open_dataset(store_of(name))

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from sweep import worker
+from sweep.executing import worker
 from sweep.interrupt import RunInterruptedError
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
+from sweep.running.run import Resources, run_study
+from sweep.studies.reader import study_from_dict
 
 EXPERIMENT = Path(__file__).with_name("coins.py").read_text()
 FRAGILE = EXPERIMENT.replace(
@@ -87,8 +87,8 @@ def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return run_block(experiment, points, *rest)
 
-    monkeypatch.setattr("sweep.worker.run_block", stopped)
-    monkeypatch.setattr("sweep.pending.TARGET", 1.0)  # one block a task
+    monkeypatch.setattr("sweep.executing.worker.run_block", stopped)
+    monkeypatch.setattr("sweep.planning.pending.TARGET", 1.0)  # one block a task
     with pytest.raises(RunInterruptedError):
         run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
     monkeypatch.undo()

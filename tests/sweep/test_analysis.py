@@ -10,19 +10,19 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.analysis import fit_levelling, fit_power_law, ratio
-from sweep.analysis_tables import as_json, rows
+from sweep.analysis.conditions import Limit, parse_limit, parse_places, parse_range
+from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
+from sweep.analysis.fits import power_law
+from sweep.analysis.law_tables import as_json, rows
+from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+from sweep.analysis.lines import lines
+from sweep.analysis.quantity import main_quantity, quantities, require_axis, standard_error
+from sweep.analysis.selection import between, select
 from sweep.cli import main
-from sweep.conditions import Limit, parse_limit, parse_places, parse_range
 from sweep.contract import SweepError
-from sweep.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
-from sweep.fits import power_law
-from sweep.lines import lines
-from sweep.quantity import main_quantity, quantities, require_axis, standard_error
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
-from sweep.selection import between, select
-from sweep.tally import DONE, EXCLUDED, FAILED, MISSING
+from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
+from sweep.running.run import Resources, run_study
+from sweep.studies.reader import study_from_dict
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
 V = np.arange(14.0, 20.1, 0.5)

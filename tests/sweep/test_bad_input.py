@@ -504,7 +504,7 @@ def test_problems_of_options_and_study_come_together(here: Path) -> None:
     ],
 )
 def test_bad_scheduler(here: Path, monkeypatch: pytest.MonkeyPatch, address: str) -> None:
-    monkeypatch.setattr("sweep.clusters.CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr("sweep.executing.clusters.CONNECT_TIMEOUT_S", 1)
     (here / "study.toml").write_text(GOOD)
     check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler", repr(address))
 

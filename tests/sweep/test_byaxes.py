@@ -5,7 +5,7 @@ import itertools
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.byaxes import ByAxes
+from sweep.planning.byaxes import ByAxes
 
 
 def test_only_what_is_looked_at_makes_a_difference():

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.grid import make_grid
-from sweep.pending import Pending
-from sweep.plan import Plan, generators
-from sweep.reader import study_from_dict
-from sweep.run import Resources, plan_study, run_study
-from sweep.tally import Tally
+from sweep.planning.grid import make_grid
+from sweep.planning.pending import Pending
+from sweep.planning.plan import Plan, generators
+from sweep.planning.tally import Tally
+from sweep.running.run import Resources, plan_study, run_study
+from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 
@@ -62,7 +62,7 @@ def test_a_point_that_raises_is_recorded_and_the_rest_goes_on(coins, tmp_path, m
         return toss(points, n_sim, rng, catalogue_rng)
 
     toss = study.experiment.evaluate
-    monkeypatch.setattr("sweep.worker.load_experiment", lambda reference: broken)
+    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference: broken)
     broken = replace(study.experiment, evaluate=fail)
     dataset, failures = run(coins, tmp_path / "s.zarr")
     assert failures == {"metal=tin,coins=5": "ZeroDivisionError: no coins left"}
@@ -120,7 +120,7 @@ def test_a_larger_study_keeps_the_numbers_of_the_smaller_one(coins, tmp_path):
 
 def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
     first, _ = run(coins, tmp_path / "s.zarr")
-    monkeypatch.setattr("sweep.worker.run_block", None)  # would raise
+    monkeypatch.setattr("sweep.executing.worker.run_block", None)  # would raise
     again, failures = run(coins, tmp_path / "s.zarr")
     assert not failures
     xr.testing.assert_identical(first.drop_attrs(), again.drop_attrs())
@@ -128,11 +128,11 @@ def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
 
 def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
     """A grid of any size makes no large graph: batches are drawn only a few tasks ahead of the results."""
-    from sweep import clusters, on_client
+    from sweep.executing import clusters, on_client
 
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
-    monkeypatch.setattr("sweep.plan.TARGET", 1.0)  # one catalogue a block
-    monkeypatch.setattr("sweep.pending.TARGET", 1.0)  # one block a task
+    monkeypatch.setattr("sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
+    monkeypatch.setattr("sweep.planning.pending.TARGET", 1.0)  # one block a task
     plan = Plan(make_grid(study))
     pending = Pending(plan, Tally(plan, {}, np.empty((0, 0))))
     drawn = 0
@@ -157,7 +157,7 @@ def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
 
 
 def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.worker.run_block", lambda *arguments: (np.full((1, 2), np.nan), None))
+    monkeypatch.setattr("sweep.executing.worker.run_block", lambda *arguments: (np.full((1, 2), np.nan), None))
     dataset, failures = run(coins, tmp_path / "s.zarr")
     assert set(failures.values()) == {"share: not a number"}
     assert (dataset["status"] == 2).all()
@@ -167,7 +167,7 @@ def test_a_title_is_shown_as_it_is_written(coins, tmp_path):
     """Square brackets are markup to the library that draws the table."""
     from rich.console import Console
 
-    from sweep.tables import as_text
+    from sweep.analysis.tables import as_text
 
     dataset, _ = run(coins | {"title": "Coins [/mas] [bold]x"}, tmp_path / "s.zarr")
     console = Console(file=io.StringIO(), width=200)

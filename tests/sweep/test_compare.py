@@ -9,15 +9,15 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
+from sweep.analysis.compare import all_is_well, claims_of, compare, remarks, summary
+from sweep.analysis.compare_tables import as_csv, as_json, notes, summary_line
 from sweep.cli import main
-from sweep.compare import all_is_well, claims_of, compare, remarks, summary
-from sweep.compare_tables import as_csv, as_json, notes, summary_line
 from sweep.contract import SweepError
-from sweep.paper import published_studies, store_of, unfinished
-from sweep.reader import load_study, study_from_dict
-from sweep.run import Resources, run_study
-from sweep.study import printed_rounding
-from sweep.tally import DONE, EXCLUDED, FAILED, MISSING
+from sweep.paper.published_stores import published_studies, store_of, unfinished
+from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
+from sweep.running.run import Resources, run_study
+from sweep.studies.reader import load_study, study_from_dict
+from sweep.studies.study import printed_rounding
 from tests.conftest import COINS
 
 ROOT = Path(__file__).parent.parent.parent
@@ -598,7 +598,7 @@ def test_bad_input_is_exit_code_2(coins, tmp_path, monkeypatch, arguments, phras
 
 
 def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_study):
-    monkeypatch.setattr("sweep.paper.built_in_studies", lambda: {str(coin_study): coin_study})
+    monkeypatch.setattr("sweep.paper.published_stores.built_in_studies", lambda: {str(coin_study): coin_study})
     studies, results = published_studies(), tmp_path / "results"
     assert [s.name for s in unfinished(studies, results)] == ["study"]
     run_study(studies[0], store_of(studies[0], results), SERIAL)
@@ -614,7 +614,7 @@ def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_stud
 
 
 def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coin_study):
-    monkeypatch.setattr("sweep.paper.built_in_studies", lambda: {str(coin_study): coin_study})
+    monkeypatch.setattr("sweep.paper.published_stores.built_in_studies", lambda: {str(coin_study): coin_study})
     for _ in range(2):
         arguments = ["compare", "--all", "--results", str(tmp_path / "all"), "--pool", "serial"]
         outcome = CliRunner().invoke(main, arguments)

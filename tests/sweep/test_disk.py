@@ -9,11 +9,11 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.folder import Folder
-from sweep.reader import study_from_dict
-from sweep.repair import check, repair
-from sweep.run import Resources, run_study
-from sweep.store import existing_store, open_dataset
+from sweep.running.run import Resources, run_study
+from sweep.stores.folder import Folder
+from sweep.stores.repair import check, repair
+from sweep.stores.store import existing_store, open_dataset
+from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 
@@ -53,8 +53,8 @@ def study(coins):
 
 
 def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch):
-    monkeypatch.setattr("sweep.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.pending.TARGET", 1)  # one block a task
+    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    monkeypatch.setattr("sweep.planning.pending.TARGET", 1)  # one block a task
     wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
     disk = mount("-t", "tmpfs", "-o", "size=1m", "tmpfs")
     store = disk / "s.zarr"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.eta import Eta, in_words
+from sweep.running.eta import Eta, in_words
 
 START_S = 7.0
 """Workers take this long to be there: not work, and not extrapolated."""

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.grid import make_grid
-from sweep.pending import Pending
-from sweep.plan import Plan
-from sweep.reader import study_from_dict
-from sweep.tally import Tally
+from sweep.planning.grid import make_grid
+from sweep.planning.pending import Pending
+from sweep.planning.plan import Plan
+from sweep.planning.tally import Tally
+from sweep.studies.reader import study_from_dict
 from tests.sweep.deadly import FATES
 
 DEADLY = str(Path(__file__).parent / "deadly.py") + ":experiment"

@@ -6,11 +6,11 @@ import pytest
 import zarr
 
 from sweep.contract import SweepError
-from sweep.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
-from sweep.provenance import provenance
-from sweep.reader import study_from_dict
-from sweep.sealed import sealed
-from sweep.store import create_or_resume
+from sweep.stores.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
+from sweep.stores.sealed import sealed
+from sweep.stores.store import create_or_resume
+from sweep.studies.provenance import provenance
+from sweep.studies.reader import study_from_dict
 
 
 @pytest.fixture

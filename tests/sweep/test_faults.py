@@ -33,9 +33,9 @@ def started_to_write(store: Path, process):
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     """The study that all tests here run, and its results in the serial reference."""
-    from sweep.execute import NO_LIMITS
-    from sweep.reader import load_study
-    from sweep.run import Resources, run_study
+    from sweep.executing.execute import NO_LIMITS
+    from sweep.running.run import Resources, run_study
+    from sweep.studies.reader import load_study
     from tests.conftest import LINK_STUDY
 
     path = tmp_path_factory.mktemp("reference")

@@ -12,9 +12,9 @@ import pytest
 import xarray as xr
 
 from sweep.interrupt import RunInterruptedError, watched
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
-from sweep.store import Store
+from sweep.running.run import Resources, run_study
+from sweep.stores.store import Store
+from sweep.studies.reader import study_from_dict
 
 GENEROUS_S = 10.0
 """What a busy machine may take to end; benchmarks/interrupt.py prints how long it takes."""
@@ -155,7 +155,7 @@ def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_wr
         write(self, dataset)
         written.append(dataset.attrs["complete"])
 
-    monkeypatch.setattr("sweep.writer.LONG_WRITE_BYTES", 0 if long_write else 2**30)
+    monkeypatch.setattr("sweep.running.writer.LONG_WRITE_BYTES", 0 if long_write else 2**30)
     monkeypatch.setattr(Store, "write", interrupted)
     study = study_from_dict(coins)
     with pytest.raises(RunInterruptedError):
@@ -256,12 +256,12 @@ def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
     """Where the end itself hangs, here in a write, another Ctrl-C helps."""
     (tmp_path / "study.toml").write_text(sleepers(0.0, sheep=3))
     slow = (
-        "import time, sweep.store, sweep.cli\n"
+        "import time, sweep.stores.store, sweep.cli\n"
         "write = sweep.store.Store.write\n"
         "def slow(self, dataset):\n"
         "    print('writing', flush=True)\n"
         "    time.sleep(30)\n"
-        "sweep.store.Store.write = slow\n"
+        "sweep.stores.store.Store.write = slow\n"
         "sweep.cli.main()"
     )
     command = [sys.executable, "-c", slow, "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr"]

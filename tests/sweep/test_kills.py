@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.reader import load_study
-from sweep.run import Resources, run_study
-from sweep.store import existing_store
+from sweep.running.run import Resources, run_study
+from sweep.stores.store import existing_store
+from sweep.studies.reader import load_study
 
 KILLS = 50
 LONGEST_S = 4.0

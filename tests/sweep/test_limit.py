@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from sweep.limit import Deadlines, TimeLimitError
+from sweep.executing.limit import Deadlines, TimeLimitError
 
 
 def busy(seconds):

@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from sweep.contract import SweepError
-from sweep.folder import Folder
-from sweep.location import located
+from sweep.stores.folder import Folder
+from sweep.stores.location import located
 
 
 def test_files_come_back_as_they_were_put(place):

@@ -13,14 +13,14 @@ import pytest
 import xarray as xr
 import zarr
 
-from sweep import lock
 from sweep.contract import SweepError
-from sweep.location import located
-from sweep.lock import Holder, holder, locked
+from sweep.stores import lock
+from sweep.stores.location import located
+from sweep.stores.lock import Holder, holder, locked
 
 HOLD = """
 import sys, time
-from sweep.lock import locked
+from sweep.stores.lock import locked
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(float(sys.argv[2]))
@@ -202,8 +202,8 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
 
 
 def test_plain_readers_do_not_see_the_lock(tmp_path, coins):
-    from sweep.reader import study_from_dict
-    from sweep.run import Resources, run_study
+    from sweep.running.run import Resources, run_study
+    from sweep.studies.reader import study_from_dict
 
     store = tmp_path / "s.zarr"
     run_study(study_from_dict(coins), store, Resources(pool="serial"))

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.grid import make_grid
-from sweep.pending import Pending
-from sweep.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, TARGET, Plan, generators, ledger_key
-from sweep.reader import study_from_dict
-from sweep.tally import Tally
+from sweep.planning.grid import make_grid
+from sweep.planning.pending import Pending
+from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, TARGET, Plan, generators, ledger_key
+from sweep.planning.tally import Tally
+from sweep.studies.reader import study_from_dict
 from tests.conftest import COINS
 
 

@@ -8,9 +8,12 @@ from astropy.coordinates import SkyCoord
 from click.testing import CliRunner
 from matplotlib.figure import Figure
 
-from sweep.analysis import fit_power_law
+from sweep.analysis.laws import fit_power_law
+from sweep.analysis.quantity import standard_error
+from sweep.analysis.selection import select
 from sweep.cli import main
 from sweep.contract import SweepError
+from sweep.planning.tally import MISSING
 from sweep.plots import style
 from sweep.plots.figure import draw_figure, possible_kinds
 from sweep.plots.layout import arrange
@@ -20,12 +23,9 @@ from sweep.plots.other import accuracy_figure, sky_figure
 from sweep.plots.scaling import draw_efficiency, draw_speed_up
 from sweep.plots.scatter import draw_scatter
 from sweep.plots.sky import add_sky, draw_sky
-from sweep.quantity import standard_error
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
-from sweep.selection import select
-from sweep.tally import MISSING
-from sweep.views import accuracy_curves, catalogue_of_point, catalogue_of_table
+from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table
+from sweep.running.run import Resources, run_study
+from sweep.studies.reader import study_from_dict
 
 
 @pytest.fixture(autouse=True)

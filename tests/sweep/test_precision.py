@@ -6,8 +6,8 @@ import xarray as xr
 
 from sweep.contract import Experiment, Output, Parameter, SweepError
 from sweep.interrupt import RunInterruptedError
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
+from sweep.running.run import Resources, run_study
+from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 
@@ -72,7 +72,7 @@ def test_the_numbers_do_not_depend_on_who_computes_them(tmp_path, resources):
 
 def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
     whole, _ = run_study(study(), tmp_path / "whole.zarr", SERIAL)
-    from sweep.worker import run_block
+    from sweep.executing.worker import run_block
 
     for stop_at in (1, 4, 5, 9, 13):
         blocks = []
@@ -83,7 +83,7 @@ def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monk
                 raise KeyboardInterrupt
             return run_block(*arguments)
 
-        monkeypatch.setattr("sweep.worker.run_block", stopped)
+        monkeypatch.setattr("sweep.executing.worker.run_block", stopped)
         with pytest.raises(RunInterruptedError):
             run_study(study(), tmp_path / "s.zarr", SERIAL)
         monkeypatch.undo()

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sweep.account import Account
 from sweep.cli import main
-from sweep.grid import make_grid
-from sweep.plan import Block, PlanSize, Work
-from sweep.progress import SENTENCES, TerminalProgress
-from sweep.reader import study_from_dict
-from sweep.tally import Survey
-from sweep.worker import Failure, TaskResult
-from sweep.writer import Taken
+from sweep.executing.worker import Failure, TaskResult
+from sweep.planning.grid import make_grid
+from sweep.planning.plan import Block, PlanSize, Work
+from sweep.planning.tally import Survey
+from sweep.running.account import Account
+from sweep.running.progress import SENTENCES, TerminalProgress
+from sweep.running.writer import Taken
+from sweep.studies.reader import study_from_dict
 
 FAULTY = """
 import logging
@@ -169,7 +169,7 @@ def told():
 def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeypatch):
     """A simulated run of a day, a task a second."""
     clock = 0.0
-    monkeypatch.setattr("sweep.progress.time.monotonic", lambda: clock)
+    monkeypatch.setattr("sweep.running.progress.time.monotonic", lambda: clock)
     study = study_from_dict(coins)
     point = next(iter(make_grid(study).points()))
     seconds = 86_400

@@ -10,16 +10,16 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.provenance import provenance
-from sweep.reader import study_from_dict
-from sweep.store import create_or_resume, existing_store, open_dataset
+from sweep.stores.store import create_or_resume, existing_store, open_dataset
+from sweep.studies.provenance import provenance
+from sweep.studies.reader import study_from_dict
 
 READ = """
 import json, sys, time
 import numpy as np
 import xarray as xr
 from sweep.contract import SweepError
-from sweep.store import open_dataset
+from sweep.stores.store import open_dataset
 
 def ours(path):
     return open_dataset(path)
@@ -146,7 +146,7 @@ def test_a_store_that_changes_all_the_time_is_not_read_for_ever(tmp_path, coins,
 
 def test_no_codec_of_a_store_can_run_anything(tmp_path, coins):
     """No pickle in any file: every document names only codecs that hold plain numbers and text."""
-    from sweep.run import Resources, run_study
+    from sweep.running.run import Resources, run_study
 
     run_study(study_from_dict(coins), tmp_path / "s.zarr", Resources(pool="serial"))
     documents = list((tmp_path / "s.zarr").rglob("zarr.json"))
@@ -160,7 +160,7 @@ def test_no_codec_of_a_store_can_run_anything(tmp_path, coins):
 
 
 def test_an_array_of_another_codec_is_not_read(tmp_path, coins):
-    from sweep.sealed import sealed
+    from sweep.stores.sealed import sealed
 
     study = study_from_dict(coins)
     path = tmp_path / "s.zarr"

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep import ledger
 from sweep.contract import SweepError
-from sweep.folder import Folder
-from sweep.location import located
-from sweep.lock import locked
-from sweep.reader import study_from_dict
-from sweep.repair import check, repair
-from sweep.run import Resources, run_study
-from sweep.store import create_or_resume, existing_store, open_dataset
+from sweep.running.run import Resources, run_study
+from sweep.stores import ledger
+from sweep.stores.folder import Folder
+from sweep.stores.location import located
+from sweep.stores.lock import locked
+from sweep.stores.repair import check, repair
+from sweep.stores.store import create_or_resume, existing_store, open_dataset
+from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 SAMPLES = {
@@ -110,8 +110,8 @@ def test_killed_before_any_writing_of_a_file_it_goes_on(document, tmp_path, coin
     """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
     monkeypatch.setattr(ledger, "FEWEST_ROWS", 2)
     monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**19})
-    monkeypatch.setattr("sweep.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.pending.TARGET", 1)  # one block a task
+    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    monkeypatch.setattr("sweep.planning.pending.TARGET", 1)  # one block a task
     study = study_from_dict(coins if document == "coins" else SAMPLES)
     written = []
     write = Folder._write

@@ -12,12 +12,12 @@ import pytest
 import xarray as xr
 from zarr.storage import ObjectStore
 
-from sweep import bucket as bucket_module
 from sweep.contract import SweepError
-from sweep.location import located
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
-from sweep.store import existing_store, open_dataset
+from sweep.running.run import Resources, run_study
+from sweep.stores import bucket as bucket_module
+from sweep.stores.location import located
+from sweep.stores.store import existing_store, open_dataset
+from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 
@@ -171,8 +171,8 @@ def test_requests_that_fail_are_repeated(bucket, study, wanted, through, kind):
 
 def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, study, wanted, through, monkeypatch):
     monkeypatch.setattr(bucket_module, "TIMEOUT", bucket_module.TIMEOUT / 10)
-    monkeypatch.setattr("sweep.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.pending.TARGET", 1)  # one block a task
+    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    monkeypatch.setattr("sweep.planning.pending.TARGET", 1)  # one block a task
     proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
     with pytest.raises(SweepError, match=r"cannot be written: .* does not answer as it should"):
         run_study(study, f"{bucket}/s.zarr", SERIAL)

@@ -7,9 +7,9 @@ import pytest
 import xarray as xr
 
 from sweep.contract import Output, SweepError
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
-from sweep.store import Store
+from sweep.running.run import Resources, run_study
+from sweep.stores.store import Store
+from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 LINK = {
@@ -48,10 +48,10 @@ def test_samples_are_the_same_in_any_order_and_after_a_kill(kept, tmp_path):
     store = tmp_path / "other.zarr"
     write = Store.write
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sweep.writer.WRITE_EVERY_S", -1.0)
-        patch.setattr("sweep.writer.WRITE_SHARE", 1e9)
-        patch.setattr("sweep.writer.FLUSH_EVERY_S", -1.0)
-        patch.setattr("sweep.pending.TARGET", 1.0)  # one block a task
+        patch.setattr("sweep.running.writer.WRITE_EVERY_S", -1.0)
+        patch.setattr("sweep.running.writer.WRITE_SHARE", 1e9)
+        patch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+        patch.setattr("sweep.planning.pending.TARGET", 1.0)  # one block a task
         calls = []
 
         def killed(self, dataset):

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.completion import MOST_LINES, Stretch, as_lines, by_axis, folded
 from sweep.interrupt import RunInterruptedError
-from sweep.reader import study_from_dict
-from sweep.run import Resources, Silent, run_study
-from sweep.status import status_report
-from sweep.store import open_dataset
-from sweep.tally import DONE, EXCLUDED, FAILED, MISSING
+from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
+from sweep.running.completion import MOST_LINES, Stretch, as_lines, by_axis, folded
+from sweep.running.run import Resources, Silent, run_study
+from sweep.running.status import status_report
+from sweep.stores.store import open_dataset
+from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 
@@ -35,7 +35,7 @@ class Impatient(Silent):
 @pytest.fixture
 def stopped(coins, tmp_path, monkeypatch):
     """A store of 6 points x 4 blocks after 14 blocks: three points and a half."""
-    monkeypatch.setattr("sweep.pending.TARGET", 1.0)  # one block a task
+    monkeypatch.setattr("sweep.planning.pending.TARGET", 1.0)  # one block a task
     study = study_from_dict(coins | {"exclude": [{"metal": "tin", "coins": 5}]})
     with pytest.raises(RunInterruptedError):
         run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(14))
@@ -62,8 +62,8 @@ def test_each_axis_counts_points_and_realisations(stopped):
 
 
 def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.pending.TARGET", 1.0)
-    monkeypatch.setattr("sweep.writer.LONG_WRITE_BYTES", 0)  # so that an interruption leaves the first dataset
+    monkeypatch.setattr("sweep.planning.pending.TARGET", 1.0)
+    monkeypatch.setattr("sweep.running.writer.LONG_WRITE_BYTES", 0)  # so that an interruption leaves the first dataset
     with pytest.raises(RunInterruptedError):
         run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL, Impatient(8))
     assert int(open_dataset(tmp_path / "s.zarr")["n_sim_done"].sum()) == 0

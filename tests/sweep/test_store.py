@@ -10,10 +10,10 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.provenance import provenance
-from sweep.reader import study_from_dict
-from sweep.run import Resources, run_study
-from sweep.store import check_store, create_or_resume, existing_store, open_dataset, read_attributes
+from sweep.running.run import Resources, run_study
+from sweep.stores.store import check_store, create_or_resume, existing_store, open_dataset, read_attributes
+from sweep.studies.provenance import provenance
+from sweep.studies.reader import study_from_dict
 
 
 @pytest.fixture

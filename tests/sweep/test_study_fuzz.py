@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 
 from sweep.cli import main
 from sweep.contract import SweepError
-from sweep.grid import make_grid
-from sweep.reader import load_study, study_from_dict
+from sweep.planning.grid import make_grid
+from sweep.studies.reader import load_study, study_from_dict
 from tests.sweep.mutations import ROOT, mutants
 
 GOOD: dict[str, Any] = {

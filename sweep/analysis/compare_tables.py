@@ -1,0 +1,103 @@
+"""Comparisons with published numbers as tables: for reading, and for a script (CSV, JSON)."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from typing import TYPE_CHECKING, Any
+
+from sweep.analysis.compare import Comparison, summary
+from sweep.analysis.selection import place_in_words
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def as_text(comparisons: Sequence[Comparison]) -> "Table":
+    """Return a table for reading, one row a published number; a line sets the studies apart."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("study", "what", "where"):
+        table.add_column(name)
+    for name in ("computed", "published", "difference", "", "allowance"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
+    previous = comparisons[0].study if comparisons else ""
+    for c in comparisons:
+        if c.study != previous:
+            table.add_section()
+        previous = c.study
+        name = f"{c.what} [{c.unit}]" if c.unit else c.what
+        table.add_row(
+            *(escape(cell) for cell in (c.study, name, place_in_words(c.where), *numbers_in_words(c), c.verdict))
+        )
+    return table
+
+
+def notes(comparisons: Sequence[Comparison]) -> list[str]:
+    """Return lines that belong below the table: where each thing was published, and the reasons of verdicts."""
+    sources = dict.fromkeys(f"{c.study}: {c.what}: {c.source}" for c in comparisons)
+    reasons = dict.fromkeys(f"{c.study}: {c.what}: {c.verdict}: {c.reason}" for c in comparisons if c.reason)
+    return [*sources, *reasons]
+
+
+def summary_line(comparisons: Sequence[Comparison]) -> str:
+    """Return how many there are of each verdict, in words."""
+    counts = {verdict.lower(): n for verdict, n in summary(comparisons).items()}
+    if not counts["incomplete"]:
+        del counts["incomplete"]
+    return ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
+
+
+def as_csv(comparisons: Sequence[Comparison]) -> str:
+    """Return one row a comparison; a number that is not there is an empty cell."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([field.name for field in fields(Comparison)])
+    for c in comparisons:
+        writer.writerow([place_in_words(v) if k == "where" else _cell(v, "") for k, v in asdict(c).items()])
+    return out.getvalue()
+
+
+def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:
+    """Return the comparisons, their number by verdict and remarks; a number that is not there is null."""
+    rows = [{key: _cell(value, None) for key, value in asdict(c).items()} for c in comparisons]
+    return json.dumps({"comparisons": rows, "summary": summary(comparisons), "remarks": list(remarks)}, indent=1)
+
+
+def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
+    """Return value, published, difference, that in percent, and allowance, with the digits that count."""
+    published = f"{c.published:.{_decimals(2.0 * c.rounding)}f}" if c.rounding > 0.0 else f"{c.published:g}"
+    if not math.isfinite(c.value):
+        return "", published, "", "", ""
+    finest = c.mc_error if c.mc_error > 0.0 else 0.1 * c.rounding
+    digits = 1 + _decimals(finest) if finest > 0.0 else None
+    value = _fixed(c.value, digits) + (f" ± {_fixed(c.mc_error, digits)}" if c.mc_error > 0.0 else "")
+    if c.difference == 0.0:
+        return value, published, "none", "", _allowance(c)
+    percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
+    sign = "+" if c.difference > 0.0 else ""
+    return value, published, sign + _fixed(c.difference, digits), percent, _allowance(c)
+
+
+def _cell(value: Any, missing: str | None) -> Any:
+    return missing if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _allowance(c: Comparison) -> str:
+    return f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
+
+
+def _fixed(number: float, digits: int | None) -> str:
+    if number.is_integer() and digits is None:
+        return f"{number:.0f}"
+    return f"{number:.4g}" if digits is None else f"{number:.{digits}f}"
+
+
+def _decimals(unit: float) -> int:
+    """Return the decimal places that a number with this least significant unit needs."""
+    return min(300, max(0, -math.floor(math.log10(unit) + 1e-9)))

@@ -1,0 +1,160 @@
+"""Between the points of a grid: where a quantity crosses a limit, and its value at a place that is not in the grid.
+
+Both interpolate linearly between two points: in the logarithm of the quantity where that is above 0, and in that of the
+axis where all of it is above 0 and its unit (magnitudes) is not a logarithm already.
+"""
+
+import operator
+from types import MappingProxyType
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sweep.analysis.conditions import Limit
+from sweep.analysis.lines import Lines, lines
+from sweep.contract import SweepError
+
+Array = NDArray[np.float64]
+
+MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
+"""When a condition is met along a line: at no point or at all, from or up to one crossing, between several.  Left out
+are lines that the study excludes, and those whose unit is of another kind than the limit's.
+"""
+NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
+
+LOGARITHMIC_UNITS = ("mag", "dB", "dex")
+
+_COMPARE = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
+
+
+def find(dataset: xr.Dataset, limit: Limit, along: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
+    """Return where along an axis a condition is met, for every combination of the other axes.
+
+    The variables of the result: met (see `MET_WORDS`), crossings (how many), first and last (the axis at the first and
+    the last crossing; NaN if there is none) with _error (one sigma, from the errors of the points on both sides),
+    nearest (of a condition never met the value that comes nearest to it, of one always met that which is nearest to
+    failing; else NaN) and nearest_at (where that is).
+    Raises SweepError as `sweep.analysis.lines.lines`, or if no line has a unit that the limit's converts to.
+    """
+    found = lines(dataset, limit.variable, along, covariance)
+    thresholds = _thresholds(limit, found)
+    rows = np.array([_cross(found, line, limit, threshold) for line, threshold in enumerate(thresholds)])
+    where, value = found.over_unit, found.unit[0] if len(set(found.unit)) == 1 else ""
+    columns = {
+        "met": ("", "when the condition is met"),
+        "crossings": ("", "how often the limit is crossed"),
+        "first": (where, f"{along} at the first crossing"),
+        "first_error": (where, "its one-sigma error"),
+        "last": (where, f"{along} at the last crossing"),
+        "last_error": (where, "its one-sigma error"),
+        "nearest": (value, f"{limit.variable} that is nearest to the limit, where that is never crossed"),
+        "nearest_at": (where, f"{along} of the nearest"),
+    }
+    result = found.grid.assign(
+        {
+            name: (found.dims, rows[:, i].reshape(found.shape), {"units": unit, "long_name": meaning})
+            for i, (name, (unit, meaning)) in enumerate(columns.items())
+        }
+    )
+    result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs)
+    result["met"].attrs |= {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
+    about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "along": along}
+    return result.assign_attrs(about, condition=str(limit), errors=found.errors)
+
+
+def interpolate(
+    dataset: xr.Dataset, variable: str, over: str, at: float, covariance: xr.DataArray | None = None
+) -> xr.Dataset:
+    """Return a variable at a place between the points of an axis, for every combination of the other axes.
+
+    The variables of the result carry the names ``variable`` and NAME_mc_error (one sigma, from the errors of the points
+    on both sides; how far the variable is from a straight line between them is not in it).
+    Raises SweepError as `sweep.analysis.lines.lines`, or for a place beyond the points of a line.
+    """
+    found = lines(dataset, variable, over, covariance)
+    rows = np.full((len(found), 2), np.nan)
+    for line, used in enumerate(found.used):
+        x, y, errors = found.x[used], found.value[line, used], found.errors_of(line)
+        if not len(x):
+            continue
+        if not x[0] <= at <= x[-1]:
+            raise SweepError(f"{over} = {at:g} is beyond the points, which go from {x[0]:g} to {x[-1]:g}")
+        i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
+        *_, z = scale = _on_scale(np.append(x, at), found.over_unit)
+        fraction = (z - scale[i]) / (scale[i + 1] - scale[i])
+        logarithm = bool(np.all(y[i : i + 2] > 0.0))
+        u, spread = _pair(y, errors, i, logarithm)
+        weights = np.array([1.0 - fraction, fraction])
+        value = np.exp(weights @ u) if logarithm else weights @ u
+        rows[line] = value, np.sqrt(weights @ spread @ weights) * (value if logarithm else 1.0)
+    attributes = dataset[variable].attrs
+    place = xr.Variable((), at, dataset[over].attrs)
+    error = f"one-sigma error of {variable}"
+    return found.grid.assign_coords({over: place}).assign(
+        {
+            variable: (found.dims, rows[:, 0].reshape(found.shape), attributes),
+            f"{variable}_mc_error": (found.dims, rows[:, 1].reshape(found.shape), attributes | {"long_name": error}),
+        }
+    )
+
+
+def _thresholds(limit: Limit, found: Lines) -> list[float]:
+    """Return the limit in the unit of each line; NaN for units of another kind, if there are lines of the right one."""
+    known: dict[str, float] = {}
+    refusals = []
+    for unit in dict.fromkeys(found.unit):
+        try:
+            known[unit] = limit.number_in(unit)
+        except SweepError as error:
+            refusals.append(error)
+    if not known:
+        raise refusals[0]
+    return [known.get(unit, np.nan) for unit in found.unit]
+
+
+def _cross(found: Lines, line: int, limit: Limit, threshold: float) -> tuple[float, ...]:
+    used = found.used[line]
+    x, y, errors = found.x[used], found.value[line, used], found.errors_of(line)
+    nothing = (np.nan,) * 4
+    if np.isnan(threshold) or not used.any():
+        return (LEFT_OUT, 0.0, *nothing, np.nan, np.nan)
+    met = _COMPARE[limit.sign](y, threshold)
+    flips = np.flatnonzero(met[1:] != met[:-1])
+    if not len(flips):
+        low = (limit.sign in ("<", "<=")) != bool(met[0])
+        nearest = int(np.argmin(y) if low else np.argmax(y))
+        return (float(met[0]), 0.0, *nothing, y[nearest], x[nearest])
+    state = SEVERAL if len(flips) > 1 else FROM if met[-1] else UP_TO
+    ends = [part for i in (flips[0], flips[-1]) for part in _crossing(found, x, y, errors, int(i), threshold)]
+    return (float(state), float(len(flips)), *ends, np.nan, np.nan)
+
+
+def _crossing(found: Lines, x: Array, y: Array, errors: Array, i: int, threshold: float) -> tuple[float, float]:
+    """Return where the line from point i to the next one meets the threshold, and the error of that."""
+    logarithm = bool(np.all(y[i : i + 2] > 0.0)) and threshold > 0.0
+    u, spread = _pair(y, errors, i, logarithm)
+    fraction = ((np.log(threshold) if logarithm else threshold) - u[0]) / (u[1] - u[0])
+    z = _on_scale(x, found.over_unit)
+    step = z[i + 1] - z[i]
+    weights = np.array([1.0 - fraction, fraction])
+    place, error = z[i] + fraction * step, abs(step / (u[1] - u[0])) * np.sqrt(weights @ spread @ weights)
+    if _is_logarithmic(x, found.over_unit):
+        return float(np.exp(place)), float(np.exp(place) * error)
+    return float(place), float(error)
+
+
+def _pair(y: Array, errors: Array, i: int, logarithm: bool) -> tuple[Array, Array]:
+    """Return two neighbouring values and their covariance (2, 2), of their logarithms if asked for."""
+    values = y[i : i + 2]
+    spread = np.diag(errors[i : i + 2] ** 2) if errors.ndim == 1 else errors[i : i + 2, i : i + 2]
+    return (np.log(values), spread / np.outer(values, values)) if logarithm else (values, spread)
+
+
+def _is_logarithmic(x: Array, unit: str) -> bool:
+    return bool(np.all(x > 0.0)) and unit not in LOGARITHMIC_UNITS
+
+
+def _on_scale(x: Array, unit: str) -> Array:
+    """Return an axis as it is interpolated along: its logarithm, or itself where it is one or has none."""
+    return np.log(x) if _is_logarithmic(x, unit) else x

@@ -1,0 +1,199 @@
+"""Laws and ratios of results: a Dataset of results in, a Dataset of what follows from them out.
+
+Every function works along one axis for all combinations of the others at once, and knows of no experiment: errors are
+found by the names that `sweep.analysis.quantity` describes, expected exponents in the claims of the study.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sweep.analysis.compare import claims_of
+from sweep.analysis.fits import PowerLaw, p_value, power_law
+from sweep.analysis.levelling import Levelling, levelling
+from sweep.analysis.lines import Lines, lines, require_done
+from sweep.analysis.quantity import covariance_between, require_quantity, standard_error
+from sweep.analysis.selection import indices, place_in_words, select
+from sweep.contract import FEW, SweepError
+
+Array = NDArray[np.float64]
+
+LEVELLING_POINTS = 4
+"""Fewest points for the levelling law, which has three parameters."""
+
+
+def fit_power_law(
+    dataset: xr.Dataset,
+    variable: str,
+    over: str,
+    expected: float | None = None,
+    covariance: xr.DataArray | None = None,
+) -> xr.Dataset:
+    """Return variable = amplitude (over / pivot)^exponent along an axis, for every combination of the other axes.
+
+    The variables of the result have the dimensions of ``variable`` without that of the axis: exponent and amplitude
+    with _error, pivot, chi2, dof, p_value (NaN where points have no errors), points.  Points weigh by their Monte-Carlo
+    errors, or by their ``covariance``, dimensions (..., over, over_other), for which the dataset may have a variable
+    (see `quantity.COVARIANCE_SUFFIX`).  With an exponent ``expected``, or one that a claim of the study states, there
+    are expected and deviation, (exponent - expected) / exponent_error.
+    Raises SweepError as `sweep.analysis.lines.lines`, and for numbers that are not above 0.
+    """
+    found = lines(dataset, variable, over, covariance)
+    _require_positive(found, axis_too=True)
+    fits = _fit_each(found, power_law)
+    unit = _common_unit(found)
+    columns = {
+        "exponent": ("", f"exponent of {variable} over {over}"),
+        "exponent_error": ("", "its one-sigma error"),
+        "amplitude": (unit, f"{variable} of the law at the pivot"),
+        "amplitude_error": (unit, "its one-sigma error"),
+        "pivot": (found.over_unit, f"{over} at which the errors of amplitude and exponent are uncorrelated"),
+    }
+    result = _collect(found, fits, columns)
+    wanted = np.array([_expected(dataset, found, line) if expected is None else expected for line in range(len(found))])
+    if np.isfinite(wanted).any():
+        result["expected"] = (found.dims, wanted.reshape(found.shape), {"units": "", "long_name": "exponent expected"})
+        error = result["exponent_error"]
+        result["deviation"] = (result["exponent"] - result["expected"]) / error.where(error > 0.0)
+        result["deviation"].attrs = {"units": "", "long_name": "exponent - expected, in errors of the exponent"}
+    return result.assign_attrs(_about(dataset, found), law="power")
+
+
+def fit_levelling(
+    dataset: xr.Dataset, variable: str, over: str, fall: float = 0.05, covariance: xr.DataArray | None = None
+) -> xr.Dataset:
+    """Return where a variable levels off along an axis: variable^2 = plateau^2 + c exp(-rate over), for all other axes.
+
+    The variables of the result: plateau, rate, end_fall (relative, per unit of the axis, at the last point) and limit
+    (beyond it the variable falls by less than the fraction ``fall`` a unit; -inf: everywhere, inf: nowhere), with
+    _error, and chi2, dof, p_value, points.  Errors are scaled by sqrt(chi2/dof) where that is above one.
+    Raises SweepError as `sweep.analysis.lines.lines`, for numbers that are not above 0, and for a fit without
+    convergence.
+    """
+    if not 0.0 < fall < 1.0:
+        raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
+    found = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
+    _require_positive(found)
+    fits = _fit_each(found, lambda x, y, errors: levelling(x, y, errors, fall))
+    unit, per_step = _common_unit(found), f"1 / ({found.over_unit})" if found.over_unit else ""
+    columns = {
+        "plateau": (unit, f"{variable} that the law tends to; NaN if it does not level off"),
+        "plateau_error": (unit, "its one-sigma error"),
+        "limit": (found.over_unit, f"{over} beyond which {variable} falls by less than {100 * fall:g} % a unit"),
+        "limit_error": (found.over_unit, "its one-sigma error"),
+        "end_fall": (per_step, f"relative fall at the last {over}"),
+        "end_fall_error": (per_step, "its one-sigma error"),
+        "rate": (per_step, "rate at which the square of the variable levels off"),
+        "rate_error": (per_step, "its one-sigma error"),
+    }
+    about = _about(dataset, found) | {"law": "levelling", "fall": fall, "last": float(found.x[-1])}
+    return _collect(found, fits, columns).assign_attrs(about)
+
+
+def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
+    """Return a variable at one value of an axis over that at another, with error, for every combination of the others.
+
+    The variables of the result are ratio and ratio_error, one sigma.  The errors of the two are independent unless the
+    dataset has their covariance; where a point of the two is excluded, or the other is 0, there is NaN.
+    Raises SweepError for an unknown quantity, values that are not in the grid, and points that are not done.
+    """
+    require_quantity(dataset, variable)
+    parts = [select(dataset, {axis: value}) for value in (of, to)]
+    for part in parts:
+        require_done(part)
+    dimension = str(dataset[axis].dims[0])
+    along = [name for name, coordinate in dataset.coords.items() if dimension in coordinate.dims]
+    above, below = (part.drop_vars(along) for part in parts)
+    top, bottom = above[variable], below[variable].where(below[variable] != 0.0)
+    meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
+    result = (top / bottom).rename("ratio").assign_attrs(units="", long_name=meaning).to_dataset()
+    errors = [standard_error(part, variable) for part in (above, below)]
+    if errors[0] is not None and errors[1] is not None:
+        shared = covariance_between(
+            dataset, variable, dimension, *(indices(dataset, {axis: v})[dimension] for v in (of, to))
+        )
+        variance = (errors[0] / bottom) ** 2 + (top * errors[1] / bottom**2) ** 2 - 2.0 * top * shared / bottom**3
+        result["ratio_error"] = variance.clip(min=0.0) ** 0.5
+        result["ratio_error"].attrs = {"units": "", "long_name": "one-sigma error of ratio"}
+    return result
+
+
+def _fit_each(
+    found: Lines, fit: Callable[[Array, Array, Array], PowerLaw | Levelling]
+) -> list[PowerLaw | Levelling | None]:
+    """Return the fit of every line, None for those that the study excludes; raises SweepError for all that fail."""
+    fits: list[PowerLaw | Levelling | None] = []
+    problems = []
+    for line, used in enumerate(found.used):
+        try:
+            fits.append(fit(found.x[used], found.value[line, used], found.errors_of(line)) if used.any() else None)
+        except ValueError as error:
+            problems.append(f"{error}: {found.variable} over {found.over}{_at(found, line)}")
+    if problems:
+        raise SweepError(problems[:FEW])
+    return fits
+
+
+def _collect(
+    found: Lines, fits: Sequence[PowerLaw | Levelling | None], columns: Mapping[str, tuple[str, str]]
+) -> xr.Dataset:
+    """Return the fields of fits as variables with unit and meaning, and how good the fits are."""
+    values = {name: [np.nan if fit is None else getattr(fit, name) for fit in fits] for name in (*columns, "chi2")}
+    values["dof"] = [np.nan if fit is None else float(fit.dof) for fit in fits]
+    values["p_value"] = [np.nan if fit is None else p_value(fit.chi2, fit.dof) for fit in fits]
+    values["points"] = found.used.sum(axis=1).astype(float).tolist()
+    meanings = {
+        **columns,
+        "chi2": ("", "sum of squared residuals in units of their errors"),
+        "dof": ("", "degrees of freedom of chi2"),
+        "p_value": ("", "probability of a chi2 at least as large, if the law holds"),
+        "points": ("", "points of the fit"),
+    }
+    return found.grid.assign(
+        {
+            name: (found.dims, np.reshape(values[name], found.shape), {"units": unit, "long_name": meaning})
+            for name, (unit, meaning) in meanings.items()
+        }
+    )
+
+
+def _expected(dataset: xr.Dataset, found: Lines, line: int) -> float:
+    """Return the exponent that a claim of the study states for a line, NaN if none does."""
+    place = found.place(line)
+    for claim in claims_of(dataset):
+        law = claim.slope
+        if law is None or (law.variable, law.over) != (found.variable, found.over):
+            continue
+        if law.component in (None, *place.values()) and all(place.get(k) == v for k, v in claim.where.items()):
+            return float(claim.published)
+    return np.nan
+
+
+def _require_positive(found: Lines, axis_too: bool = False) -> None:
+    problems = []
+    if axis_too and not np.all(found.x > 0.0):
+        problems.append(f"a power law needs {found.over} above 0; there is {found.x.min():g}")
+    for line, (values, used) in enumerate(zip(found.value, found.used, strict=True)):
+        if not np.all(values[used] > 0.0):
+            at, value = next((x, v) for x, v in zip(found.x[used], values[used], strict=True) if not v > 0.0)
+            problems.append(f"{found.variable} must be above 0; it is {value:g}{_at(found, line, {found.over: at})}")
+    if problems:
+        raise SweepError(problems[:FEW])
+
+
+def _at(found: Lines, line: int, more: Mapping[str, Any] | None = None) -> str:
+    words = place_in_words(found.place(line) | dict(more or {}))
+    return f" at {words}" if words else ""
+
+
+def _common_unit(found: Lines) -> str:
+    """Return the unit of all lines; '' where they differ: then the coordinate of the components' units names it."""
+    return found.unit[0] if len(set(found.unit)) == 1 else ""
+
+
+def _about(dataset: xr.Dataset, found: Lines) -> dict[str, Any]:
+    title = str(dataset.attrs.get("title", ""))
+    return {"title": title, "variable": found.variable, "over": found.over, "errors": found.errors}

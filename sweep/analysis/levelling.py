@@ -1,0 +1,140 @@
+"""A law that levels off, and where going on stops paying: arrays in, numbers out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.linalg import LinAlgError
+from numpy.typing import NDArray
+from scipy.optimize import approx_fprime, least_squares
+from scipy.special import exprel
+
+from sweep.analysis.fits import are_known, inverse_root_of, relative_covariance
+
+Array = NDArray[np.float64]
+
+STARTS = (0.5, 2.0, 6.0)
+"""First guesses of how many times the falling part drops by e within the points; the best fit is kept."""
+
+
+@dataclass(frozen=True)
+class Levelling:
+    """y^2 = plateau^2 + c exp(-rate x), with one-sigma errors, scaled by sqrt(chi2/dof) where that is above one.
+
+    ``plateau`` is NaN where the points do not level off.  ``end_fall`` is -d ln y / dx at the last point.  ``limit``
+    is the x beyond which y falls more slowly than was asked for: -inf if it does so everywhere, inf if nowhere; it may
+    lie beyond the points.  ``squares`` are y^2 of the law at both ``ends``.
+    """
+
+    plateau: float
+    plateau_error: float
+    rate: float
+    rate_error: float
+    end_fall: float
+    end_fall_error: float
+    limit: float
+    limit_error: float
+    chi2: float
+    dof: int
+    ends: tuple[float, float]
+    squares: tuple[float, float]
+
+    def __call__(self, x: Array) -> Array:
+        """Return the law at x between its ends, same shape."""
+        first, last = self.ends
+        return np.sqrt(_square((x - first) / (last - first), *self.squares, self.rate * (last - first)))
+
+
+def levelling(x: Array, y: Array, errors: Array, fall: float) -> Levelling:
+    """Return the law through points, and where it falls by the fraction ``fall`` in a unit of x.
+
+    ``x`` (n,) ascends, ``y`` (n,) is positive, n at least 4; ``errors`` are one sigma of y, (n,), or its covariance,
+    (n, n); unless they are all known the errors of the law come from the scatter.  The fit has the law's squares at
+    both ends and its rate as parameters: they are hardly correlated, and y^2 is positive between whatever they are.
+    Raises ValueError where it does not converge, or for a covariance that is not positive definite.
+    """
+    known = are_known(errors)
+    whiten = inverse_root_of(relative_covariance(y, errors) if known else np.eye(len(x)))
+    first, length, scale = x[0], x[-1] - x[0], y[-1]
+    z, target = (x - first) / length, np.log(y / scale)
+
+    def misfit(parameters: Array) -> Array:
+        start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
+        return whiten(0.5 * np.log(_square(z, start, end, rate)) - target)
+
+    with np.errstate(all="ignore"):  # a rate that is tried may overflow; it is then refused
+        fits = [_least_squares(misfit, np.array([2.0 * target[0], 0.0, start])) for start in STARTS]
+    converged = [each for each in fits if each is not None]
+    if not converged:
+        raise ValueError("the levelling law does not converge")
+    found, spread, chi2 = min(converged, key=lambda each: each[2])
+    dof = len(x) - 3
+    if chi2 > dof or not known:
+        spread = spread * chi2 / dof
+
+    def derived(parameters: Array) -> Array:
+        start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
+        floor = _floor(start, end, rate)
+        plateau = scale * np.sqrt(floor) if floor > 0.0 else np.nan
+        limit = first + length * _limit(start, end, rate, fall * length)
+        return np.array([plateau, rate / length, _end_fall(start, end, rate) / length, limit])
+
+    values = derived(found)
+    with np.errstate(invalid="ignore"):
+        jacobian = approx_fprime(found, derived)
+        sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
+    sigmas = np.where(np.isfinite(values), sigmas, np.nan)
+    squares = scale**2 * np.exp(found[:2])
+    return Levelling(
+        plateau=float(values[0]),
+        plateau_error=float(sigmas[0]),
+        rate=float(values[1]),
+        rate_error=float(sigmas[1]),
+        end_fall=float(values[2]),
+        end_fall_error=float(sigmas[2]),
+        limit=float(values[3]),
+        limit_error=float(sigmas[3]),
+        chi2=chi2 if known else np.nan,
+        dof=dof,
+        ends=(float(x[0]), float(x[-1])),
+        squares=(float(squares[0]), float(squares[1])),
+    )
+
+
+def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Array, Array, float] | None:
+    """Return parameters, their covariance and chi2; None where there are none from this start."""
+    try:
+        found = least_squares(misfit, start, jac="3-point", xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=300)
+        jacobian = np.asarray(found.jac, dtype=np.float64)
+        spread = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
+    except (ValueError, LinAlgError):  # residuals that are not finite; a parameter that nothing depends on
+        return None
+    return (found.x, spread, 2.0 * float(found.cost)) if found.success else None
+
+
+# Below z runs from 0 at the first point to 1 at the last, and squares are y^2; exprel(t) is (e^t - 1)/t, also at t = 0.
+
+
+def _square(z: Array, start: float, end: float, rate: float) -> Array:
+    return np.asarray(start + (end - start) * z * exprel(-rate * z) / exprel(-rate))
+
+
+def _floor(start: float, end: float, rate: float) -> float:
+    """Return the square that the law tends to; NaN if it has no end to its fall."""
+    return float(start + (end - start) / -np.expm1(-rate)) if rate > 0.0 else np.nan
+
+
+def _end_fall(start: float, end: float, rate: float) -> float:
+    return float(0.5 * (start - end) / end / exprel(rate))
+
+
+def _limit(start: float, end: float, rate: float, fall: float) -> float:
+    """Return the z where -d ln y / dz is ``fall``: rate/2 c t / (floor + c t) with t = exp(-rate z)."""
+    if end >= start:
+        return -np.inf
+    floor = _floor(start, end, rate)
+    if not floor > 0.0:
+        return np.inf
+    if rate <= 2.0 * fall:
+        return -np.inf
+    return float(np.log((start - floor) * (0.5 * rate / fall - 1.0) / floor) / rate)

@@ -1,0 +1,187 @@
+"""One quantity of a dataset along one axis: values, errors and places as arrays, for every line of the grid."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sweep.analysis.quantity import COVARIANCE_SUFFIX, SHARES_RANDOM_NUMBERS, require_axis, standard_error
+from sweep.analysis.selection import place_in_words
+from sweep.contract import FEW, SweepError
+from sweep.planning.tally import DONE, EXCLUDED, STATUS_WORDS
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A quantity along the axis ``over``: ``value``, ``error`` and ``used`` (lines, n) at ``x`` (n,), which ascends.
+
+    ``error`` is one sigma, NaN or 0 where there is none; ``covariance`` (lines, n, n) is there if the dataset has it.
+    Points that a study excludes are not ``used``.  The lines are those of the dimensions ``dims`` in C order, whose
+    coordinates are in ``grid``; ``unit`` (lines,) is the unit of each, ``errors`` says where the errors come from.
+    """
+
+    variable: str
+    over: str
+    over_unit: str
+    x: Array
+    value: Array
+    error: Array
+    used: NDArray[np.bool_]
+    covariance: Array | None
+    dims: tuple[str, ...]
+    grid: xr.Dataset
+    unit: tuple[str, ...]
+    errors: str
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def place(self, line: int) -> dict[str, Any]:
+        """Return the coordinates of a line by name, those of dimensions first."""
+        index = dict(zip(self.dims, map(int, np.unravel_index(line, self.shape)), strict=True)) if self.dims else {}
+        names = [*self.dims, *(n for n in map(str, self.grid.coords) if n not in self.dims and not n.endswith("_unit"))]
+        return {n: self.grid[n].isel({d: index[str(d)] for d in self.grid[n].dims}).item() for n in names}
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Length of each of ``dims``."""
+        return tuple(self.grid.sizes[d] for d in self.dims)
+
+    def errors_of(self, line: int) -> Array:
+        """Return the errors (k,) or the covariance (k, k) of the k used points of a line."""
+        used = self.used[line]
+        return np.asarray(
+            self.error[line, used] if self.covariance is None else self.covariance[line][np.ix_(used, used)]
+        )
+
+
+def lines(
+    dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataArray | None = None, least: int = 2
+) -> Lines:
+    """Return a quantity along an axis, for every combination of the others.
+
+    ``covariance`` takes the place of the variable NAME_mc_covariance.  Points that the study excludes do not belong to
+    a line, and a line may have none.  Raises SweepError for an unknown quantity or axis, points that are not done,
+    values that are not finite, and lines of fewer than ``least`` points.
+    """
+    require_axis(dataset, variable, over)
+    dimension = str(dataset[over].dims[0])
+    value = dataset[variable]
+    others = [str(d) for d in value.dims if d != dimension]
+    order = np.argsort(dataset[over].values, kind="stable")
+    ordered = dataset.isel({dimension: order})
+    template = ordered[variable]
+    status = ordered["status"].broadcast_like(template)
+    error = standard_error(ordered, variable)
+    covariance = _covariance(ordered, variable, dimension, order, covariance)
+    found = Lines(
+        variable=variable,
+        over=over,
+        over_unit=str(dataset[over].attrs.get("units", "")),
+        x=ordered[over].values.astype(float),
+        value=_rows(template, others, dimension),
+        error=_rows(xr.full_like(template, np.nan) if error is None else error, others, dimension),
+        used=_rows(status, others, dimension) != EXCLUDED,
+        covariance=None if covariance is None else _rows(covariance, others, dimension, f"{dimension}_other"),
+        dims=tuple(others),
+        grid=_grid(dataset, others),
+        unit=_units(dataset, variable, others),
+        errors=_errors_inplace_in_words(dataset, error is not None, covariance is not None),
+    )
+    require_done(dataset)
+    if problems := _unusable(found, least):
+        raise SweepError(problems[:FEW])
+    return found
+
+
+def require_done(dataset: xr.Dataset) -> None:
+    """Raise SweepError unless all points of a dataset are done or excluded by the study."""
+    status = dataset["status"].values
+    counts = {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)}
+    undone = [f"{n} {word}" for word, n in counts.items() if n and STATUS_WORDS.index(word) not in (DONE, EXCLUDED)]
+    if undone:
+        raise SweepError(
+            f"is incomplete: {' and '.join(undone)} of {status.size} points here; `sweep run` the study to go on, "
+            "or choose a complete part"
+        )
+
+
+def _rows(array: xr.DataArray, others: Sequence[str], *last: str) -> NDArray[Any]:
+    """Return values of shape (lines, *last)."""
+    values = array.transpose(*others, *last).values
+    return values.reshape(-1, *values.shape[len(others) :])
+
+
+def _grid(dataset: xr.Dataset, others: Sequence[str]) -> xr.Dataset:
+    names = [n for n, c in dataset.coords.items() if set(c.dims) <= set(others)]
+    return xr.Dataset(coords={n: dataset.coords[n].variable for n in names} | {d: dataset[d].variable for d in others})
+
+
+def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> tuple[str, ...]:
+    """Return the unit of each line: that of the variable, or of the components that its own unit lists."""
+    shape = tuple(dataset.sizes[d] for d in others)
+    own = str(dataset[variable].attrs.get("units", ""))
+    unit = np.full(shape, own, dtype=object)
+    kinds = [n for n in map(str, dataset.coords) if n.endswith("_unit")] if "," in own else []
+    parts = []
+    for kind in kinds:
+        values, dims = dataset[kind].values.astype(object), dataset[kind].dims
+        if set(dims) <= set(others):
+            parts.append(np.broadcast_to(values.reshape([-1 if d in dims else 1 for d in others]), shape))
+    if parts:
+        unit = parts[0] if len(parts) == 1 else sum(("(" + part + ") " for part in parts), np.full(shape, ""))
+    return tuple(str(each).strip() for each in np.asarray(unit, dtype=object).reshape(-1))
+
+
+def _covariance(
+    dataset: xr.Dataset, variable: str, dimension: str, order: NDArray[np.intp], given: xr.DataArray | None
+) -> xr.DataArray | None:
+    """Return the covariance between the points of every line, with both of its dimensions in the order of the axis."""
+    name, other = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", f"{dimension}_other"
+    if given is not None:
+        found = given.isel({dimension: order})
+    elif name in dataset and other in dataset[name].dims:
+        found = dataset[name]
+    else:
+        return None
+    found = found.isel({other: order})
+    wanted = {*dataset[variable].dims, other}
+    if extra := set(found.dims) - wanted:
+        raise SweepError(f"{name} has the dimensions {', '.join(map(str, extra))} that {variable} has not")
+    if found.sizes[other] != found.sizes[dimension]:
+        raise SweepError(f"{name} is not square: {dict(found.sizes)}")
+    return found.broadcast_like(dataset[variable].expand_dims({other: found.sizes[other]}))
+
+
+def _errors_inplace_in_words(dataset: xr.Dataset, known: bool, correlated: bool) -> str:
+    if correlated:
+        return "covariance between points"
+    if not known:
+        return "none: points weigh the same, errors come from the scatter"
+    if dataset.attrs.get(SHARES_RANDOM_NUMBERS):
+        return "Monte Carlo, taken as independent although points share random numbers: their covariance is not known"
+    return "Monte Carlo, independent points"
+
+
+def _unusable(found: Lines, least: int) -> list[str]:
+    problems = []
+    finite = np.isfinite(found.value) | ~found.used
+    count = found.used.sum(axis=1)
+    for line in map(int, np.flatnonzero(~finite.all(axis=1))):
+        at = found.x[~finite[line]][0]
+        problems.append(
+            f"{found.variable} is not a finite number at {place_in_words(found.place(line) | {found.over: at})}"
+        )
+    for line in map(int, np.flatnonzero((count > 0) & (count < least))):
+        where = place_in_words(found.place(line))
+        problems.append(
+            f"at least {least} points are needed along {found.over}; there are {count[line]}{where and ' at ' + where}"
+        )
+    if not count.any():
+        problems.append("every point is excluded by the study")
+    return problems

@@ -1,0 +1,184 @@
+"""Results as tables: for reading, for a script (CSV, JSON), for astronomers (ECSV)."""
+
+import csv
+import io
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import xarray as xr
+
+from sweep.planning.tally import STATUS_WORDS
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+MOST_DECIMALS = 9
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column for reading: ``cells`` as they are printed, and the ``values`` that they stand for and sort by."""
+
+    name: str
+    unit: str
+    cells: list[str]
+    values: list[Any]
+
+
+def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
+    """Return columns {name: (unit, values)} with one row a point: the axes, then every variable without further
+    dimensions.
+    """
+    dimensions = axes_of(dataset)
+    flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
+    columns: dict[str, tuple[str, list[Any]]] = {}
+    for name in [*_axis_coordinates(dataset, dimensions), *flat.data_vars]:
+        variable = dataset[name]
+        template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
+        values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)
+        columns[str(name)] = (variable.attrs.get("units", ""), values.tolist())
+    status = columns["status"][1]
+    columns["status"] = ("", [STATUS_WORDS[code] for code in status])
+    return columns
+
+
+def axes_of(dataset: xr.Dataset) -> list[str]:
+    """Return the dimensions that are axes of the study."""
+    return [str(d) for d in dataset["status"].dims]
+
+
+def as_csv(dataset: xr.Dataset) -> str:
+    """Return the long table as CSV; a missing value is an empty cell, units stand in the header as ``name [unit]``."""
+    columns = long_table(dataset)
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()])
+    for row in zip(*(values for _, values in columns.values()), strict=True):
+        writer.writerow(["" if _is_missing(cell) else cell for cell in row])
+    return out.getvalue()
+
+
+def as_ecsv(dataset: xr.Dataset) -> str:
+    """Return the long table as ECSV, which astropy reads with its units."""
+    from astropy.table import MaskedColumn, Table
+
+    table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
+    for name, (unit, values) in long_table(dataset).items():
+        mask = [_is_missing(v) for v in values]
+        table[name] = (
+            MaskedColumn(values, mask=mask, unit=unit or None) if any(mask) else MaskedColumn(values, unit=unit or None)
+        )
+    out = io.StringIO()
+    table.write(out, format="ascii.ecsv")
+    return out.getvalue()
+
+
+def as_json(dataset: xr.Dataset) -> str:
+    """Return the long table as JSON: units by column, and one object a point, null for a missing value."""
+    columns = long_table(dataset)
+    rows = [
+        {name: None if _is_missing(cell) else cell for name, cell in zip(columns, row, strict=True)}
+        for row in zip(*(values for _, values in columns.values()), strict=True)
+    ]
+    return json.dumps({"units": {name: unit for name, (unit, _) in columns.items()}, "rows": rows}, indent=1)
+
+
+def as_text(dataset: xr.Dataset) -> "Table":
+    """Return the headline results for reading: value +- Monte-Carlo error, prediction, published value and
+    difference.
+    """
+    from rich.markup import escape
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        title=Text(str(dataset.attrs.get("title", ""))),
+        title_justify="left",
+        box=None,
+        pad_edge=False,
+        header_style="bold",
+    )
+    columns = headline_columns(dataset)
+    for column in columns:
+        heading = f"{column.name}\n[{column.unit}]" if column.unit else column.name
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    for row in zip(*(column.cells for column in columns), strict=True):
+        table.add_row(*map(escape, row))
+    return table
+
+
+def headline_columns(dataset: xr.Dataset) -> list[Column]:
+    """Return the columns of the headline results: axes, values with errors, prediction, published and difference."""
+    long = _without_excluded(long_table(dataset))
+    columns = [
+        Column(name, long[name][0], [_plain(v) for v in long[name][1]], long[name][1])
+        for name in _axis_coordinates(dataset, axes_of(dataset))
+    ]
+    for name in filter(long.__contains__, _headline(dataset)):
+        unit, values = long[name]
+        errors = long[f"{name}_mc_error"][1] if f"{name}_mc_error" in long else [0.0] * len(values)
+        columns.append(Column(name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)], values))
+        if (predicted := long.get(f"{name}_predicted")) is not None:
+            cells = [_rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
+            columns.append(Column("predicted", unit, cells, predicted[1]))
+        if (published := long.get(f"{name}_published")) is not None and not all(map(_is_missing, published[1])):
+            columns.append(Column("published", unit, [_rounded(v, 0.0) for v in published[1]], published[1]))
+            pairs = list(zip(values, published[1], strict=True))
+            columns.append(Column("difference", "", [_difference(*p) for p in pairs], [_relative(*p) for p in pairs]))
+    status = long["status"][1]
+    return columns if set(status) == {"done"} else [*columns, Column("status", "", status, status)]
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a number with its error as ``0.6600 ± 0.0027``, alone where there is none, '' for a number that is NaN."""
+    if not error > 0.0:
+        return _rounded(value, error)
+    return f"{_rounded(value, error)} ± {_rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
+
+
+def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tuple[str, list[Any]]]:
+    kept = [i for i, status in enumerate(columns["status"][1]) if status != "excluded"]
+    return {name: (unit, [values[i] for i in kept]) for name, (unit, values) in columns.items()}
+
+
+def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
+    names = [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
+    place = {name: dimensions.index(str(dataset[name].dims[0])) for name in names}
+    return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
+
+
+def _headline(dataset: xr.Dataset) -> list[str]:
+    return [str(n) for n, v in dataset.data_vars.items() if v.attrs.get("headline") and str(n) in dataset]
+
+
+def _is_missing(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _rounded(value: float, error: float) -> str:
+    """Return a number to two digits of its error, or to four digits of its own where it has none."""
+    if _is_missing(value):
+        return ""
+    if error > 0.0:
+        decimals = max(0, 1 - math.floor(math.log10(error)))
+        return f"{value:.{decimals}f}" if decimals <= MOST_DECIMALS else f"{value:.3g}"
+    return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
+
+
+def _difference(value: float, published: float) -> str:
+    relative = _relative(value, published)
+    if _is_missing(relative):
+        return ""
+    return "none" if relative == 0.0 else f"{100.0 * relative:+.1f} %"
+
+
+def _relative(value: float, published: float) -> float:
+    if value == published:
+        return 0.0
+    return value / published - 1.0 if published else math.nan

@@ -1,0 +1,1 @@
+"""Runs blocks: serially, on Dask, guarded."""

@@ -1,0 +1,131 @@
+"""Makes the Dask clusters that a run may use: of this machine, one that runs elsewhere, one that a file describes."""
+
+import importlib.metadata
+import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+from distributed import Client, LocalCluster
+from distributed.comm.addressing import get_address_host_port
+from distributed.security import Security
+from threadpoolctl import threadpool_limits
+
+from sweep.contract import SweepError
+from sweep.executing.clusterfile import cluster_class, read_cluster_file
+from sweep.executing.execute import GUARD, NO_LIMITS, Executor, Limits, Place, Say
+from sweep.executing.on_client import OnClient
+from sweep.executing.own_cluster import own_cluster, without_logs
+from sweep.studies.study import Study
+
+CONNECT_TIMEOUT_S = 10
+
+ADAPT_WITHIN = "500ms"
+"""An adaptive cluster has as many workers as the tasks in flight would keep busy for so long: they are short."""
+
+
+@contextmanager
+def dask_local(
+    study: Study, workers: int, pool: Literal["threads", "processes"], say: Say, limits: Limits = NO_LIMITS
+) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor on a Dask cluster of this machine, in worker processes or in threads of this process."""
+    options: dict[str, Any]
+    if pool == "processes":
+        options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+        if limits.memory is not None:
+            options["memory_limit"] = limits.memory
+    else:
+        options = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
+    noun = {"processes": ("worker process", "worker processes"), "threads": ("thread", "threads")}[pool][workers > 1]
+    with ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1))
+        try:
+            cluster = stack.enter_context(own_cluster(LocalCluster, options))
+        except RuntimeError as error:
+            message = f"worker processes cannot be started: {error} Note that {GUARD}"
+            raise SweepError(message) from None  # Dask's own traceback is of sixty lines, none of them the script's
+        client = stack.enter_context(cluster.get_client())
+        words = f"{workers} local {noun}"
+        guarded = pool == "threads" and bool(limits)
+        yield _place(client, words, workers), _executor(client, study, words, say, limits, guarded)
+
+
+@contextmanager
+def dask_from_file(study: Study, path: Path, say: Say, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor on the cluster that a file describes; raises SweepError for anything wrong in the file."""
+    file = read_cluster_file(path)
+    kind = cluster_class(file)
+    words = f"the {file.class_name.rpartition('.')[2]} of {path}"
+    with ExitStack() as stack:
+        try:
+            cluster = stack.enter_context(own_cluster(kind, file.options))
+            if file.scale is not None:
+                cluster.scale(**file.scale)
+            else:
+                cluster.adapt(**{"target_duration": ADAPT_WITHIN, **(file.adapt or {})})
+            client = stack.enter_context(cluster.get_client())
+        except SweepError:
+            raise
+        except Exception as error:  # whatever a cluster's class makes of its options
+            cause = _root_cause(error)
+            raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(path)) from error
+        yield _place(client, words), _executor(client, study, words, say, limits)
+
+
+@contextmanager
+def dask_scheduler(
+    study: Study, address: str, security: Security | None, say: Say, limits: Limits = NO_LIMITS
+) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers or its workers
+    are not like this process.
+    """
+    if address.startswith("tls://") and (security or Security()).get_connection_args("client")["ssl_context"] is None:
+        raise SweepError(
+            f"no certificates for {address!r}: give --tls-ca, --tls-cert and --tls-key, or configure Dask with them"
+        )
+    with without_logs(), ExitStack() as stack:
+        try:
+            get_address_host_port(address)  # a client of a malformed address would hang at its end
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of other versions: said below, in words
+                client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
+        except (OSError, ValueError, TypeError, TimeoutError) as error:
+            message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}"
+            raise SweepError(message) from error
+        stack.enter_context(client)
+        words = f"the Dask scheduler at {address}"
+        yield _place(client, words), _executor(client, study, words, say, limits)
+
+
+def _root_cause(error: BaseException) -> BaseException:
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return error
+
+
+def tls(ca: Path, cert: Path, key: Path) -> Security:
+    """Return what a TLS scheduler asks of its clients; raises SweepError for files that are not such."""
+    security = Security(
+        tls_ca_file=str(ca), tls_client_cert=str(cert), tls_client_key=str(key), require_encryption=True
+    )
+    try:
+        security.get_connection_args("client")
+    except OSError as error:  # ssl.SSLError is one
+        raise SweepError(f"cannot use the TLS files {ca}, {cert} and {key}: {error}") from error
+    return security
+
+
+def _executor(client: Client, study: Study, words: str, say: Say, limits: Limits, guarded: bool = False) -> Executor:
+    executor = OnClient(study, client, words, say, limits, guarded)
+    executor.prepare()
+    return executor
+
+
+def _place(client: Client, words: str, workers: int | None = None) -> Place:
+    """Return the place of a client, with the dashboard if its scheduler can show one: this needs bokeh."""
+    try:
+        client.run_on_scheduler(importlib.metadata.version, "bokeh")
+    except Exception:  # a missing package there, or a scheduler that runs nothing for clients
+        return Place(words, workers)
+    return Place(words, workers, client.dashboard_link or "")

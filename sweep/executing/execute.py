@@ -1,0 +1,87 @@
+"""What an executor is, and the serial one that defines what is meant."""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Literal
+
+from threadpoolctl import threadpool_limits
+
+from sweep.executing.agreement import identity
+from sweep.executing.guard import run_guarded
+from sweep.executing.worker import Task, TaskResult, Unit, run_task
+from sweep.planning.plan import Work
+from sweep.studies.study import Study
+
+Take = Callable[[int], list[list[Work]]]
+"""Gives up to so many tasks' work that can be done now; after a result has been taken there may be more."""
+
+Pool = Literal["serial", "threads", "processes"]
+Results = Iterator[tuple[list[Work], TaskResult]]
+Executor = Callable[[Take], Results]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one block may take: seconds, and bytes in its process; None is no limit."""
+
+    time_s: float | None = None
+    memory: int | None = None
+
+    def __bool__(self) -> bool:
+        return self.time_s is not None or self.memory is not None
+
+
+NO_LIMITS = Limits()
+
+GUARD = (
+    "a script that computes in worker processes must call sweep.run under `if __name__ == '__main__':`, because each "
+    "of them begins by running the script too; or use pool='threads'"
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a run is, in words, with how many workers if that is known, and the Dask dashboard if there is one."""
+
+    words: str
+    workers: int | None = None
+    dashboard: str = ""
+
+
+def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS) -> Task:
+    """Return what a worker must know to do this work."""
+    defaults = study.experiment.defaults()
+    units = tuple(
+        Unit(
+            tuple({k: v for k, v in point.parameters.items() if v != defaults[k]} for point in work.points),
+            work.points[0].stream,
+            work.block,
+        )
+        for work in works
+    )
+    return Task(study.experiment_reference, study.sampling.seed, units, study.sampling.keep_samples, limits.time_s)
+
+
+@contextmanager
+def serial(study: Study, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor that computes one task after the other in this process: the definition of the result.
+
+    With limits each task runs in a child process, since this one must not be ended.
+    """
+    expected = identity(study.experiment_reference)
+
+    def run(take: Take) -> Results:
+        while batches := take(1):
+            task = make_task(study, batches[0], limits)
+            yield batches[0], run_guarded(task, expected, limits.memory) if limits else run_task(task)
+
+    with threadpool_limits(1):  # sums of products must not depend on the number of cores
+        yield Place("this process", 1), run
+
+
+def available_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

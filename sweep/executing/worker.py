@@ -1,0 +1,181 @@
+"""What runs on a worker: a task's blocks, one after the other, each to its sums."""
+
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweep.contract import Experiment, Point
+from sweep.executing.limit import Deadlines, TimeLimitError
+from sweep.load import load_experiment
+from sweep.planning.plan import Block, generators
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A block of points that share its random numbers: their parameters (those that are not at their default), and the
+    name of the stream.
+    """
+
+    points: tuple[dict[str, Any], ...]
+    stream: bytes
+    block: Block
+
+
+@dataclass(frozen=True)
+class Task:
+    """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too.
+
+    With ``time_limit_s``, for a block of one point, the process must be one that may be ended.
+    """
+
+    experiment_reference: str
+    seed: int
+    units: tuple[Unit, ...]
+    keep_samples: bool = False
+    time_limit_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a block has no sums: in a sentence, with the traceback where Python has one."""
+
+    kind: Literal["exception", "NaN", "killed", "time limit"]
+    message: str
+    traceback: str = ""
+
+
+@dataclass
+class TaskResult:
+    """Sums of a task, (rows, width), one row for each point of each unit in their order, and the seconds that each
+    took, (rows,).
+
+    ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
+    samples are kept to these, (realisations, width).
+    """
+
+    sums: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+    failures: dict[int, Failure] = field(default_factory=dict)
+    samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+
+
+def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
+    """Compute the blocks of a task; a point that raises is recorded and the rest goes on.
+
+    ``deadlines`` are those of this process if it has some.
+    """
+    return joined(list(run_units(task, deadlines or Deadlines())))
+
+
+def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
+    """Yield the result of each unit of a task; no more of a point that took too long is tried."""
+    experiment = load_experiment(task.experiment_reference)
+    defaults = experiment.defaults()
+    given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
+    for unit in task.units:
+        result = failed(len(unit.points), experiment.sums_width)
+        for stream, point, reason in given_up:
+            known = [row for row, own in enumerate(unit.points) if (stream, point) == (unit.stream, own)]
+            result.failures.update(dict.fromkeys(known, reason))
+        rows = [row for row in range(len(unit.points)) if row not in result.failures]
+        begun = time.perf_counter()
+        points = [defaults | unit.points[row] for row in rows]
+        if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
+            for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
+                _try(experiment, [point], [row], unit, task, result, deadlines)
+        result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
+        late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
+        given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
+        yield result
+
+
+def _try(
+    experiment: Experiment,
+    points: Sequence[Point],
+    rows: list[int],
+    unit: Unit,
+    task: Task,
+    result: TaskResult,
+    deadlines: Deadlines,
+) -> bool:
+    """Compute some points of a unit into these rows of its result; return whether that went well."""
+    try:
+        with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
+            sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
+    except TimeLimitError:
+        result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
+        return False
+    except Exception as error:  # a point that fails must not take others with it
+        reason = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
+        result.failures.update(dict.fromkeys(rows, reason))
+        return False
+    result.sums[rows] = sums
+    if task.keep_samples:
+        result.samples.update(zip(rows, samples, strict=True))
+    for row in rows:
+        result.failures.pop(row, None)
+        if np.isnan(result.sums[row]).any() and (names := _nan_results(experiment, result.sums[row], unit.block)):
+            result.failures[row] = Failure("NaN", f"{', '.join(names)}: not a number")
+    return True
+
+
+def too_long(task: Task, trace: str) -> Failure:
+    """Return the failure of a block that reached its time limit."""
+    return Failure("time limit", f"a block took longer than the time limit of {task.time_limit_s:g} s", trace)
+
+
+def failed(rows: int, width: int, reason: Failure | None = None) -> TaskResult:
+    """Return the result of so many rows without sums, all for one reason."""
+    failures = {} if reason is None else dict.fromkeys(range(rows), reason)
+    return TaskResult(np.full((rows, width), np.nan), np.zeros(rows), failures)
+
+
+def joined(results: Sequence[TaskResult]) -> TaskResult:
+    """Return the result of a task from those of its parts, in their order."""
+    starts = np.cumsum([0, *(len(result.sums) for result in results)]).tolist()
+    return TaskResult(
+        np.concatenate([result.sums for result in results]),
+        np.concatenate([result.seconds for result in results]),
+        {first + row: why for first, r in zip(starts, results, strict=False) for row, why in r.failures.items()},
+        {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
+    )
+
+
+def _nan_results(experiment: Experiment, row: NDArray[np.float64], block: Block) -> list[str]:
+    """Return the headline results (all, if there are none) that these sums make NaN; some sums may be NaN rightly."""
+    n, n_cat = np.array([float(block.realisations)]), np.array([float(block.n_cat)])
+    results = experiment.summarise(experiment.named(row[None]), n, n_cat)
+    headline = [output.name for output in experiment.outputs if output.headline] or list(results)
+    return [name for name in headline if np.isnan(results[name]).any()]
+
+
+def run_block(
+    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int, keep_samples: bool = False
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, where
+    they are to be kept, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
+    the outputs.
+    """
+    evaluate = experiment.samples if keep_samples and experiment.samples is not None else experiment.evaluate
+    kept = experiment.sample_outputs if keep_samples else ()
+    total = np.zeros((len(points), experiment.sums_width))
+    samples: list[NDArray[np.float64]] = []
+    for rng, catalogue_rng in _streams(stream, block, seed):
+        drawn = evaluate(points, block.n_sim, rng, catalogue_rng)
+        rows = [np.asarray(drawn[name]).reshape(len(points), -1) for name in experiment.sums]
+        total += np.concatenate(rows, axis=1, dtype=np.float64)
+        if kept:
+            shape = (len(points), block.n_sim, -1)
+            samples.append(np.concatenate([np.reshape(drawn[o.name], shape) for o in kept], axis=2))
+    return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))
+
+
+def _streams(stream: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:
+    """Yield the generators of a block's part of each of its catalogues, and of the catalogue."""
+    for catalogue in range(block.first_catalogue, block.first_catalogue + block.n_cat):
+        yield generators(seed, stream, catalogue, block.part)

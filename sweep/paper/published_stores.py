@@ -1,0 +1,70 @@
+"""Which stores hold what was published: those a user names, or those of all built-in studies that publish something."""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+from sweep.analysis.compare import Comparison, compare, remarks
+from sweep.contract import SweepError
+from sweep.running.run import plan_study
+from sweep.stores.location import Where, located, reading
+from sweep.stores.store import open_dataset, read_attributes
+from sweep.studies.reader import load_study
+from sweep.studies.source import built_in_studies
+from sweep.studies.study import Study
+
+
+def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]]:
+    """Return the comparisons of all stores, and remarks about them.
+
+    Raises SweepError for what is no store, or a store of a study that has neither published numbers nor claims.
+    """
+    comparisons: list[Comparison] = []
+    sentences: list[str] = []
+    for store in stores:
+        dataset = open_dataset(store)
+        try:
+            found = compare(dataset)
+        except SweepError as error:
+            raise SweepError(error.problems, str(store)) from error
+        about = remarks(dataset)
+        if not found and not about:
+            raise SweepError("its study has neither published numbers nor claims to compare with", str(store))
+        comparisons += found
+        sentences += [f"{store}: {sentence}" for sentence in about]
+    return comparisons, sentences
+
+
+def published_studies() -> list[Study]:
+    """Return the built-in studies that have published numbers or claims; raises SweepError as `load_study`.
+
+    The others are not even checked, because a study may need an optional package.
+    """
+    documents = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in built_in_studies().items()}
+    return [load_study(name) for name, document in documents.items() if "published" in document or "claim" in document]
+
+
+def store_of(study: Study, results: Path) -> Path:
+    """Return where a study's store is by default in a folder of results."""
+    return results / f"{study.name}.zarr"
+
+
+def unfinished(studies: Sequence[Study], results: Path) -> list[Study]:
+    """Return the studies whose store is missing, incomplete or was written for another text or with overrides.
+
+    Raises SweepError, before anything runs, for a study whose store cannot be continued.
+    """
+    pending = [study for study in studies if not _is_finished(study, store_of(study, results))]
+    for study in pending:
+        plan_study(study, store_of(study, results))
+    return pending
+
+
+def _is_finished(study: Study, store: Where) -> bool:
+    location = located(store)
+    with reading(location):
+        if location.is_free():
+            return False
+    attributes = read_attributes(store)
+    same = attributes.get("study_digest") == study.digest() and attributes.get("study") == study.text
+    return same and bool(attributes.get("complete"))

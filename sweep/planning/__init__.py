@@ -1,0 +1,1 @@
+"""From a Study to the blocks of work that are still missing."""

@@ -1,0 +1,189 @@
+"""The grid of a study: dimensions, points and their digests."""
+
+import itertools
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+
+from sweep.contract import SweepError, Value
+from sweep.planning.byaxes import ByAxes
+from sweep.studies.study import Study
+from sweep.tablefile import as_json
+
+MAX_POINTS = 10_000_000
+MAX_PROBLEMS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class GridPoint:
+    """One point: its place in the grid (C order), all its parameters, the digest by which the ledger knows it, and the
+    one that names its random streams.
+    """
+
+    index: int
+    parameters: dict[str, Any]
+    digest: bytes
+    stream: bytes
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The points of a study: dimensions in the order of its axes; axes that are zipped share the dimension of the
+    first.
+    """
+
+    study: Study
+
+    @cached_property
+    def dimensions(self) -> dict[str, tuple[str, ...]]:
+        """The axes along each dimension, by the dimension's name."""
+        partner = {name: group for group in self.study.zipped for name in group}
+        found: dict[str, tuple[str, ...]] = {}
+        for name in self.study.axes:
+            group = partner.get(name, (name,))
+            if not any(name in axes for axes in found.values()):
+                found[group[0]] = group
+        return found
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Length of each dimension."""
+        return tuple(len(self.study.axes[dimension]) for dimension in self.dimensions)
+
+    def __len__(self) -> int:
+        return math.prod(self.shape)
+
+    def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Yield index and parameters of the points that are not excluded, in C order."""
+        names, clauses = self._names, self.study.excluded
+        for index, combination in enumerate(itertools.product(*self._columns)):
+            parameters = self._fixed.copy()
+            parameters.update(zip(names, itertools.chain.from_iterable(combination), strict=True))
+            if not (clauses and self._excluded(parameters)):
+                yield index, parameters
+
+    def points(self) -> Iterator[GridPoint]:
+        """Yield the points that are not excluded, in C order."""
+        return itertools.starmap(self._point, self.parameters())
+
+    def point(self, index: int) -> GridPoint:
+        """Return the point at an index, excluded or not."""
+        places = np.unravel_index(index, self.shape)
+        values = (column[place] for column, place in zip(self._columns, places, strict=True))
+        flat = itertools.chain.from_iterable(values)
+        return self._point(index, self._fixed | dict(zip(self._names, flat, strict=True)))
+
+    def _point(self, index: int, parameters: dict[str, Any]) -> GridPoint:
+        digest = self._digest(parameters)
+        return GridPoint(index, parameters, digest, self._digest(parameters, shared=True) if self._shared else digest)
+
+    @cached_property
+    def _fixed(self) -> dict[str, Any]:
+        return self.study.experiment.defaults() | dict(self.study.fixed)
+
+    @cached_property
+    def _names(self) -> list[str]:
+        return [axis for axes in self.dimensions.values() for axis in axes]
+
+    @cached_property
+    def _columns(self) -> list[list[tuple[Value, ...]]]:
+        study = self.study
+        return [list(zip(*(study.axes[a] for a in axes), strict=True)) for axes in self.dimensions.values()]
+
+    @cached_property
+    def _shared(self) -> frozenset[str]:
+        """Parameters that do not change a point's random numbers."""
+        study = self.study
+        return frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
+
+    @cached_property
+    def _texts(self) -> list[tuple[str, dict[Value, str]]]:
+        """Each parameter that may count in a digest, in order, with its text for each of its values."""
+        defaults, axes = self.study.experiment.defaults(), self.study.axes
+        values = {name: [value] for name, value in self._fixed.items()} | {n: list(v) for n, v in axes.items()}
+        return [
+            (name, {v: f"{json.dumps(name)}: {as_json(v)}" for v in values[name] if v != defaults[name]})
+            for name in sorted(values)
+            if any(v != defaults[name] for v in values[name])
+        ]
+
+    def _digest(self, parameters: dict[str, Any], shared: bool = False) -> bytes:
+        """Return 16 bytes that identify a point by its own parameters, whatever grid it is in.
+
+        Parameters at their default do not count, so that a parameter which a later version adds leaves old points what
+        they were.  ``shared`` leaves out those that do not change the random numbers too.
+        """
+        left_out = self._shared if shared else ()
+        own = [
+            text
+            for name, texts in self._texts
+            if name not in left_out and (text := texts.get(parameters[name])) is not None
+        ]
+        return blake2b(f"{{{', '.join(own)}}}".encode(), digest_size=16).digest()
+
+    def _excluded(self, parameters: dict[str, Any]) -> bool:
+        return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
+
+
+def make_grid(study: Study) -> Grid:
+    """Return the grid of a study after asking the experiment about every point.
+
+    Raises SweepError that lists the points that cannot be computed (grouped by reason; it looks no further after
+    `MAX_PROBLEMS` reasons), points that are the same point twice, or a grid too large or empty.
+    """
+    grid = Grid(study)
+    if len(grid) > MAX_POINTS:
+        sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
+        message = f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed"
+        raise SweepError(message, study.source)
+    sentences = _repeated(grid)
+    reasons: dict[str, int] = {}
+    empty = True
+    check = ByAxes(partial(_reason, study), study.axes)
+    for _, parameters in grid.parameters():
+        empty = False
+        if (reason := check(parameters)) is None:
+            continue
+        if reason not in reasons and len(reasons) == MAX_PROBLEMS:
+            reasons["... and other reasons; the rest of the grid was not checked"] = 0
+            break
+        reasons[reason] = reasons.get(reason, 0) + 1
+    if empty:
+        raise SweepError("every point of the grid is excluded", study.source)
+    sentences += [f"{reason} ({n} point{'s' if n > 1 else ''})" if n else reason for reason, n in reasons.items()]
+    if sentences:
+        raise SweepError(sentences, study.source)
+    return grid
+
+
+def _repeated(grid: Grid) -> list[str]:
+    """Say which points occur twice: as every axis has distinct values, only axes that are zipped can make some."""
+    sentences: list[str] = []
+    for axes in grid.dimensions.values():
+        counts = Counter(zip(*(grid.study.axes[name] for name in axes), strict=True))
+        repeated = [values for values, n in counts.items() if n > 1]
+        for values in repeated[:MAX_PROBLEMS]:
+            place = ",".join(f"{name}={value}" for name, value in zip(axes, values, strict=True))
+            sentences.append(f"the same point occurs {counts[values]} times: {place}")
+        if len(repeated) > MAX_PROBLEMS:
+            sentences.append(f"... and {len(repeated) - MAX_PROBLEMS} more points")
+    return sentences
+
+
+def _reason(study: Study, parameters: Mapping[str, Any]) -> str | None:
+    try:
+        return study.experiment.check(parameters)
+    except Exception as error:  # whatever a user's check raises
+        return f"the experiment's check of a point raises {type(error).__name__}: {error}"
+
+
+def describe(study: Study, parameters: dict[str, Any]) -> str:
+    """Return a point's place on the axes in words: ``model=gaia,v_max=16.0``."""
+    return ",".join(f"{name}={parameters[name]}" for name in study.axes) or "the only point"

@@ -1,0 +1,230 @@
+"""The plan of a study: points cut into blocks, each with its own random stream."""
+
+import math
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sweep.contract import SweepError
+from sweep.planning.byaxes import ByAxes
+from sweep.planning.grid import Grid, GridPoint
+
+TARGET = 2**24
+"""Random numbers in one task, and in a block of several catalogues: about 0.2 s of work, against 2 ms that Dask spends
+on a task."""
+
+OVERHEAD = 20_000
+"""What one evaluation costs beside its random numbers, counted in random numbers."""
+
+SHARED = 0.15
+"""What a point costs that shares the random numbers of another: its part of the linear algebra."""
+
+MAX_BLOCKS = 10_000_000
+
+MOST_CUTS = 1000
+"""Different costs of points whose blocks are remembered."""
+
+MAX_SIMS = 512
+FIRST_SIMS = 64
+MAX_CATALOGUES = 16
+
+LARGEST_BLOCK = 2**28
+"""Random numbers in a block of one catalogue at most: setting up a catalogue costs some tens of realisations of it, so
+a block has more than that, but a few seconds of work are all that an interruption may cost."""
+
+
+class Block(NamedTuple):
+    """One point's realisations ``part`` of the catalogues of one ``group``: the unit of work, of the ledger and of
+    resuming.
+
+    Catalogues are numbered from ``first_catalogue``; each gets ``n_sim`` realisations from a stream of its own.
+    """
+
+    group: int
+    part: int
+    first_catalogue: int
+    n_cat: int
+    n_sim: int
+
+    @property
+    def realisations(self) -> int:
+        """Realisations in this block."""
+        return self.n_cat * self.n_sim
+
+
+class Work(NamedTuple):
+    """One block of one point, or of several that share its random numbers, with its estimated cost in random
+    numbers.
+    """
+
+    points: tuple[GridPoint, ...]
+    block: Block
+    cost: float
+
+    def ledger_keys(self) -> list[bytes]:
+        """Return what the ledger knows each point's block by; two runs agree on a key if and only if the block's sums
+        are the same numbers.
+        """
+        return [ledger_key(point.digest, self.block) for point in self.points]
+
+
+@dataclass(frozen=True)
+class PlanSize:
+    """Counts of a plan or a part of it; ``cost`` in random numbers."""
+
+    points: int
+    blocks: int
+    realisations: int
+    cost: float
+
+    def __add__(self, other: "PlanSize") -> "PlanSize":
+        return PlanSize(
+            self.points + other.points,
+            self.blocks + other.blocks,
+            self.realisations + other.realisations,
+            self.cost + other.cost,
+        )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the points of a grid are cut into blocks.
+
+    Invariant (a test checks this sentence): the blocks of a point tile its n_cat x n_sim realisations exactly once,
+    and neither they nor their streams depend on anything but the seed, the point's own parameters, n_cat and n_sim.
+    """
+
+    grid: Grid
+
+    def blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
+        """Return the blocks, of these ``parts`` (all by default), of a point whose realisations cost this many random
+        numbers each.
+
+        The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
+        they are; only a last, partial block is computed again.
+        """
+        wanted = range(self.parts(cost)) if parts is None else parts
+        known = self._cuts.get((cost, wanted))
+        if known is None:
+            known = tuple(self._cut(cost, wanted))
+            if len(self._cuts) < MOST_CUTS:
+                self._cuts[cost, wanted] = known
+        return known
+
+    @cached_property
+    def _cuts(self) -> dict[tuple[float, range], Sequence[Block]]:
+        """Blocks by cost and parts: points that cost the same are cut in the same way."""
+        return {}
+
+    def _cut(self, cost: float, parts: range) -> Iterator[Block]:
+        n_cat = self.grid.study.sampling.n_cat
+        _, catalogues = self.block_shape(cost)
+        for group, first in enumerate(range(0, n_cat, catalogues)):
+            for part in parts:
+                n_sim = self.realisations(cost, part + 1) - self.realisations(cost, part)
+                yield Block(group, part, first, min(catalogues, n_cat - first), n_sim)
+
+    def parts(self, cost: float, n_sim: int | None = None) -> int:
+        """Return into how many parts so many realisations (those of the study by default) of a catalogue are cut."""
+        sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
+        wanted = n_sim or sampling.n_sim
+        if sampling.precision is None or wanted >= sims:
+            return -(-wanted // sims) + (0 if sampling.precision is None else _doublings(sims))
+        return 1 + max(0, math.ceil(math.log2(wanted / min(FIRST_SIMS, sims))))
+
+    def realisations(self, cost: float, parts: int) -> int:
+        """Return how many realisations of a catalogue the first ``parts`` hold.
+
+        All parts are of the same size but for the last, which holds what is left.  With a precision to reach there is
+        no such remainder, but the first parts are small and double the number of realisations each.
+        """
+        sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
+        if sampling.precision is None:
+            return min(parts * sims, sampling.n_sim)
+        whole = parts - _doublings(sims)
+        if whole > 0:
+            return sims * whole
+        return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
+
+    def block_shape(self, cost: float) -> tuple[int, int]:
+        """Return how many realisations of how many catalogues a whole block holds."""
+        if (known := self._shapes.get(cost)) is None:
+            known = self._shapes[cost] = self._shape(cost)
+        return known
+
+    @cached_property
+    def _shapes(self) -> dict[float, tuple[int, int]]:
+        return {}
+
+    def _shape(self, cost: float) -> tuple[int, int]:
+        if self.grid.study.sampling.common_random_numbers:
+            return MAX_SIMS, 1  # whatever the cost: points that share a draw need the same blocks
+        sims = _power_of_two(LARGEST_BLOCK / cost, MAX_SIMS)
+        return sims, _power_of_two(TARGET / (cost * sims + OVERHEAD), MAX_CATALOGUES)
+
+    def cost(self, parameters: dict[str, Any]) -> float:
+        """Return the random numbers that one realisation of a point takes, at least 1."""
+        return max(1.0, self._cost(parameters))
+
+    @cached_property
+    def _cost(self) -> ByAxes[float]:
+        return ByAxes(self.grid.study.experiment.cost, self.grid.study.axes)
+
+    def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
+        """Return the work of a block of points that share its random numbers."""
+        costs = [self.cost(point.parameters) for point in points]
+        shared = max(costs) + SHARED * (sum(costs) - max(costs)) if len(costs) > 1 else costs[0]
+        return Work(points, block, block.realisations * shared + block.n_cat * len(points) * OVERHEAD)
+
+    def size(self, cost: float, points: int = 1) -> PlanSize:
+        """Return the counts of whole points that cost the same, by arithmetic."""
+        sampling = self.grid.study.sampling
+        _, catalogues = self.block_shape(cost)
+        parts = self.parts(cost)
+        realisations = sampling.n_cat * self.realisations(cost, parts)
+        work = realisations * cost + sampling.n_cat * parts * OVERHEAD
+        blocks = parts * -(-sampling.n_cat // catalogues)
+        return PlanSize(points, points * blocks, points * realisations, points * work)
+
+    def check_size(self, blocks: int) -> None:
+        """Raise SweepError for more than `MAX_BLOCKS` blocks: such a study would not end, and its ledger not fit."""
+        if blocks > MAX_BLOCKS:
+            sampling = self.grid.study.sampling
+            sizes = f"n_cat = {sampling.n_cat:,} and n_sim = {sampling.n_sim:,}"
+            raise SweepError(f"{sizes} make more than {MAX_BLOCKS:,} blocks", self.grid.study.source)
+
+
+def ledger_key(digest: bytes, block: Block) -> bytes:
+    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues and realisations of
+    each.
+    """
+    return digest + struct.pack("<4I", block.group, block.part, block.n_cat, block.n_sim)
+
+
+def generators(seed: int, name: bytes, catalogue: int, part: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Return the generators of a catalogue's realisations ``part`` and of the catalogue itself.
+
+    Streams are children of the study's seed by NumPy's SeedSequence, named by the point's stream, the catalogue and
+    the part: they do not depend on the grid, the order or the machine.  SFC64 is the fastest sound bit generator of
+    NumPy.
+    """
+
+    def stream(*place: int) -> np.random.Generator:
+        # The words that SeedSequence(seed, spawn_key=...) makes of these: its own way to them takes twice as long.
+        words = struct.pack("<2Q", seed, 0) + name + struct.pack(f"<{len(place)}I", *place)
+        return np.random.Generator(np.random.SFC64(np.random.SeedSequence(np.frombuffer(words, dtype="<u4"))))
+
+    return stream(catalogue, 1, part), stream(catalogue, 0)
+
+
+def _doublings(sims: int) -> int:
+    """Return in how many steps parts that double reach their whole size."""
+    return (sims // FIRST_SIMS).bit_length() - 1 if sims > FIRST_SIMS else 0
+
+
+def _power_of_two(ratio: float, most: int) -> int:
+    return min(most, 2 ** max(0, math.floor(math.log2(ratio)))) if ratio >= 1 else 1

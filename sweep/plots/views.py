@@ -1,0 +1,114 @@
+"""What the link has beside results, as datasets for pictures: the sky of a catalogue, the accuracy of missions."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from core.calibration import IN_CODE, Model, all_skies, fit
+from core.constants import DEGREE
+from core.missions import MISSIONS, MissionUnavailableError
+from core.scenario import scenario
+from sweep.contract import SweepError, shown, suggest
+from sweep.paper.calibrate import published_numbers
+from sweep.planning.grid import Grid
+from sweep.planning.plan import generators
+from sweep.running.revisit import place_of, study_of
+from sweep.stores.location import Where
+from sweep.tablefile import table_file
+
+Array = NDArray[np.float64]
+
+BRIGHTEST_MAG, FAINTEST_MAG, STEP_MAG = 9.0, 21.0, 0.1
+
+CALIBRATION_CATALOGUES = 50
+"""Catalogues for the errors of the calibrated curves: a quarter of what `sweep calibrate` takes, for errors to 10 %."""
+
+
+def accuracy_curves(models: Sequence[str] = ()) -> xr.Dataset:
+    """Return sigma_pm (mas/yr) and sigma_pos (mas) of one object, dimensions (model, v), of missions at nominal length.
+
+    ``models`` are all whose packages are installed if there are none.  Beyond a mission's faint limit there is NaN.
+    The curves that were calibrated with the paper's tables have a _error from that fit, one sigma; others NaN.
+    Raises SweepError for an unknown model, or one whose package is missing.
+    """
+    v = np.round(np.arange(BRIGHTEST_MAG, FAINTEST_MAG + 0.5 * STEP_MAG, STEP_MAG), 6)
+    rows: dict[str, tuple[Array, Array, Array]] = {}
+    for name in models or MISSIONS:
+        if name not in MISSIONS:
+            raise SweepError(f"no model {shown(name)}{suggest(name, list(MISSIONS))}")
+        mission = MISSIONS[name]
+        try:
+            curves = mission.sigma_pm_mas_yr(v), mission.sigma_pos_mas(v)
+        except MissionUnavailableError as error:
+            if models:
+                raise SweepError(str(error)) from error
+            continue
+        seen = np.where(v <= mission.faint_limit_mag, 1.0, np.nan)
+        rows[name] = (seen * curves[0], seen * curves[1], _relative_error(name, v))
+    pm, pos, relative = (np.array(part) for part in zip(*rows.values(), strict=True))
+    meanings = {
+        "sigma_pm": (pm, "mas / yr", r"$\sigma_\mu$", "error of a proper motion, per coordinate"),
+        "sigma_pm_error": (pm * relative, "mas / yr", "", "its one-sigma error, of the calibration"),
+        "sigma_pos": (pos, "mas", r"$\sigma_\mathrm{pos}$", "error of a position, per coordinate"),
+        "sigma_pos_error": (pos * relative, "mas", "", "its one-sigma error, of the calibration"),
+    }
+    magnitude = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
+    return xr.Dataset(
+        {
+            name: (("model", "v"), values, {"units": unit, "symbol": symbol, "long_name": meaning})
+            for name, (values, unit, symbol, meaning) in meanings.items()
+        },
+        {"model": np.array(list(rows), dtype=object), "v": ("v", v, magnitude)},
+        {"title": "Accuracy of one object in each mission"},
+    )
+
+
+def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
+    """Return the first catalogue of a point of a store as it was drawn: ra, dec (deg) and v_mag of each object.
+
+    Raises SweepError where the store is not of the link, or ``at`` is not one point of it.
+    """
+    study = study_of(store)
+    if study.experiment.name != "link":
+        raise SweepError(f"only the link has a sky; this is the experiment {study.experiment.name}", str(store))
+    parameters = place_of(study, ",".join(at), str(store))
+    own = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
+    (point,) = Grid(replace(study, axes={}, zipped=(), excluded=(), fixed=own, published=None, claims=())).points()
+    _, rng = generators(study.sampling.seed, point.stream, 0, 0)
+    catalogue = scenario(parameters).draw_catalogue(rng)
+    where = ", ".join(part.strip() for text in at for part in text.split(","))
+    title = f"{study.title}: the {len(catalogue)} objects of one catalogue" + (f", {where}" if where else "")
+    return _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, title).assign(
+        v_mag=("object", catalogue.v_mag, {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"})
+    )
+
+
+def catalogue_of_table(path: Path, columns: tuple[str, str] = ("ra", "dec")) -> xr.Dataset:
+    """Return the positions in a table as ra, dec (deg); raises SweepError where there are none."""
+    table = table_file(path)
+    ra, dec = (table.numbers(name, "deg") for name in columns)
+    if np.any(np.abs(dec) > 90.0):
+        raise SweepError(f"column {columns[1]!r} has {dec[np.abs(dec) > 90.0][0]:g}, beyond 90 deg", str(path))
+    return _sky(ra, dec, f"{path.name}: {len(ra)} objects")
+
+
+def _sky(ra_deg: Array, dec_deg: Array, title: str) -> xr.Dataset:
+    degrees = {"units": "deg"}
+    return xr.Dataset({"ra": ("object", ra_deg, degrees), "dec": ("object", dec_deg, degrees)}, attrs={"title": title})
+
+
+def _relative_error(name: str, v: Array) -> Array:
+    """Return the relative error of a calibrated curve at magnitudes, from the covariance of its log constants."""
+    models: dict[str, Model] = {"amex": "amex", "gaia": "gaia"}
+    if name not in models:
+        return np.full(v.shape, np.nan)
+    model = models[name]
+    found = fit(model, list(published_numbers(model).values()), all_skies(model, CALIBRATION_CATALOGUES))
+    curve = IN_CODE[model]
+    parts = [(a * np.exp(slope * (v - pivot)), slope * (v - pivot)) for a, slope, pivot in curve.terms]
+    gradient = np.stack([row for term, power in parts for row in (term, term * power)]) / curve(v)
+    return np.asarray(np.sqrt(np.einsum("iv,ij,jv->v", gradient, found.log_covariance, gradient)))

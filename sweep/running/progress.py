@@ -1,0 +1,167 @@
+"""Progress of a run in sentences, to the log, and as a bar on a terminal."""
+
+import logging
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.text import Text
+
+from sweep.executing.worker import TaskResult
+from sweep.planning.grid import describe
+from sweep.planning.plan import Work
+from sweep.planning.tally import Survey
+from sweep.running.account import Account, counted
+from sweep.running.eta import Eta, in_words
+from sweep.running.writer import Taken
+from sweep.studies.study import Study
+
+SENTENCES = logging.getLogger("linksweep")
+"""To the user, and to the log file: a debug message for each point, an error for each that fails."""
+
+RECORD = logging.getLogger("linksweep.record")
+"""To the log file alone."""
+
+LINE_FIRST_S, LINE_LAST_S = 5.0, 600.0
+LINE_SHARE = 0.1
+"""The time between two lines grows with the time that the run has taken, between these bounds."""
+
+
+class TerminalProgress:
+    """Shows points done, realisations per second and the time left: in a bar if ``bar`` and on a terminal, else in a
+    line now and then.
+    """
+
+    def __init__(self, study: Study, bar: bool = True) -> None:
+        """Start with nothing begun."""
+        self._study = study
+        self._console = Console(stderr=True)
+        self._with_bar = bar and self._console.is_terminal
+        self._bar: Progress | None = None
+        self._account = Account(study)
+        self._begun: float | None = None
+
+    def __enter__(self) -> "TerminalProgress":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end_bar()
+
+    def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
+        """Say what there is to do and where it is done."""
+        self._begun = self._said = time.monotonic()
+        self._eta = Eta(survey.pending.cost, workers)
+        total, pending = survey.total, survey.pending
+        self._points, self._all_points = total.points - pending.points, total.points
+        held = f", {self._points:,} of them in the store already" if self._points else ""
+        partly = (
+            ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
+        )
+        to_do = counted(pending.realisations, "realisation")
+        self.say(f"{counted(total.points, 'point')}{held}{partly}; {to_do} to do on {where}")
+        if self._with_bar and pending.blocks:
+            columns = (BarColumn(), TextColumn("{task.description}"), _Left(self._eta))
+            self._bar = Progress(*columns, console=self._console, transient=True)
+            self._task = self._bar.add_task(self._description(), total=pending.cost)
+            self._bar.start()
+
+    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
+        """Count what was done, and what more there is to do."""
+        assert self._begun is not None, "a run starts before it advances"
+        now = time.monotonic()
+        self._eta.extend(taken.more.cost)
+        self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
+        self._account.take(works, result, taken.done)
+        self._points += taken.done.points
+        self._tell_points(works, result, taken)
+        if self._bar is not None:
+            total = (self._bar.tasks[0].total or 0.0) + taken.more.cost
+            self._bar.update(self._task, advance=taken.done.cost, total=total, description=self._description())
+        if now - self._said > min(max(LINE_FIRST_S, LINE_SHARE * (now - self._begun)), LINE_LAST_S):
+            self._said = now
+            line = f"{self._description()}, {_left_in_words(self._eta, now)}"
+            (SENTENCES if self._bar is None else RECORD).info(line)
+
+    def written(self) -> None:
+        """Take the bar away."""
+        self._end_bar()
+
+    def _tell_points(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
+        if result.failures:
+            points = [point for work in works for point in work.points]
+            failed = {points[number].index: failure for number, failure in result.failures.items()}
+        for point in taken.ended:
+            place = describe(self._study, point.parameters)
+            if result.failures and (failure := failed.get(point.index)) is not None:
+                SENTENCES.debug("%s: failed (%s)", place, failure.kind)
+                RECORD.error("%s: failed (%s): %s\n%s", place, failure.kind, failure.message, failure.traceback)
+            else:
+                SENTENCES.debug("%s: done", place)
+
+    def say(self, text: str) -> None:
+        """Tell the user a sentence."""
+        SENTENCES.info(text)
+
+    def stopped(self, signal: str, store: object) -> None:
+        """Say what an interrupted run leaves, and how to go on."""
+        self._end_bar()
+        how = "interrupted" if signal == "SIGINT" else f"stopped by {signal}"
+        kept = f"{self._account.done.realisations:,} realisations of this run are kept in {store}"
+        done = "nothing was begun" if self._begun is None else kept
+        SENTENCES.error(f"{how}; {done}; the same command goes on from there")
+
+    def finish(self, failures: int, store: object) -> None:
+        """Say what the run took, and how to look closer at points that failed."""
+        self._end_bar()
+        if self._begun is not None:
+            for line in (*self._account.summary(time.monotonic() - self._begun), f"wrote {store}"):
+                self.say(line)
+        if failures:
+            kinds = self._account.kinds()
+            SENTENCES.error(
+                f"{counted(failures, 'point')} failed{f' ({kinds})' if kinds else ''}; "
+                f"`sweep status {store}` names them and says why, `sweep retry {store}` tries them again, "
+                f"`sweep reproduce {store} --at ...` runs one here"
+            )
+
+    def _description(self) -> str:
+        assert self._begun is not None, "a run starts before it is described"
+        elapsed = max(time.monotonic() - self._begun, 1e-9)
+        rate = self._account.done.realisations / elapsed
+        return f"{self._points:,}/{self._all_points:,} points, {rate:,.0f} realisations/s"
+
+    def _end_bar(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+
+class _Left(ProgressColumn):
+    """The time left, also between two results."""
+
+    def __init__(self, eta: Eta) -> None:
+        super().__init__()
+        self._eta = eta
+
+    def render(self, task: Task) -> Text:
+        return Text(_left_in_words(self._eta, time.monotonic()), style="progress.remaining")
+
+
+def _left_in_words(eta: Eta, now: float) -> str:
+    left = eta.left(now)
+    return "" if left is None else f"about {in_words(left)} left"
+
+
+class Sentences(logging.Handler):
+    """Writes to whatever standard error is at the moment: a bar puts itself below."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line; without a terminal any more there is nobody to tell."""
+        with suppress(OSError, ValueError):
+            print(self.format(record), file=sys.stderr, flush=True)

@@ -1,0 +1,183 @@
+"""The labelled dataset of a study, assembled from the sums in its ledger."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sweep.contract import Output, Parameter
+from sweep.planning.grid import Grid
+from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.tally import DONE, STATUS_WORDS, Tally
+from sweep.studies.study import Published, printed_rounding
+
+Array = NDArray[np.float64]
+
+
+def assemble(plan: Plan, tally: Tally) -> xr.Dataset:
+    """Return the dataset of a plan from what its tally holds.
+
+    A point has values when all its blocks are there; all others are NaN with a ``status`` that says why.
+    """
+    grid = plan.grid
+    study = grid.study
+    experiment = study.experiment
+    done = tally.status == DONE
+    variables: dict[str, Any] = {}
+    results: Mapping[str, Array] = {}
+    if done.any():
+        n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
+        sums = experiment.named(tally.total[done])
+        results = experiment.summarise(sums, tally.realisations[done].astype(float), n_cat)
+    for output in experiment.outputs:
+        if output.name in study.axes:
+            continue  # the coordinate of that name says it already
+        shape = tuple(len(experiment.coordinates[dim]) for dim in output.dims)
+        values = np.full((len(grid), *shape), np.nan)
+        if output.name in results:
+            values[done] = results[output.name]
+        variables[output.name] = _variable(grid, values, output)
+    variables["n_sim_done"] = _variable(
+        grid, tally.realisations.copy(), Output("n_sim_done", "", "realisations done, over all catalogues")
+    )
+    variables["status"] = _variable(grid, tally.status.copy(), Output("status", "", "state of the point"))
+    variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
+    variables |= _published(grid)
+    return xr.Dataset(variables, coords=_coordinates(grid))
+
+
+def assemble_samples(
+    plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]
+) -> dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]]:
+    """Return the kept samples of the points that are done, with dimension ``sample``: catalogue by catalogue.
+
+    ``samples`` gives those of a block by its key, (realisations, width).
+    """
+    grid = plan.grid
+    experiment, sampling = grid.study.experiment, grid.study.sampling
+    kept = np.full((len(grid), sampling.n_cat, sampling.n_sim, experiment.samples_width), np.nan)
+    flat_status = status.reshape(-1)
+    for point in grid.points():
+        if flat_status[point.index] != DONE:
+            continue
+        start: dict[int, int] = {}
+        for block in plan.blocks(plan.cost(point.parameters)):
+            first = start.get(block.group, 0)
+            catalogues = slice(block.first_catalogue, block.first_catalogue + block.n_cat)
+            drawn = samples(ledger_key(point.digest, block)).reshape(block.n_cat, block.n_sim, -1)
+            kept[point.index, catalogues, first : first + block.n_sim] = drawn
+            start[block.group] = first + block.n_sim
+    variables: dict[str, Any] = {}
+    column = 0
+    for output in experiment.sample_outputs:
+        size = experiment.size_of(output)
+        shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *(len(experiment.coordinates[d]) for d in output.dims))
+        values = kept[..., column : column + size].reshape(shape)
+        attributes = _attributes(output)
+        variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, attributes)
+        column += size
+    return variables
+
+
+def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
+    attributes = _attributes(output)
+    if output.headline:
+        attributes["headline"] = 1
+    return (*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes
+
+
+def _attributes(declared: Output | Parameter) -> dict[str, Any]:
+    symbol = {"symbol": declared.symbol} if declared.symbol else {}
+    return {"units": declared.unit, "long_name": declared.meaning, **symbol}
+
+
+def _coordinates(grid: Grid) -> dict[str, Any]:
+    study = grid.study
+    experiment = study.experiment
+    coordinates: dict[str, Any] = {}
+    for dimension, axes in grid.dimensions.items():
+        for name in axes:
+            parameter = experiment.parameter(name)
+            text = parameter.kind == "str"
+            values = np.array(
+                [str(v) for v in study.axes[name]] if text else study.axes[name], object if text else None
+            )
+            coordinates[name] = (dimension, values, _attributes(parameter))
+    for dimension, labels in experiment.coordinates.items():
+        coordinates[dimension] = (
+            dimension,
+            np.array(labels, dtype=object),
+            {"units": "", "long_name": dimension.replace("_", " ")},
+        )
+    for dimension, units in experiment.component_units.items():
+        meaning = {"units": "", "long_name": f"unit of each {dimension.replace('_', ' ')}"}
+        coordinates[f"{dimension}_unit"] = (dimension, np.array(units, dtype=object), meaning)
+    return coordinates
+
+
+def _published(grid: Grid) -> dict[str, Any]:
+    """Return variables ``NAME_published`` and ``NAME_published_rounding`` for every output that the study's published
+    table has a column of.
+    """
+    study = grid.study
+    if study.published is None:
+        return {}
+    outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
+    variables: dict[str, Any] = {}
+    for column in study.published.rows[0]:
+        if column in outputs:
+            output = outputs[column]
+            values, roundings = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
+            outside = 0
+            for row in study.published.rows:
+                if not row[column]:
+                    continue
+                place = _place(grid, row, outputs)
+                if place is None:
+                    outside += 1
+                else:
+                    values[place], roundings[place] = float(row[column]), printed_rounding(row[column])
+            name, rounding = f"{column}_published", f"{column}_published_rounding"
+            meaning = f"{output.meaning}, published"
+            variables[name] = _variable(grid, values.reshape(-1), Output(name, output.unit, meaning))
+            variables[name][2].update(_origin(study.published), outside_grid=outside)
+            meaning = f"half a unit of the last printed digit of {name}"
+            variables[rounding] = _variable(grid, roundings.reshape(-1), Output(rounding, output.unit, meaning))
+    return variables
+
+
+def _origin(published: Published) -> dict[str, Any]:
+    if not published.tolerance:
+        return {"source": published.source}
+    return {
+        "source": published.source,
+        "tolerance": published.tolerance,
+        "tolerance_reason": published.tolerance_reason,
+    }
+
+
+def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:
+    """Return the position in the grid that a published row speaks of, or None if it is not in this grid."""
+    study = grid.study
+    settings = study.experiment.defaults() | dict(study.fixed)
+    for column, text in row.items():
+        if column not in outputs and column not in study.axes and not _same(settings[column], text):
+            return None
+    place = []
+    for axes in grid.dimensions.values():
+        matches = [
+            i
+            for i, values in enumerate(zip(*(study.axes[a] for a in axes), strict=True))
+            if all(a not in row or _same(value, row[a]) for a, value in zip(axes, values, strict=True))
+        ]
+        if len(matches) != 1:
+            return None
+        place.append(matches[0])
+    return tuple(place)
+
+
+def _same(value: object, text: str) -> bool:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(str(value)) == float(text) if number else str(value) == text

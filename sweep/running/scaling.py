@@ -1,0 +1,155 @@
+"""Measures how a study scales with workers: the same work on more of them (strong), as much work for each (weak)."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from sweep.contract import SweepError
+from sweep.executing.execute import Pool, available_cores
+from sweep.planning.tally import Survey
+from sweep.running.run import Resources, Silent, run_study
+from sweep.studies.provenance import now, provenance
+from sweep.studies.study import Study
+
+KINDS = ("strong", "weak")
+MAX_WORKERS = 4096
+Grown = Literal["n_sim", "n_cat"]
+Array = NDArray[np.float64]
+
+
+@dataclass
+class _Clock(Silent):
+    """Notes when the workers of a run are there, and when its results are on disk."""
+
+    started: float = 0.0
+    ended: float = 0.0
+
+    def start(self, survey: Survey, where: str, workers: int | None) -> None:
+        """Note the moment."""
+        self.started = time.perf_counter()
+
+    def written(self) -> None:
+        """Note the moment."""
+        self.ended = time.perf_counter()
+
+
+def measure_scaling(
+    study: Study,
+    workers: Sequence[int],
+    pool: Pool = "processes",
+    repetitions: int = 3,
+    told: Callable[[str], None] = lambda text: None,
+) -> xr.Dataset:
+    """Return ``seconds``, ``speedup`` and ``efficiency`` of a study, medians over repetitions, (kind, workers).
+
+    Seconds begin when the workers are there and end with the last result on disk; ``start_seconds`` are what comes
+    before and after.  Each repetition has every run in it, ratios are taken within one, and ``NAME_error`` is the
+    standard error of the mean over them.  Weak scaling multiplies the catalogues by the workers where a study has
+    several, or else the realisations.  Runs go into stores of their own, which are removed.
+    Raises SweepError for workers that are not distinct or do not begin with one, for a study of a precision, and where
+    a point fails.
+    """
+    _check(study, workers, repetitions)
+    grown: Grown = "n_cat" if study.sampling.n_cat > 1 else "n_sim"
+    timed = np.empty((len(KINDS), len(workers), repetitions, 2))
+    _timed(_with(study, "n_sim", 1), 1, pool)  # the first run of all also reads what is not in memory yet
+    for turn in range(repetitions):
+        for place, count in enumerate(workers):
+            for kind, name in enumerate(KINDS):
+                if name == "weak" and count == 1:
+                    timed[kind, place, turn] = timed[0, place, turn]
+                    continue
+                more = study if name == "strong" else _with(study, grown, count * getattr(study.sampling, grown))
+                timed[kind, place, turn] = _timed(more, count, pool)
+                seconds = timed[kind, place, turn, 0]
+                told(f"{turn + 1}/{repetitions}: {name} scaling, workers: {count}, {seconds:.2f} s")
+    dataset = _dataset(np.array(workers), timed)
+    return dataset.assign_attrs(
+        provenance(study),
+        title=f"Scaling of: {study.title}",
+        finished=now(),
+        pool=pool,
+        weak_scaling_grows=grown,
+        repetitions=repetitions,
+        cores=available_cores(),
+        load_average=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
+    )
+
+
+def write_scaling(dataset: xr.Dataset, path: Path) -> None:
+    """Write measurements as a Zarr store, in one step; raises SweepError where that is not possible."""
+    check_free(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+            dataset.to_zarr(Path(folder) / "new", mode="w", consolidated=False, zarr_format=3)
+            (Path(folder) / "new").rename(path)
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+
+
+def check_free(path: Path) -> None:
+    """Raise SweepError where something exists already."""
+    if path.exists():
+        raise SweepError("exists already; give another place with -o", str(path))
+
+
+def _check(study: Study, workers: Sequence[int], repetitions: int) -> None:
+    problems = []
+    if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MAX_WORKERS:
+        given = ",".join(map(str, workers))
+        problems.append(
+            f"workers = {given}: must increase from 1, which all is compared with, to {MAX_WORKERS} at most"
+        )
+    if repetitions < 1:
+        problems.append(f"repetitions = {repetitions}: must be >= 1")
+    if study.sampling.precision is not None:
+        problems.append("a study of a precision decides itself how much work it is; leave `precision` out")
+    if problems:
+        raise SweepError(problems, study.source)
+
+
+def _with(study: Study, name: Grown, value: int) -> Study:
+    return replace(study, sampling=study.sampling.model_copy(update={name: value}))
+
+
+def _timed(study: Study, workers: int, pool: Pool) -> tuple[float, float]:
+    """Return the seconds of a run with its workers there, and of what is before and after."""
+    clock = _Clock()
+    with tempfile.TemporaryDirectory(prefix="linksweep-scaling-", ignore_cleanup_errors=True) as folder:
+        begun = time.perf_counter()
+        _, failures = run_study(study, Path(folder) / "s.zarr", Resources(workers=workers, pool=pool), clock)
+        whole = time.perf_counter() - begun
+    if failures:
+        place, reason = next(iter(failures.items()))
+        raise SweepError(f"{len(failures)} points fail, e.g. {place}: {reason}", study.source)
+    return clock.ended - clock.started, whole - (clock.ended - clock.started)
+
+
+def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
+    seconds, starts = timed[..., 0], timed[..., 1]
+    work = np.stack([np.ones_like(workers), workers])[..., None]  # as many times that of one worker
+    speedup = work * seconds[:, :1] / seconds
+    values = {
+        "seconds": (seconds, "s", "time with the workers there"),
+        "start_seconds": (starts, "s", "time to start and to end the workers"),
+        "speedup": (speedup, "", "work a second, over that of one worker"),
+        "efficiency": (speedup / workers[:, None], "", "speed-up for each worker"),
+    }
+    variables = {}
+    for name, (array, unit, meaning) in values.items():
+        attributes = {"units": unit, "long_name": meaning}
+        variables[name] = (("kind", "workers"), np.median(array, axis=2), attributes)
+        if array.shape[2] > 1:
+            error = array.std(axis=2, ddof=1) / np.sqrt(array.shape[2])
+            variables[f"{name}_error"] = (("kind", "workers"), error, {**attributes, "long_name": f"error of {name}"})
+    coordinates = {"kind": np.array(KINDS, dtype=object), "workers": workers}
+    return xr.Dataset(variables, coords=coordinates)

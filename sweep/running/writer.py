@@ -1,0 +1,154 @@
+"""The one writer of a run: results into the ledger as they come, on disk every second, as labelled dataset now and
+then.
+"""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from sweep.executing.worker import Failure, TaskResult
+from sweep.planning.grid import GridPoint, describe
+from sweep.planning.pending import Pending
+from sweep.planning.plan import Plan, PlanSize, Work
+from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING, Tally
+from sweep.running.covariance import covariances
+from sweep.running.results import assemble, assemble_samples
+from sweep.stores.store import Store
+from sweep.studies.provenance import host, now, provenance
+
+FLUSH_EVERY_S = 1.0
+WRITE_EVERY_S = 5.0
+WRITE_SHARE = 0.05
+"""The dataset is rewritten on the way so rarely that this takes at most such a share of the time."""
+
+LONG_WRITE_BYTES = 2**26
+LONG_WRITE_POINTS = 100_000
+"""A dataset that is larger, or of more points, takes a second or more: an interruption does not wait for it."""
+
+MAX_FAILURES_NAMED = 1000
+
+
+@dataclass(frozen=True)
+class Taken:
+    """How much a task did, how much more its results made known, and the points that it finished or failed."""
+
+    done: PlanSize
+    more: PlanSize
+    ended: tuple[GridPoint, ...]
+
+
+class Writer:
+    """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``.
+
+    ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        tally: Tally,
+        pending: Pending,
+        store: Store,
+        held: Callable[[], AbstractContextManager[None]] = nullcontext,
+    ) -> None:
+        """Start with an open store whose ledger the tally holds."""
+        self.plan, self.tally, self.store = plan, tally, store
+        self._pending, self._held = pending, held
+        self._provenance = provenance(plan.grid.study)
+        self._provenance["started"] = store.attributes.get("started", self._provenance["started"])
+        self._flushed = self._written = time.monotonic()
+        self._write_took = 0.0
+        self._long_write = False
+
+    def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
+        """Add a task's results."""
+        points = [(point, work.block) for work in works for point in work.points]
+        keys = [key for work in works for key in work.ledger_keys()]
+        good: list[int] = []
+        ended: list[GridPoint] = []
+        added: list[Work] = []
+        clock = time.monotonic()
+        with self._held():
+            for row, (point, block) in enumerate(points):
+                if (failure := result.failures.get(row)) is not None:
+                    ends = self._fail(point, failure)
+                else:
+                    good.append(row)
+                    added += [self.plan.work((point,), more) for more in self.tally.add(point, block, result.sums[row])]
+                    ends = self.tally.status[point.index] == DONE
+                if ends:
+                    ended.append(point)
+            self._pending.add(added)
+            samples = [result.samples[row] for row in good if result.samples]
+            self.store.append([keys[row] for row in good], result.sums[good], samples)
+            if clock - self._flushed > FLUSH_EVERY_S:
+                self.store.flush()
+                self._flushed = clock
+        if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
+            self.write()
+        return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended))
+
+    def write(self, final: bool = False) -> xr.Dataset:
+        """Write the labelled dataset of everything taken so far, and return it."""
+        begun = time.monotonic()
+        study = self.plan.grid.study
+        with self._held():
+            self.store.flush()
+        dataset = assemble(self.plan, self.tally)
+        if study.sampling.keep_samples:
+            dataset = dataset.assign(assemble_samples(self.plan, self.tally.status, self.store.samples))
+        if final and study.sampling.common_random_numbers and study.sampling.precision is None:
+            dataset = dataset.assign(covariances(self.plan, self.tally, self.store.rows, self.store.sums()))
+        points = int(np.count_nonzero(self.tally.status != EXCLUDED))
+        done = int(np.count_nonzero(self.tally.status == DONE))
+        dataset.attrs = self._provenance | {
+            "finished": now(),
+            "points": points,
+            "points_done": done,
+            "complete": int(points == done),
+            "failures": json.dumps(self.failures()),
+        }
+        self._long_write = dataset.nbytes > LONG_WRITE_BYTES or dataset["status"].size > LONG_WRITE_POINTS
+        with nullcontext() if self._long_write else self._held():
+            self.store.write(dataset)
+        self._written = time.monotonic()
+        self._write_took = self._written - begun
+        return dataset
+
+    def stop(self) -> None:
+        """After an interruption: make everything durable, and write the dataset once more unless that takes long.
+
+        Where it is not, the dataset is that of an earlier moment, and the next run makes it anew from the ledger.
+        """
+        with self._held():
+            self.store.flush()
+        if not self._long_write:
+            self.write()
+
+    def failures(self) -> dict[str, str]:
+        """Return the points of this study that failed, by their place on the axes, and why."""
+        grid, records = self.plan.grid, self.store.failures
+        failed = (grid.point(int(index)) for index in np.flatnonzero(self.tally.status == FAILED)[:MAX_FAILURES_NAMED])
+        return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in failed}
+
+    def _fail(self, point: GridPoint, failure: Failure) -> bool:
+        """Record why a point cannot be computed; return whether it was not given up already."""
+        if self.tally.status[point.index] != MISSING:
+            return False
+        self.tally.fail(point.index)
+        record = {"kind": failure.kind, "message": failure.message, "traceback": failure.traceback}
+        place = describe(self.plan.grid.study, point.parameters)
+        self.store.fail(point.digest, {"place": place, **record, "host": host(), "when": now()})
+        return True
+
+
+def _size(works: Sequence[Work], points: int) -> PlanSize:
+    """Return the counts of works that finish so many points."""
+    blocks = sum(len(work.points) for work in works)
+    realisations = sum(len(work.points) * work.block.realisations for work in works)
+    return PlanSize(points, blocks, realisations, sum(work.cost for work in works))

@@ -1,0 +1,1 @@
+"""Where results live: ledger, dataset, lock, repair; a folder or a bucket."""

@@ -1,0 +1,47 @@
+"""What is kept of failed points, by digest, so that a later run, a report or a retry knows of them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sweep.stores.sealed import unsealed
+
+MAX_TRACEBACKS = 1000
+TRACEBACK_BYTES = 4096
+DIGEST_BYTES = 16
+
+Record = dict[str, str]
+"""Of one point: place, kind, message, traceback, host, when."""
+
+
+def as_json(failures: Mapping[bytes, Record]) -> dict[str, Record]:
+    """Return failures as JSON holds them: digests in hexadecimal, the ends of the first `MAX_TRACEBACKS` tracebacks."""
+    kept: dict[str, Record] = {}
+    tracebacks = 0
+    for digest, record in failures.items():
+        text = record.get("traceback", "")
+        tracebacks += bool(text)
+        kept[digest.hex()] = record | ({"traceback": _end(text) if tracebacks <= MAX_TRACEBACKS else ""})
+    return kept
+
+
+def from_json(document: Mapping[str, Any]) -> dict[bytes, Record]:
+    """Return failures from JSON; raises ValueError where it holds something else."""
+    try:
+        failures = {bytes.fromhex(key): {str(k): str(v) for k, v in record.items()} for key, record in document.items()}
+    except (AttributeError, ValueError) as error:
+        raise ValueError(f"it is no record of failed points: {error}") from error
+    if any(len(digest) != DIGEST_BYTES for digest in failures):
+        raise ValueError("it is no record of failed points: a digest of another length")
+    return failures
+
+
+def read(content: bytes | None) -> dict[bytes, Record]:
+    """Return the failures that a stored document records, none where there is none; raises ValueError for a damaged
+    one.
+    """
+    return {} if content is None else from_json(unsealed(content)["attributes"]["failures"])
+
+
+def _end(text: str) -> str:
+    """Cut a traceback to its last bytes, which say what was raised and where."""
+    return text.encode()[-TRACEBACK_BYTES:].decode(errors="ignore")

@@ -1,0 +1,159 @@
+"""One run at a time writes to a store: a file ``STORE.lock`` beside it says who does.
+
+A lock whose process on this very host has ended is taken over; that of another host cannot be judged from here, and
+is broken only on request.
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+from uuid import uuid4
+
+from sweep.contract import SweepError
+from sweep.stores.location import Location, Where, located, reading, writing
+from sweep.studies.provenance import command_line, host, now
+
+ATTEMPTS = 100
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Who holds a lock.
+
+    ``boot`` tells hosts of the same name apart, and processes before and after a restart; ``started``, in ticks of the
+    kernel since it booted, a process from a later one of the same number.  Both are empty where the system has no
+    /proc.
+    """
+
+    host: str
+    boot: str
+    pid: int
+    started: str
+    since: str
+    command: str
+    token: str
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}, since {self.since} ({self.command})"
+
+    def state(self) -> Literal["runs", "has ended", "cannot be judged"]:
+        """Say whether the holder runs, as far as that can be told on this host."""
+        if (self.host, self.boot) != _this_host():
+            return "cannot be judged"
+        if self.started:
+            return "runs" if _start_of(self.pid) == self.started else "has ended"
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return "has ended"
+        except PermissionError:
+            pass  # there is such a process, of another user
+        return "runs"
+
+
+@contextmanager
+def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
+    """Hold the lock of a store; raises SweepError that names the holder where another process has it.
+
+    ``break_lock`` takes it from a holder that cannot be judged, never from another process that runs on this host.
+    """
+    location = located(where)
+    mine = _me()
+    with location.parent.tidied():
+        with writing(location):
+            _take(location, mine, break_lock)
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # the next one finds that its process has ended
+                if _read(location) == mine:
+                    location.parent.delete(_key(location))
+
+
+def holder(where: Where) -> Holder | None:
+    """Return who holds the lock of a store, None where nobody does or its process is known to have ended."""
+    location = located(where)
+    with reading(location):
+        found = _read(location)
+    return None if found is None or found.state() == "has ended" else found
+
+
+def _take(location: Location, mine: Holder, break_lock: bool) -> None:
+    key, content = _key(location), _as_bytes(mine)
+    for _ in range(ATTEMPTS):
+        if location.parent.create(key, content):
+            return
+        held = location.parent.get(key)
+        if held is None:
+            continue  # released just now
+        if held == content:
+            return  # a request that was repeated after its answer was lost
+        _refuse_unless_free(location, _parsed(held), break_lock)
+        if location.parent.swap(key, held, content):
+            return
+    raise SweepError(f"its lock {key} changes hands all the time", str(location))
+
+
+def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bool) -> None:
+    where = str(location)
+    if other is None:
+        if not break_lock:
+            raise SweepError(f"its lock {_key(location)} beside it is damaged; if nobody writes, --break-lock", where)
+        return
+    state = other.state()
+    if state == "runs" and not (break_lock and other.pid == os.getpid()):
+        more = "; --break-lock is only for a lock whose process has ended" if break_lock else ""
+        raise SweepError(f"is being written by {other}{more}", where)
+    if state == "cannot be judged" and not break_lock:
+        raise SweepError(
+            f"is being written by {other}. Whether that still runs cannot be told from here; if it does not, "
+            "the same command with --break-lock goes on",
+            where,
+        )
+
+
+def _key(location: Location) -> str:
+    return f"{location.name}.lock"
+
+
+def _read(location: Location) -> Holder | None:
+    content = location.parent.get(_key(location))
+    return None if content is None else _parsed(content)
+
+
+def _parsed(content: bytes) -> Holder | None:
+    try:
+        return Holder(**json.loads(content))
+    except (ValueError, TypeError):
+        return None
+
+
+def _as_bytes(mine: Holder) -> bytes:
+    return json.dumps(asdict(mine), indent=1).encode()
+
+
+def _me() -> Holder:
+    host, boot = _this_host()
+    return Holder(host, boot, os.getpid(), _start_of(os.getpid()), now(), command_line(), uuid4().hex)
+
+
+def _this_host() -> tuple[str, str]:
+    """Return the host's name, and which boot of which kernel, and which of its worlds of process numbers, this is."""
+    boot = ""
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        boot += " " + str(Path("/proc/self/ns/pid").readlink())
+    return host(), boot
+
+
+def _start_of(pid: int) -> str:
+    """Return when a process that runs was started, in ticks since the boot; empty where there is none."""
+    try:
+        state, *rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "" if state in "ZX" else rest[18]

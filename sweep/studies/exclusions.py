@@ -1,0 +1,62 @@
+"""Checks the exclusions of a study."""
+
+from collections.abc import Callable, Mapping
+
+from sweep.contract import Experiment, Value, shown
+from sweep.studies.axes import is_number
+from sweep.studies.form import Form
+from sweep.studies.problems import Problems
+from sweep.studies.source import Place
+from sweep.studies.study import Condition
+
+ValueAt = Callable[[Place, str, object], Value]
+"""Parses what is written at a place as the value of a parameter."""
+
+
+def exclusion(
+    experiment: Experiment,
+    form: Form,
+    index: int,
+    clause: Mapping[str, object],
+    problems: Problems,
+    value: ValueAt,
+) -> tuple[Condition, ...]:
+    """Return the conditions of one exclusion; ``problems`` takes what is wrong."""
+    if not clause:
+        problems.add(("exclude", index), "is empty and would leave out every point")
+    return tuple(_condition(experiment, form, index, name, rule, problems, value) for name, rule in clause.items())
+
+
+def _condition(
+    experiment: Experiment, form: Form, index: int, name: str, rule: object, problems: Problems, value: ValueAt
+) -> Condition:
+    where = ("exclude", index, name)
+    try:
+        parameter = experiment.parameter(name)
+    except ValueError as error:
+        problems.add(where, str(error))
+        return Condition(name)
+    if not isinstance(rule, dict):
+        return Condition(name, among=(value(where, name, rule),))
+    unknown = [key for key in rule if key not in ("above", "below", "equal", "in")]
+    if unknown or not rule:
+        wrong = f"unknown condition {shown(unknown)}" if unknown else "has no condition"
+        problems.add(where, f"{wrong}; allowed are above, below, equal, in")
+        return Condition(name)
+    listed = [rule["equal"]] if "equal" in rule else rule.get("in")
+    if listed is not None:
+        if not isinstance(listed, list) or len(rule) > 1:
+            problems.add(where, "'in' takes a list, and 'in' or 'equal' stands alone")
+            return Condition(name)
+        return Condition(name, among=tuple(value(where, name, raw) for raw in listed))
+    if parameter.kind not in ("float", "int"):
+        problems.add(where, f"{name} has no order: use equal or in")
+    elif parameter.default is None and name not in form.axes and name not in form.fixed:
+        problems.add(where, f"{name} has no value to compare: it is neither an axis nor fixed, and has no default")
+    bounds: dict[str, float] = {}
+    for key, raw in rule.items():
+        if not is_number(raw):
+            problems.add((*where, key), f"{shown(raw)}: must be a finite number")
+        else:
+            bounds[key] = float(raw)
+    return Condition(name, above=bounds.get("above"), below=bounds.get("below"))

@@ -1,0 +1,92 @@
+"""Where results come from: versions, machine, git commit, times."""
+
+import json
+import platform
+import shlex
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from sweep.studies.study import Study
+from sweep.tablefile import content_digest
+
+PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
+
+
+def provenance(study: Study) -> dict[str, Any]:
+    """Return the attributes of a result that say how it was made; plain strings and numbers."""
+    attributes: dict[str, Any] = {
+        "title": study.title,
+        **({"question": study.question} if study.question else {}),
+        "study_name": study.name,
+        "study": study.text,
+        "study_overrides": " ".join(study.overrides),
+        "study_digest": study.digest(),
+        "experiment": study.experiment_reference,
+        "seed": study.sampling.seed,
+        "n_sim": study.sampling.n_sim,
+        "n_cat": study.sampling.n_cat,
+        **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
+        **({"common_random_numbers": 1} if study.sampling.common_random_numbers else {}),
+        "study_document": json.dumps(study.document),
+        "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
+        "host": host(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "command": command_line(),
+        "started": now(),
+    }
+    defined = {
+        parameter.name: {named.name: content_digest(named) for named in parameter.defined}
+        for parameter in study.experiment.parameters
+        if parameter.defined
+    }
+    if defined:
+        attributes["defined"] = json.dumps(defined)
+    if study.claims:
+        claims = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
+        attributes["claims"] = json.dumps(claims)
+    if commit := git_commit():
+        attributes["git_commit"] = commit
+    return attributes
+
+
+def host() -> str:
+    """Return the name of this machine."""
+    return platform.node()
+
+
+def command_line() -> str:
+    """Return the command that started this process, as a person would type it."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+
+
+def now() -> str:
+    """Return the time as ISO 8601 in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def git_commit() -> str | None:
+    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside one."""
+    folder = Path(__file__).parent.parent
+
+    def git(*arguments: str) -> str:
+        # without optional locks: an interruption kills it, and it would leave its lock in the checkout
+        command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+
+    try:
+        if Path(git("rev-parse", "--show-toplevel")).resolve() != folder.resolve():
+            return None
+        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"

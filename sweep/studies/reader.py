@@ -1,0 +1,233 @@
+"""From a study file to a Study: finds it, reads it, and reports every problem at once."""
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from sweep.contract import Experiment, SweepError, Value, shown, suggest
+from sweep.load import absolute_reference, load_experiment
+from sweep.studies.axes import axis_values, override
+from sweep.studies.claims import Surroundings, checked_claim
+from sweep.studies.definitions import defined_values
+from sweep.studies.exclusions import exclusion
+from sweep.studies.form import Form, known_keys
+from sweep.studies.problems import Problems
+from sweep.studies.published import read_published
+from sweep.studies.rules import check_sampling, zipped_axes
+from sweep.studies.source import Place, find_study, parsed, read_text
+from sweep.studies.study import Claim, Study
+from sweep.tablefile import TableFile, table_file
+
+
+def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[str] = ()) -> Study:
+    """Return the study of a built-in name or a TOML file, with ``KEY=VALUE`` settings and ``NAME=SPEC`` axes laid over
+    it.
+
+    Raises SweepError that lists all problems, each with its key and, where it has one, its line in the file.
+    """
+    path = find_study(name_or_path)
+    text = read_text(path)
+    document = parsed(text, path)
+    problems: list[str] = []
+    overridden: dict[Place, str] = {}
+    for setting in settings:
+        overridden[override(document, setting, problems, as_axis=False)] = f"--set {_option(setting)}"
+    for axis in axes:
+        overridden[override(document, axis, problems, as_axis=True)] = f"--axis {_option(axis)}"
+    overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes])
+    return _Reader(document, text, path, problems, overrides, overridden).study()
+
+
+def study_from_dict(document: Mapping[str, Any], name: str = "study") -> Study:
+    """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError as
+    `load_study`.
+    """
+    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}).study()
+
+
+def study_of_attributes(attributes: Mapping[str, Any], where: str) -> Study:
+    """Return the study whose results have these attributes; raises SweepError as `load_study`, for example where the
+    file of its experiment is gone.
+
+    Published numbers are left out if their file is.
+    """
+    try:
+        document = json.loads(attributes["study_document"])
+        text, overrides, name = (str(attributes[key]) for key in ("study", "study_overrides", "study_name"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SweepError("does not say which study it holds", where) from error
+    if "published" in document and not Path(document["published"]["file"]).is_file():
+        del document["published"]
+    changed: dict[Place, str] = {
+        (table, key): "" for table in ("axes", "fixed") for key in document.get(table, {}) if overrides
+    }
+    laid_over = (overrides,) if overrides else ()
+    return replace(_Reader(document, text, Path(where), [], laid_over, changed).study(), name=name)
+
+
+def _option(text: str) -> str:
+    return text if text.isprintable() and len(text) <= 80 else shown(text)
+
+
+class _Reader:
+    """Reads one document into a Study, gathering every problem on the way."""
+
+    def __init__(
+        self,
+        document: dict[str, Any],
+        text: str,
+        path: Path,
+        problems: list[str],
+        overrides: tuple[str, ...],
+        overridden: Mapping[Place, str],
+    ) -> None:
+        self.document, self.text, self.path = document, text, path
+        self.problems = Problems(text, path, problems, overridden)
+        self.overrides, self.overridden = overrides, overridden
+
+    def study(self) -> Study:
+        form = self._form()
+        experiment = None if form is None else self._experiment(form)
+        if form is None or experiment is None:
+            raise SweepError(self.problems.found, str(self.path))
+        experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.problems.add)
+        axes = {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
+        fixed = {name: self._fixed(experiment, form, name, raw) for name, raw in form.fixed.items()}
+        zipped = zipped_axes(form.grid.zip, axes, self.problems)
+        value = partial(self._value, experiment)
+        excluded = tuple(
+            exclusion(experiment, form, i, clause, self.problems, value) for i, clause in enumerate(form.exclude)
+        )
+        published = None
+        if form.published is not None:
+            published = read_published(form.published, self.path.parent, experiment, form.axes, self.problems)
+        check_sampling(form.sampling, experiment, self.problems)
+        claims = self._claims(experiment, form, axes)
+        self.problems.raise_if_any()
+        return Study(
+            name=self.path.stem,
+            title=form.title,
+            question=form.question or "",
+            experiment_reference=absolute_reference(form.experiment, self.path.parent),
+            experiment=experiment,
+            axes={name: values for name, values in axes.items() if values is not None},
+            fixed=fixed,
+            sampling=form.sampling,
+            zipped=zipped,
+            excluded=excluded,
+            published=published,
+            source=str(self.path),
+            claims=claims,
+            text=self.text,
+            overrides=self.overrides,
+            document=self._portable(form, fixed) | ({"define": definitions} if definitions else {}),
+        )
+
+    def _portable(self, form: Form, fixed: Mapping[str, Value]) -> dict[str, Any]:
+        """Return the document with places of files that hold from any directory."""
+        document = {**self.document, "experiment": absolute_reference(form.experiment, self.path.parent)}
+        if "fixed" in document:
+            paths = {name: value.path for name, value in fixed.items() if isinstance(value, TableFile)}
+            document["fixed"] = document["fixed"] | paths
+        if form.published is not None:
+            file = str((self.path.parent / form.published.file).resolve())
+            document["published"] = document["published"] | {"file": file}
+        return document
+
+    def _form(self) -> Form | None:
+        try:
+            return Form.model_validate(self.document)
+        except ValidationError as error:
+            for item in error.errors():
+                where = tuple(item["loc"])
+                if item["type"] == "extra_forbidden":
+                    self.problems.add(where, f"unknown key{suggest(str(where[-1]), known_keys(where))}")
+                elif item["type"] == "missing":
+                    self.problems.add(where, "is required")
+                elif item["type"] == "value_error":
+                    self.problems.add(where, f"{shown(item['input'])} {item['ctx']['error']}")
+                else:
+                    self.problems.add(where, f"{item['msg'][0].lower()}{item['msg'][1:]}, not {shown(item['input'])}")
+            return self._rest_of_form({item["loc"][0] for item in error.errors()})
+
+    def _rest_of_form(self, broken: set[str | int]) -> Form | None:
+        """Return the form without its broken sections, so that the others are checked too."""
+        if "experiment" in broken:
+            return None
+        if "axes" in broken:
+            broken = broken | {"grid", "claim"}
+        if "grid" in broken:
+            broken = broken | {"claim"}
+        rest = {key: value for key, value in self.document.items() if key not in broken}
+        return Form.model_validate({"title": "", **rest})
+
+    def _experiment(self, form: Form) -> Experiment | None:
+        try:
+            return load_experiment(form.experiment, self.path.parent)
+        except SweepError as error:
+            self.problems.add(("experiment",), str(error))
+            return None
+
+    def _fixed(self, experiment: Experiment, form: Form, name: str, raw: object) -> Value:
+        if name in form.axes:
+            self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
+        return self._value(experiment, ("fixed", name), name, raw)
+
+    def _value(self, experiment: Experiment, where: tuple[str | int, ...], name: str, raw: object) -> Value:
+        try:
+            parameter = experiment.parameter(name)
+            value = parameter.parse(raw)
+            folder = Path.cwd() if where[:2] in self.overridden else self.path.parent
+            return table_file(folder / value) if parameter.kind == "file" else value
+        except ValueError as error:
+            self.problems.add(where, str(error))
+        except SweepError as error:
+            self.problems.add(where, f"{shown(raw)}: {error}")
+        return None
+
+    def _axis(self, experiment: Experiment, name: str, spec: object) -> tuple[Value, ...] | None:
+        where = ("axes", name)
+        try:
+            parameter = experiment.parameter(name)
+            if parameter.kind in ("vector", "map", "file"):
+                raise ValueError(f"a {parameter.kind} cannot be an axis")
+            raw_values = axis_values(spec, whole=parameter.kind == "int")
+        except ValueError as error:
+            self.problems.add(where, str(error))
+            return None
+        if not raw_values:
+            self.problems.add(where, "an axis needs at least one value")
+        before = len(self.problems.found)
+        values = []
+        for raw in raw_values:
+            values.append(self._value(experiment, where, name, raw))
+            if len(self.problems.found) >= before + 5:
+                self.problems.add(where, "... and perhaps more values like these")
+                return None
+        if len(self.problems.found) > before:
+            return None
+        repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
+        if repeated:
+            more = ", ..." if len(repeated) > 10 else ""
+            self.problems.add(
+                where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated[:10])}{more}"
+            )
+        return tuple(values)
+
+    def _claims(
+        self, experiment: Experiment, form: Form, axes: Mapping[str, tuple[Value, ...] | None]
+    ) -> tuple[Claim, ...]:
+        changed = frozenset(str(place[1]) for place in self.overridden if place[:1] in (("axes",), ("fixed",)))
+        around = Surroundings(experiment, axes, form.grid.zip, changed)
+        return tuple(
+            checked_claim(claim, around, partial(self._claim_problem, i)) for i, claim in enumerate(form.claim)
+        )
+
+    def _claim_problem(self, index: int, place: tuple[str, ...], message: str) -> None:
+        self.problems.add(("claim", index, *place), message)

@@ -1,0 +1,51 @@
+"""Rules for sections of a study that depend on its axes or its experiment."""
+
+from collections.abc import Mapping, Sequence
+
+from sweep.contract import Experiment, Value, shown, suggest
+from sweep.studies.problems import Problems
+from sweep.studies.study import Sampling
+
+
+def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problems) -> None:
+    """Tell of wishes for the sampling that contradict each other or the experiment."""
+    if sampling.keep_samples and experiment.samples is None:
+        problems.add(("sampling", "keep_samples"), f"the experiment {experiment.name!r} has no samples to keep")
+    if sampling.common_random_numbers and not experiment.shared:
+        message = f"no parameter of the experiment {experiment.name!r} is known to leave its random numbers alone"
+        problems.add(("sampling", "common_random_numbers"), message)
+    if sampling.precision is None:
+        if sampling.max_n_sim is not None:
+            problems.add(("sampling", "max_n_sim"), "is the limit of a precision, and there is none")
+        return
+    if sampling.max_n_sim is not None and sampling.max_n_sim < sampling.n_sim:
+        message = f"{sampling.max_n_sim}: must be at least n_sim = {sampling.n_sim}, with which every point begins"
+        problems.add(("sampling", "max_n_sim"), message)
+    if sampling.keep_samples:
+        problems.add(("sampling", "precision"), "cannot go with keep_samples: points would keep different numbers")
+    if not experiment.errors_of_headline():
+        message = f"no headline result X of the experiment {experiment.name!r} has an error X_mc_error to judge by"
+        problems.add(("sampling", "precision"), message)
+
+
+def zipped_axes(
+    groups: Sequence[Sequence[str]], axes: Mapping[str, tuple[Value, ...] | None], problems: Problems
+) -> tuple[tuple[str, ...], ...]:
+    """Return the groups of axes that walk together, and tell of those that cannot."""
+    seen: set[str] = set()
+    known = [name for name, values in axes.items() if values is not None]  # others may hold control characters
+    for i, group in enumerate(groups):
+        where = ("grid", "zip", i)
+        if len(group) < 2:
+            problems.add(where, f"{shown(group)}: name at least two axes to walk together")
+        for name in group:
+            if name not in axes:
+                problems.add(where, f"{shown(name)} is not an axis{suggest(name, known) if known else ''}")
+            if name in seen:
+                problems.add(where, f"{shown(name)} is zipped twice")
+            seen.add(name)
+        lengths = {name: len(values) for name in group if (values := axes.get(name)) is not None}
+        if len(set(lengths.values())) > 1:
+            sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
+            problems.add(where, f"zipped axes must have the same number of values: {sizes}")
+    return tuple(tuple(group) for group in groups)
