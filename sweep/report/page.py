@@ -83,7 +83,7 @@ def check_output(path: Path) -> None:
 
 
 def write_report(page: str, path: Path) -> None:
-    """Write a page to a new file or over an earlier report, all of it or nothing; raises SweepError as `check_output`."""
+    """Write a page to a new file or over an earlier report, whole or not at all; raises as `check_output`."""
     check_output(path)
     partial = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
