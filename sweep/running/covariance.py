@@ -74,7 +74,7 @@ def _covariance(plan: Plan, samples: Array, output: Output, dimension: str) -> V
     centred = shaped - shaped.mean(axis=-1, keepdims=True)
     covariance = centred @ np.swapaxes(centred, -1, -2) / (count * (count - along - 2))
     attributes = {
-        "units": f"({output.unit})2" if output.unit else "",
+        "units": f"({output.unit})**2" if output.unit else "",
         "long_name": f"covariance of {output.meaning} between points along {dimension}, from {count} blocks",
     }
     return (*(d for d in dimensions if d != dimension), dimension, f"{dimension}_other"), covariance, attributes
