@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import main_quantity, place_in_words, quantities, standard_error
+from sweep.analysis.quantity import main_quantity, quantities, standard_error
+from sweep.analysis.selection import place_in_words
 from sweep.analysis.tables import with_error
 from sweep.contract import SweepError
 from sweep.planning.tally import DONE, EXCLUDED, FAILED, STATUS_WORDS
@@ -97,6 +98,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     if not finite.any():
         yield "No point has a value yet."
         return
+    values = np.where(finite, values, np.nan)
     yield _range(part, values, errors, unit)
     if sentence := _what_changes_it(dims, values):
         yield sentence
@@ -107,7 +109,8 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     if predicted is not None and (sentence := _agreement(values, errors, predicted.transpose(*dims).values)):
         yield sentence
     if infinite := int(np.sum((part["status"].values == DONE) & ~finite)):
-        yield f"At {infinite} points that are done it is not a finite number."
+        points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
+        yield f"At {points} done it is not a finite number."
 
 
 def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
@@ -131,9 +134,9 @@ def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
 
 def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:
     point = part.isel(dict(zip(part["status"].dims, map(int, index), strict=True)))
-    dims = set(map(str, part["status"].dims))
-    names = [n for n in map(str, part.coords) if set(map(str, part[n].dims)) & dims and not point[n].dims]
-    return place_in_words({name: point[name].item() for name in sorted(names, key=lambda n: (n not in dims, n))})
+    dims = list(map(str, part["status"].dims))
+    names = [n for d in dims for n in dict.fromkeys((d, *map(str, part.coords))) if n in part and part[n].dims == (d,)]
+    return place_in_words({name: point[name].item() for name in names})
 
 
 def _what_changes_it(dims: list[str], values: Array) -> str:

@@ -57,7 +57,7 @@ def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
     return {
         suffix: part.broadcast_like(value).transpose(*value.dims)
         for suffix, part in wanted.items()
-        if suffix == "value" or np.isfinite(part.values).any()
+        if suffix == "value" or np.nan_to_num(part.values).any()  # a prediction without errors is 0
     }
 
 

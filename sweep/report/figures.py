@@ -2,19 +2,30 @@
 
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
+import numpy as np
 import xarray as xr
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
-from sweep.plots import numeric_axes, plot_lines
+from sweep.plots.figure import draw_figure
+from sweep.plots.scatter import sampled
+from sweep.plots.style import settings
 
 POINTS_PER_INCH = 72.0
 
-SHRINK = 0.8
-"""Pictures are made for paper: so much smaller, with the same letters, they can be read on a phone."""
+ONE_PANEL, SHRINK = 6.4, 0.8
+"""Pictures are made for paper: those of one panel, at most so many inches wide, are made so much smaller with the same
+letters, to be read on a phone; others are moved sideways there.
+"""
+
+MOST_MARKS = 2000
+"""More points than these are one image in the picture: each of them is some 100 bytes."""
 
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _STYLE = re.compile(r'style="[^"]*"')
@@ -30,38 +41,50 @@ class Picture:
     problem: str = ""
 
 
-def picture(dataset: xr.Dataset, variable: str, number: int) -> Picture:
-    """Return the figure of a variable that suits it; ``number`` sets its identifiers apart from those of others."""
-    settings = {"svg.hashsalt": f"linksweep-{number}", "svg.fonttype": "none", "font.size": 9.0}
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(settings)
+def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list[Picture]:
+    """Return the figures of variables that vary, each of the kind that suits it, after that of kept samples where they
+    are all that there is to draw; ``number`` sets the identifiers in them apart from those of other datasets.
+    """
+    untitled = dataset.assign_attrs(title="")
+    wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
+    if sampled(dataset) is not None and dataset["status"].size == 1:
+        wanted = [("kept samples", ()), *wanted]
+    return [_picture(untitled, name, chosen, f"{number}-{i}") for i, (name, chosen) in enumerate(wanted)]
+
+
+def _varies(array: xr.DataArray) -> bool:
+    finite = array.values[np.isfinite(array.values)]
+    return bool(finite.size and finite.min() < finite.max())
+
+
+def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str) -> Picture:
+    with settings(), mpl.rc_context({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"}):
         try:
-            figure = _figure(dataset, variable)
-            figure.set_size_inches(SHRINK * figure.get_size_inches())
-            return Picture(variable, _svg(figure, number), POINTS_PER_INCH * figure.get_figwidth())
+            figure = draw_figure(dataset, variables=variables)
+            if figure.get_figwidth() <= ONE_PANEL:
+                width, height = figure.get_size_inches()
+                figure.set_size_inches(SHRINK * width, SHRINK * height)
+            return Picture(name, _svg(figure), POINTS_PER_INCH * figure.get_figwidth())
         except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
-            return Picture(variable, problem=" ".join(str(error).split()))
+            return Picture(name, problem=" ".join(str(error).split()))
 
 
-def _figure(dataset: xr.Dataset, variable: str) -> Figure:
-    axes = numeric_axes(dataset, variable)
-    if not axes:
-        raise SweepError(f"{variable} has no axis of several numbers to draw along")
-    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
-    plot_lines(figure.add_subplot(), dataset, variable, axes[0])
-    return figure
-
-
-def _svg(figure: Figure, number: int) -> str:
+def _svg(figure: Figure) -> str:
     """Return the ``svg`` element of a figure: nothing in it reaches out of it."""
+    for line in figure.findobj(lambda artist: isinstance(artist, Line2D) and np.size(artist.get_xdata()) > MOST_MARKS):
+        line.set_rasterized(True)
+    for cloud in figure.findobj(
+        lambda artist: isinstance(artist, PathCollection) and np.shape(artist.get_offsets())[0] > MOST_MARKS
+    ):
+        cloud.set_rasterized(True)
     out = io.StringIO()
-    figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    figure.savefig(out, format="svg", dpi=200, transparent=True, metadata={"Date": None, "Creator": None})
     whole = out.getvalue()
     svg = whole[whole.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<style[^>]*>.*?</style>", "", svg, flags=re.DOTALL)  # it would apply to the whole page
-    svg = re.sub(r' id="(figure|axes|patch|text|line2d|matplotlib\.axis|xtick|ytick|legend)_\d+"', "", svg)
+    used = set(re.findall(r"#([\w.-]+)", svg))
+    svg = re.sub(r' id="([^"]*)"', lambda name: name[0] if name[1] in used else "", svg)
     svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
     svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
     return _STYLE.sub(lambda style: _COLOUR.sub(_themed, style[0]), svg)

@@ -12,6 +12,7 @@ import xarray as xr
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from sweep.analysis.compare_tables import summary_line
 from sweep.contract import SweepError
 from sweep.report.cite import citations, message
 from sweep.report.explorer import MOST_NUMBERS, library
@@ -50,6 +51,7 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     versions = list(dict.fromkeys(one.version for one in sections))
     body = environment.get_template("page.html.j2").render(
         sections=sections,
+        totals=_totals(sections),
         policy=_policy(scripts),
         style=Markup(_file("page.css")),
         scripts=[Markup(script) for script in scripts],
@@ -93,6 +95,14 @@ def write_report(page: str, path: Path) -> None:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _totals(sections: Sequence[Section]) -> list[str]:
+    """Return sentences about all sections together."""
+    comparisons = [comparison for one in sections for comparison in one.comparisons]
+    open_ones = sum(bool(one.gaps) for one in sections)
+    sentences = [f"Published numbers and claims: {summary_line(comparisons)}."] if comparisons else []
+    return [*sentences, f"Incomplete: {open_ones} of {len(sections)} studies."] if open_ones else sentences
 
 
 def _file(name: str) -> str:

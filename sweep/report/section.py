@@ -9,11 +9,11 @@ import xarray as xr
 
 from sweep.analysis.compare import Comparison, compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
-from sweep.analysis.quantity import place_in_words
+from sweep.analysis.selection import place_in_words
 from sweep.analysis.tables import Column, headline_columns
 from sweep.report.answer import Answer, answers, completeness, failed, headline
 from sweep.report.explorer import explorer
-from sweep.report.figures import Picture, picture
+from sweep.report.figures import Picture, pictures
 
 MOST_ROWS = 2000
 """A table has at most so many rows in the page, some 0.5 MB."""
@@ -58,6 +58,8 @@ class Section:
     question: str
     gaps: list[str]
     answers: list[Answer]
+    changed: str
+    comparisons: list[Comparison]
     verdicts: str
     pictures: list[Picture]
     explorer: Mapping[str, Any]
@@ -92,8 +94,10 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         question=str(attributes.get("question", "")),
         gaps=completeness(dataset),
         answers=answers(dataset),
+        changed=str(attributes.get("study_overrides", "")),
+        comparisons=comparisons,
         verdicts=summary_line(comparisons) if comparisons else "",
-        pictures=[picture(dataset, name, 100 * number + i) for i, name in enumerate(names)],
+        pictures=pictures(dataset, names, number),
         explorer=explored | {"title": title},
         not_explored=left_out,
         numbers=numbers,

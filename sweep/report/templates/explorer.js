@@ -54,8 +54,8 @@
       const known = (name) => axes.some((axis) => axis.name === name);
       if (!known(this.choice.x)) {
         const candidates = axes.filter((axis) => axis.numeric && axis.values.length > 1);
-        const longest = (candidates.length ? candidates : axes).reduce((a, b) => (b.values.length > a.values.length ? b : a), axes[0]);
-        this.choice.x = longest ? longest.name : "";
+        const longest = (candidates.length ? candidates : axes).slice().sort((a, b) => b.values.length - a.values.length);
+        this.choice.x = longest.length ? longest[0].name : "";
       }
       const dim = this.choice.x ? this.axis(this.choice.x).dim : "";
       if (this.choice.series && (!known(this.choice.series) || this.axis(this.choice.series).dim === dim)) this.choice.series = "";
