@@ -5,6 +5,7 @@ import shlex
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray as xr
 
@@ -39,6 +40,16 @@ def test_the_study_of_the_document_runs(tmp_path, sweep):
     status, _, err = sweep("run", "study.toml", "--set", "n_sim=10", cwd=tmp_path)
     assert status == 0, err
     assert xr.open_zarr(tmp_path / "results" / "study.zarr").attrs["complete"] == 1
+
+
+def test_the_missions_of_the_document_run(tmp_path, sweep):
+    (tmp_path / "curves.py").write_text(code("missions.md", "python")[0])
+    (tmp_path / "missions.toml").write_text(code("missions.md", "toml")[0])
+    status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
+    assert status == 0, err
+    sigma = xr.open_zarr(tmp_path / "results" / "missions.zarr")["sigma_spin"].load()
+    assert sigma["model"].values.tolist() == ["gaia", "small", "by-formula", "by-code"]
+    assert np.all(np.isfinite(sigma))
 
 
 def test_the_commands_of_the_document_run(tmp_path, sweep):

@@ -33,10 +33,11 @@ def defined_values(
         try:
             parameter = experiment.parameter(name)
         except ValueError as error:
-            problem(("define", name), str(error))
+            problem(("define", name, *list(by_name)[:1]), str(error))
             continue
         if parameter.define is None:
-            problem(("define", name), f"{name} takes no values that a study defines, but {parameter.allowed()}")
+            sentence = f"{name} takes no values that a study defines, but {parameter.allowed()}"
+            problem(("define", name, *list(by_name)[:1]), sentence)
             continue
         found: list[Named] = []
         for own_name, table in by_name.items():
@@ -46,8 +47,7 @@ def defined_values(
             if own_name in parameter.choices:
                 problem(where, f"{shown(own_name)} is there already; take another name")
             loaded: dict[str, str] = {}
-            if (one := _named(parameter, own_name, table, partial(_load, folder, loaded), where, problem)) is not None:
-                found.append(one)
+            found.append(_named(parameter, own_name, table, partial(_load, folder, loaded), where, problem))
             portable.setdefault(name, {})[own_name] = {
                 key: loaded.get(text, text) if isinstance(text, str) else text for key, text in table.items()
             }
@@ -63,7 +63,7 @@ def _named(
     load: Callable[[str], Function],
     where: tuple[str, ...],
     problem: Problem,
-) -> Named | None:
+) -> Named:
     assert parameter.define is not None, "asked for before"
     try:
         value, identity = parameter.define(table, load)
@@ -73,7 +73,7 @@ def _named(
             problem((*where, key) if key else where, sentence)
     except Exception as error:  # whatever a user's experiment raises
         problem(where, f"the experiment cannot make anything of it: {type(error).__name__}: {error}")
-    return None
+    return Named(name, name, None)  # so that its name is known where it is used
 
 
 def _load(folder: Path, loaded: dict[str, str], reference: str) -> Function:
