@@ -15,15 +15,15 @@ from sweep.studies.reader import study_from_dict
 from tests.sweep.deadly import FATES
 
 DEADLY = str(Path(__file__).parent / "deadly.py") + ":experiment"
-LIMITS = ("--time-limit", "2", "--memory-limit", "400MB")
+LIMITS = ("--time-limit", "4", "--memory-limit", "400MB")
 
 SAID = {
     3: "ended its process with SIGSEGV",
     5: "ended its process with exit code 3",
     7: "needs more than the memory limit of 0.4 GB",
-    11: "a block took longer than the time limit of 2 s",
-    13: "a block took longer than the time limit of 2 s",
-    15: "a block took longer than the time limit of 2 s",
+    11: "a block took longer than the time limit of 4 s",
+    13: "a block took longer than the time limit of 4 s",
+    15: "a block took longer than the time limit of 4 s",
     17: "ValueError: no such coin",
 }
 
