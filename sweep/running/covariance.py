@@ -1,5 +1,6 @@
 """How the errors of points that share random numbers go together, from the scatter of their blocks."""
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -74,7 +75,14 @@ def _covariance(plan: Plan, samples: Array, output: Output, dimension: str) -> V
     centred = shaped - shaped.mean(axis=-1, keepdims=True)
     covariance = centred @ np.swapaxes(centred, -1, -2) / (count * (count - along - 2))
     attributes = {
-        "units": f"({output.unit})**2" if output.unit else "",
+        "units": squared(output.unit),
         "long_name": f"covariance of {output.meaning} between points along {dimension}, from {count} blocks",
     }
     return (*(d for d in dimensions if d != dimension), dimension, f"{dimension}_other"), covariance, attributes
+
+
+def squared(unit: str) -> str:
+    """Return the square of a unit in the same notation: ``mas2 / yr2`` of ``mas / yr`` (no reader of units knows the
+    power of a bracket with a solidus in it).
+    """
+    return re.sub(r"([A-Za-z]+)(?:\*\*|\^)?(-?\d+)?", lambda part: f"{part[1]}{2 * int(part[2] or 1)}", unit)

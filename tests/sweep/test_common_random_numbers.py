@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from astropy import units as u
 
 from sweep.contract import Experiment, Output, Parameter, SweepError
 from sweep.planning.grid import make_grid
+from sweep.running.covariance import squared
 from sweep.running.run import Resources, run_study
 from sweep.studies.reader import study_from_dict
 
@@ -138,3 +140,8 @@ def test_too_few_blocks_give_no_covariance(tmp_path):
     dataset = run({"mixing": MIXING}, tmp_path / "s.zarr", n_cat=5)
     assert "mean_mc_covariance_mixing" not in dataset
     assert dataset.attrs["common_random_numbers"] == 1
+
+
+@pytest.mark.parametrize("unit", ["mas / yr", "mas yr-1", "mas", "km2 / s", "m**2 s^-2", ""])
+def test_the_unit_of_a_covariance_is_the_square_as_astropy_reads_it(unit):
+    assert u.Unit(squared(unit)) == u.Unit(unit) ** 2
