@@ -102,7 +102,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
         ),
     ]
     durable = []
-    for peer, (_, kept) in PEERS.items():
+    for peer, (_, kept) in PEERS.items() if peers else ():
         note = missing.get(peer, "" if kept else "nothing kept")
         report.append(Measured(peer, theirs.get(peer, []), "points/s", note=note))
         if kept and peer in theirs:
