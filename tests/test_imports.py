@@ -47,7 +47,7 @@ HOUSE = {
         *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
     ],
     "sweep.cli": [
-        *("group", "options", "output", "stopping", "watching", "running", "again"),
+        *("group", "completing", "options", "output", "stopping", "watching", "running", "again"),
         *("reading", "analysis", "drawing", "paper", "report", "scaling", "about", "match"),
     ],
 }

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sweep.cli import completing
+
 if TYPE_CHECKING:
     from sweep.running.run import Resources
     from sweep.stores.location import Location
@@ -20,7 +22,7 @@ RESOURCES = (
 )
 MEMORY_AT_LEAST = 200 * 10**6
 
-study_argument = click.argument("study")
+study_argument = click.argument("study", shell_complete=completing.studies)
 place_option = click.option(
     "--at", multiple=True, metavar="AXIS=VALUE", help="Only this part of the grid, e.g. model=gaia,v_max=16."
 )
@@ -33,19 +35,23 @@ break_lock_option = click.option(
 )
 
 
-def _located(_context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
-    """Turn what names a store, or several, into places."""
+def _located(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+    """Turn what names a store, or several, into places; nothing while a shell completes."""
+    if value is None or context.resilient_parsing:
+        return None
     from sweep.stores.location import located
 
     if value == "" or (isinstance(value, tuple) and "" in value):
         raise click.BadParameter("is empty; give the path of a store, or s3://BUCKET/NAME")
     if isinstance(value, tuple):
         return tuple(map(located, value))
-    return None if value is None else located(value)
+    return located(value)
 
 
-store_argument = click.argument("store", callback=_located)
-stores_argument = click.argument("stores", nargs=-1, metavar="STORE...", callback=_located)
+store_argument = click.argument("store", callback=_located, shell_complete=completing.stores)
+stores_argument = click.argument(
+    "stores", nargs=-1, metavar="STORE...", callback=_located, shell_complete=completing.stores
+)
 
 
 def study_options(command: Command) -> Command:
@@ -56,6 +62,7 @@ def study_options(command: Command) -> Command:
             "settings",
             multiple=True,
             metavar="KEY=VALUE",
+            shell_complete=completing.settings,
             help="Override a value of the study, e.g. n_sim=500 or weighting=equal.",
         ),
         click.option(
@@ -63,6 +70,7 @@ def study_options(command: Command) -> Command:
             "axes",
             multiple=True,
             metavar="NAME=SPEC",
+            shell_complete=completing.axes,
             help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
         ),
         click.option(
