@@ -68,6 +68,13 @@ def test_the_commands_of_the_analysis_run(tmp_path, sweep):
     }
 
 
+def test_the_commands_of_the_report_run(tmp_path, sweep):
+    for command in commands("report.md"):
+        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
+        assert status == 0, f"{command}: {err}"
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"quasars-report.html", "both.html"}
+
+
 def test_links_between_documents_lead_somewhere():
     for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):

@@ -2,12 +2,14 @@
 
 import io
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
+from matplotlib.artist import Artist
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -58,11 +60,13 @@ def _varies(array: xr.DataArray) -> bool:
 
 
 def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str) -> Picture:
-    with settings(), mpl.rc_context({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"}):
+    own = {"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"}
+    with settings(), mpl.rc_context(own), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
         try:
             figure = draw_figure(dataset, variables=variables)
-            if figure.get_figwidth() <= ONE_PANEL:
-                width, height = figure.get_size_inches()
+            width, height = figure.get_size_inches().tolist()
+            if width <= ONE_PANEL:
                 figure.set_size_inches(SHRINK * width, SHRINK * height)
             return Picture(name, _svg(figure), POINTS_PER_INCH * figure.get_figwidth())
         except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
@@ -71,12 +75,8 @@ def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str
 
 def _svg(figure: Figure) -> str:
     """Return the ``svg`` element of a figure: nothing in it reaches out of it."""
-    for line in figure.findobj(lambda artist: isinstance(artist, Line2D) and np.size(artist.get_xdata()) > MOST_MARKS):
-        line.set_rasterized(True)
-    for cloud in figure.findobj(
-        lambda artist: isinstance(artist, PathCollection) and np.shape(artist.get_offsets())[0] > MOST_MARKS
-    ):
-        cloud.set_rasterized(True)
+    for artist in figure.findobj(_is_cloud):
+        artist.set_rasterized(True)
     out = io.StringIO()
     figure.savefig(out, format="svg", dpi=200, transparent=True, metadata={"Date": None, "Creator": None})
     whole = out.getvalue()
@@ -88,6 +88,12 @@ def _svg(figure: Figure) -> str:
     svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
     svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
     return _STYLE.sub(lambda style: _COLOUR.sub(_themed, style[0]), svg)
+
+
+def _is_cloud(artist: Artist) -> bool:
+    if isinstance(artist, Line2D):
+        return np.size(artist.get_xdata()) > MOST_MARKS
+    return isinstance(artist, PathCollection) and np.size(artist.get_offsets()) > 2 * MOST_MARKS
 
 
 def _themed(colour: re.Match[str]) -> str:

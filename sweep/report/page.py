@@ -85,7 +85,7 @@ def check_output(path: Path) -> None:
 
 
 def write_report(page: str, path: Path) -> None:
-    """Write a page to a new file or over an earlier report, whole or not at all; raises as `check_output`."""
+    """Write a page, whole or not at all, to a new file or over an earlier report; raises SweepError if it cannot."""
     check_output(path)
     partial = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
@@ -110,7 +110,10 @@ def _file(name: str) -> str:
 
 
 def _policy(scripts: Sequence[str]) -> str:
-    """Return the policy that a browser enforces: these scripts and no others, no network, styles of this page only."""
+    """Return the policy that a browser enforces: these scripts and no others, no network, styles of this page only.
+
+    BokehJS and the pictures need inline styles; the icons of BokehJS, and clouds of points, are images in the page.
+    """
     digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
     allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
     rest = "style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"

@@ -107,9 +107,14 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         failures=failures,
         failures_not_named=failed(dataset) - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},
-        study=str(attributes.get("study", "")) or json.dumps(json.loads(attributes["study_document"]), indent=1),
+        study=str(attributes.get("study", "")) or _document(attributes),
         version=str(versions.get("linksweep", "unknown")),
     )
+
+
+def _document(attributes: Mapping[Any, Any]) -> str:
+    """Return the study of a run from Python, which has no file."""
+    return json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1)
 
 
 def _results(columns: list[Column]) -> Table:

@@ -22,6 +22,13 @@
     return `#${parts.map((part) => Math.round(part).toString(16).padStart(2, "0")).join("")}`;
   };
 
+  // BokehJS keeps every document that it has shown.
+  const forget = (view) => {
+    const shownIn = view.model.document;
+    shownIn.views_manager.clear();
+    Bokeh.documents.splice(Bokeh.documents.indexOf(shownIn), 1);
+  };
+
   const isWide = (values) => {
     const finite = values.filter(Number.isFinite);
     return finite.length > 1 && Math.min(...finite) > 0 && Math.max(...finite) > WIDE * Math.min(...finite);
@@ -189,9 +196,12 @@
       }
       const target = document.createElement("div");
       const view = await Bokeh.Plotting.show(figure, target);
-      if (turn !== this.turn) return; // a later choice was drawn meanwhile
+      if (turn !== this.turn) { // a later choice was drawn meanwhile
+        forget(view);
+        return;
+      }
       this.element.querySelector(".plot").replaceChildren(target);
-      if (this.view) this.view.model.document.clear();
+      if (this.view) forget(this.view);
       this.view = view;
       this.note(flat, total, drawn, logY);
       this.element.dataset.drawn = this.isDark() ? "dark" : "light";
