@@ -5,6 +5,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -60,7 +61,7 @@ def _varies(array: xr.DataArray) -> bool:
 
 
 def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str) -> Picture:
-    own = {"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"}
+    own: dict[Any, Any] = {"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"}
     with settings(), mpl.rc_context(own), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
         try:

@@ -1,4 +1,3 @@
-# ruff: noqa: E501 (lines of JavaScript)
 """The page in a real browser: nothing fetched, nothing complained of, controls that change the plot, hostile texts."""
 
 import json
