@@ -176,7 +176,7 @@ class OnClient:
         if future.status == "cancelled":
             raise self._gone()
         try:
-            answer: Answer = future.result()
+            answer = self._fetch(future)
         except KilledWorker as error:
             return None, f"its worker died {MAX_LOSSES} times: {error}"
         except SweepError:
@@ -193,6 +193,19 @@ class OnClient:
         if answer.result is None:
             raise SweepError([f"{answer.worker}: {text}" for text in answer.deciding], "a worker that differs")
         return answer.result, ""
+
+    def _fetch(self, future: Future[Any]) -> Answer:
+        """Wait for a result, and look after the workers meanwhile: the one that had it may have died since, and then it
+        is computed again, which without workers would take for ever.
+        """
+        while True:
+            try:
+                answer: Answer = future.result(timeout=LOOK_EVERY_S)
+                return answer
+            except TimeoutError:
+                if future.status == "error":
+                    raise
+                self._look()
 
     def _warn(self, worker: str, texts: list[str]) -> None:
         for text in texts:

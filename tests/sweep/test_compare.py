@@ -603,7 +603,7 @@ def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_stud
     assert [s.name for s in unfinished(studies, results)] == ["study"]
     run_study(studies[0], store_of(studies[0], results), SERIAL)
     assert unfinished(studies, results) == []
-    overridden = load_study(str(coin_study), axes=["coins=1,5"])
+    overridden = load_study(str(coin_study), axes=["coins=1,5,20,30"])
     run_study(overridden, store_of(overridden, results), SERIAL)
     assert len(unfinished(studies, results)) == 1  # complete, but not what the study asks for
     coin_study.write_text(coin_study.read_text().replace('"0.5"', '"0.4"'))
