@@ -1,11 +1,16 @@
 """Studies that the platform's tests share, and `sweep` as a real process."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(_number) is signal.SIG_IGN:  # as under nohup, and the processes of the tests would inherit it
+        signal.signal(_number, _handler)
 
 COINS = str(Path(__file__).parent / "sweep" / "coins.py") + ":experiment"
 
