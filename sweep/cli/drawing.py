@@ -43,13 +43,14 @@ def plot(
     sweep plot results/grid.zarr --kind map --over n_obj --over v_max --at model=gaia
     sweep plot results/quasars.zarr --kind sky --at model=gaia,v_max=16
     sweep plot --kind accuracy --model amex --model gaia
+    sweep plot mission.toml --kind accuracy
     """
     try:
         from sweep.plots import style
     except ImportError as error:
         raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
 
-    if (source is None) != (kind == "accuracy"):
+    if source is None and kind != "accuracy":
         raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
     if models and kind != "accuracy":
         raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=...")
@@ -74,10 +75,11 @@ def _figure(
     from sweep.plots.other import accuracy_figure, sky_figure
     from sweep.stores.location import located
 
-    if source is None:
-        from sweep.plots.views import accuracy_curves
+    if kind == "accuracy":
+        from sweep.plots.views import accuracy_curves, models_of
 
-        return accuracy_figure(accuracy_curves(models))
+        return accuracy_figure(accuracy_curves(models if source is None else models_of(_study(source), models)))
+    assert source is not None, "asked for before"
     if kind == "sky":
         from sweep.plots.views import catalogue_of_point, catalogue_of_table
 
@@ -88,3 +90,12 @@ def _figure(
     dataset = part_of(store, at)
     with naming(store):
         return draw_figure(dataset, kind, variables, over)
+
+
+def _study(source: str) -> Any:
+    """Return the study of a store, or in a file."""
+    from sweep.running.revisit import study_of
+    from sweep.stores.location import located
+    from sweep.studies.reader import load_study
+
+    return load_study(source) if source.endswith(".toml") else study_of(located(source))

@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 
 from core.calibration import IN_CODE, Model, all_skies, fit
 from core.constants import DEGREE
+from core.function_curve import CurveError
 from core.missions import MISSIONS, MissionUnavailableError
-from core.scenario import scenario
-from sweep.contract import SweepError, shown, suggest
+from core.missions import accuracy_curves as mission_curves
+from core.scenario import mission_of, scenario
+from sweep.contract import Named, SweepError, shown, suggest
 from sweep.paper.calibrate import published_numbers
 from sweep.planning.grid import Grid
 from sweep.planning.plan import generators
 from sweep.running.revisit import place_of, study_of
 from sweep.stores.location import Where
+from sweep.studies.study import Study
 from sweep.tablefile import table_file
 
 Array = NDArray[np.float64]
@@ -28,27 +31,28 @@ CALIBRATION_CATALOGUES = 50
 """Catalogues for the errors of the calibrated curves: a quarter of what `sweep calibrate` takes, for errors to 10 %."""
 
 
-def accuracy_curves(models: Sequence[str] = ()) -> xr.Dataset:
+def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
     """Return sigma_pm (mas/yr) and sigma_pos (mas) of one object, dimensions (model, v), of missions at nominal length.
 
-    ``models`` are all whose packages are installed if there are none.  Beyond a mission's faint limit there is NaN.
-    The curves that were calibrated with the paper's tables have a _error from that fit, one sigma; others NaN.
-    Raises SweepError for an unknown model, or one whose package is missing.
+    ``models`` are all built-in ones whose packages are installed if there are none.  Beyond a mission's faint limit
+    there is NaN.  The curves that were calibrated with the paper's tables have a _error from that fit, one sigma;
+    others NaN.
+    Raises SweepError for an unknown model, one whose package is missing, or a function that has no value somewhere.
     """
     v = np.round(np.arange(BRIGHTEST_MAG, FAINTEST_MAG + 0.5 * STEP_MAG, STEP_MAG), 6)
     rows: dict[str, tuple[Array, Array, Array]] = {}
-    for name in models or MISSIONS:
-        if name not in MISSIONS:
+    for model in models or MISSIONS:
+        name = str(model)
+        if isinstance(model, str) and name not in MISSIONS:
             raise SweepError(f"no model {shown(name)}{suggest(name, list(MISSIONS))}")
-        mission = MISSIONS[name]
         try:
-            curves = mission.sigma_pm_mas_yr(v), mission.sigma_pos_mas(v)
-        except MissionUnavailableError as error:
+            curves = mission_curves({name: mission_of(model)}, v)
+        except (MissionUnavailableError, CurveError) as error:
             if models:
                 raise SweepError(str(error)) from error
             continue
-        seen = np.where(v <= mission.faint_limit_mag, 1.0, np.nan)
-        rows[name] = (seen * curves[0], seen * curves[1], _relative_error(name, v))
+        relative = _relative_error(name, v) if isinstance(model, str) else np.full(v.shape, np.nan)
+        rows[name] = (curves.sigma_pm_mas_yr[0], curves.sigma_pos_mas[0], relative)
     pm, pos, relative = (np.array(part) for part in zip(*rows.values(), strict=True))
     meanings = {
         "sigma_pm": (pm, "mas / yr", r"$\sigma_\mu$", "error of a proper motion, per coordinate"),
@@ -65,6 +69,21 @@ def accuracy_curves(models: Sequence[str] = ()) -> xr.Dataset:
         {"model": np.array(list(rows), dtype=object), "v": ("v", v, magnitude)},
         {"title": "Accuracy of one object in each mission"},
     )
+
+
+def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
+    """Return the missions of a study of the link, or those ``chosen`` of them.
+
+    Raises SweepError for another experiment, or a mission that the study does not have.
+    """
+    if study.experiment.name != "link":
+        raise SweepError(f"only the link has missions; this is the experiment {study.experiment.name}", study.source)
+    whole = study.experiment.defaults() | dict(study.fixed)
+    models = list(study.axes.get("model", (whole["model"],)))
+    known = [str(model) for model in models]
+    if unknown := [name for name in chosen if name not in known]:
+        raise SweepError(f"{shown(unknown[0])} is no mission of this study{suggest(unknown[0], known)}", study.source)
+    return [model for model in models if not chosen or str(model) in chosen]
 
 
 def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:

@@ -23,9 +23,9 @@ from sweep.plots.other import accuracy_figure, sky_figure
 from sweep.plots.scaling import draw_efficiency, draw_speed_up
 from sweep.plots.scatter import draw_scatter
 from sweep.plots.sky import add_sky, draw_sky
-from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table
+from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table, models_of
 from sweep.running.run import Resources, run_study
-from sweep.studies.reader import study_from_dict
+from sweep.studies.reader import load_study, study_from_dict
 
 
 @pytest.fixture(autouse=True)
@@ -367,6 +367,45 @@ def test_accuracy_curves_are_those_of_the_missions():
         accuracy_curves(["amax"])
 
 
+MISSION = """
+title = "A mission of our own"
+[axes]
+model = ["gaia-2001", "mine", "broken"]
+v_max = [16.0]
+[define.model.mine]
+nominal_length = 4.0
+sigma_pm = [[9.0, 0.1], [17.0, 3.2]]
+position_ratio = 0.5
+[define.model.broken]
+nominal_length = 4.0
+sigma_pm = "curves.py:broken"
+position_ratio = 0.5
+[fixed]
+n_obj = 20
+"""
+
+
+def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "curves.py").write_text("def broken(v):\n    return v - 12.0\n")
+    (tmp_path / "mine.toml").write_text(MISSION)
+    study = load_study("mine.toml")
+    dataset = accuracy_curves(models_of(study, ["mine", "gaia-2001"]))
+    assert dataset["model"].values.tolist() == ["gaia-2001", "mine"]
+    np.testing.assert_allclose(dataset["sigma_pm"].sel(model="mine", v=[9.0, 13.0]), [0.1, 0.32**0.5], rtol=1e-12)
+    np.testing.assert_allclose(dataset["sigma_pos"].sel(model="mine", v=[9.0]), [0.05], rtol=1e-12)
+    assert np.isnan(dataset["sigma_pm"].sel(model="mine", v=17.1))
+    with pytest.raises(SweepError, match="'gaia' is no mission of this study"):
+        models_of(study, ["gaia"])
+    done = invoke("mine.toml", "--kind", "accuracy", "--out", "a.png")
+    assert (done.exit_code, "the function 'broken' returns -3 at V = 9 mag" in done.stderr) == (2, True)
+    assert invoke("mine.toml", "--kind", "accuracy", "--model", "mine", "--out", "a.png").exit_code == 0
+    (tmp_path / "mine.toml").write_text(MISSION.replace(', "broken"', ""))
+    run_study(load_study("mine.toml"), "mine.zarr", Resources(pool="serial"))
+    assert invoke("mine.zarr", "--kind", "accuracy", "--out", "b.png").exit_code == 0
+    assert (tmp_path / "b.png").stat().st_size > 10_000
+
+
 # Style
 
 
@@ -458,12 +497,13 @@ def test_plot_without_options_draws_what_suits(store_of, tmp_path, monkeypatch):
         (["STORE", "--out", "coins.bmp"], "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
         (["STORE", "--out", "nowhere/coins.png"], "cannot draw there: No such file or directory"),
         (["STORE", "--kind", "sky"], "only the link has a sky; this is the experiment coins"),
-        (["STORE", "--kind", "accuracy"], "only --kind accuracy is drawn without one"),
+        (["STORE", "--kind", "accuracy"], "only the link has missions; this is the experiment coins"),
         (["STORE", "--model", "gaia"], "--model goes with --kind accuracy"),
         (["STORE", "--kind", "sky", "--over", "coins"], "--variable and --over do not go with --kind sky"),
         ([], "name the store to draw"),
         (["nothing.zarr"], "no store there"),
         (["--kind", "accuracy", "--model", "hipparcos"], "no model 'hipparcos'"),
+        (["none.toml", "--kind", "accuracy"], "no study 'none.toml'"),
     ],
 )
 def test_bad_combinations_are_one_message(coin_store, tmp_path, monkeypatch, arguments, message):
