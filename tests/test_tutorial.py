@@ -50,7 +50,8 @@ def test_the_numbers_are_what_the_text_says(folder):
     path, printed = folder
     exponents = [float(x) for x in re.findall(r"-0\.\d+", printed[-1])]
     assert len(exponents) == 2, printed
-    assert exponents == pytest.approx([-0.5, -0.5], abs=0.05)
+    assert exponents[1] == pytest.approx(-0.5, abs=0.05)
+    assert -0.8 < exponents[0] < -0.52
     mission = xr.open_zarr(path / "results" / "mission.zarr")["sigma_spin"].load()
     ratio = mission.sel(model="half") / mission.sel(model="gaia")
     assert ratio.values == pytest.approx(0.5, rel=0.1)
