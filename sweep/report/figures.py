@@ -5,7 +5,6 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -61,8 +60,8 @@ def _varies(array: xr.DataArray) -> bool:
 
 
 def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str) -> Picture:
-    own: dict[Any, Any] = {"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"}
-    with settings(), mpl.rc_context(own), warnings.catch_warnings():
+    with settings(), warnings.catch_warnings():
+        mpl.rcParams.update({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"})
         warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
         try:
             figure = draw_figure(dataset, variables=variables)
