@@ -46,9 +46,10 @@ def slope(x, y):
 
 
 def test_radio_stars_give_table_2(results):
-    ours = results("radio-stars")["sigma_spin"].transpose("n_obj", "reference_error_scale").values
-    off = np.abs(ours - TABLE_2[:, 1:])
-    assert np.all((off < 0.06 * TABLE_2[:, 1:]) | (off < 0.0015))
+    dataset = results("radio-stars").transpose("n_obj", "reference_error_scale", ...)
+    off = np.abs(dataset["sigma_spin"].values - TABLE_2[:, 1:])
+    ours = 3.0 * dataset["sigma_spin_catalogue_error"].values  # 1200 catalogues that differ by a quarter
+    assert np.all((off < 0.06 * TABLE_2[:, 1:] + ours) | (off < 0.0015))
 
 
 def test_ten_radio_stars_are_worse_than_one_over_root_n(results):
