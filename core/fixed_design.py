@@ -1,10 +1,10 @@
 """The link while its design matrix is that of the true reference: matrix products of unit normals.
 
-With the design a (4N, K) and the misclosure in units of the weighing sigma, and standardised errors z of the satellite
-(reference - satellite: the sign is minus), the error of the estimate is b - g^T z with the gain g (4N, K) and the bias
-b = g^T misclosure, and the residuals are r - z + a g^T z with r = misclosure - a b.  Hence chi2 follows from a^T z,
-g^T z, r^T z and z^T z, so the objects are met only in products with the columns [a, r], or [a, g, r] for equal weights
-(for inverse-variance ones g = a (a^T a)^-1).
+With the design a (4N, K) and the misclosure m in units of the weighing sigma, and standardised errors z of the
+satellite (reference - satellite: the sign is minus), the error of the estimate is b - g^T z with the gain g (4N, K) and
+the bias b = g^T m, and the residuals are r - z + a g^T z with r = m - a b.  So chi2 follows from a^T z, g^T z, m^T z
+and z^T z, and g^T z from a^T z, or for equal weights from (sigma^2 a)^T z: the objects are met only in products with
+the columns [a, m] or [a, sigma^2 a, m], which nested catalogues with the same errors have in common.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from core.link import design_matrix, normal_inverse, require_off_poles
 from core.noise import Tile
-from core.setup import Setup, parts
+from core.prefixes import Prefixes, parts
+from core.setup import Setup
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,7 @@ class FixedDesign:
     bias: Array  # (K,)
     design_residual: Array  # a^T r, (K,): zero for inverse-variance weights
     residual_squares: float
+    gain_squares: Array  # the variance of g^T z, (K,)
 
     def begin(self, rows: int) -> "FixedSums":
         """Return empty sums of ``rows`` realisations."""
@@ -40,28 +42,33 @@ class FixedDesign:
         sides = self.setup.reference, self.setup.satellite
         if not any(sides):
             return np.zeros(len(self.bias))
-        unknowns = len(self.bias)
-        if any(side.factor is not None for side in sides):
-            gain = self.columns[..., :unknowns] @ self.inverse if self.optimal else self.columns[..., unknowns:-1]
-            gain = gain / self.setup.sigma[..., None]
-            return np.asarray(sum(side.variance_through(gain) for side in sides))
-        if self.optimal:
-            return np.diag(self.inverse)
-        flat = self.columns[..., unknowns:-1].reshape(-1, unknowns)
-        return np.asarray(np.einsum("ik,ik->k", flat, flat))
+        if all(side.factor is None for side in sides):
+            return self.gain_squares
+        gain = self.columns[..., self.solving] @ self.inverse / self.setup.sigma[..., None]
+        return np.asarray(sum(side.variance_through(gain) for side in sides))
 
     @property
     def optimal(self) -> bool:
         """Whether the weights are those of the errors, so that the gain follows from the design."""
         return self.setup.scenario.weighting == "inverse-variance"
 
+    @property
+    def solving(self) -> slice:
+        """Which columns make the gain when multiplied by the inverse."""
+        unknowns = len(self.bias)
+        return slice(0, unknowns) if self.optimal else slice(unknowns, 2 * unknowns)
+
+    def residual(self, part: slice) -> Array:
+        """Return r of some objects; shape (n, 4)."""
+        return np.asarray(self.columns[part, :, -1] - self.columns[part, :, : len(self.bias)] @ self.bias)
+
     def solved(self, products: Array, squares: float) -> tuple[Array, float]:
         """Return estimate - truth (K, rows) and the sum of chi2 from ``products`` = columns^T z (C, rows) and the sum
         of z^2.
         """
-        unknowns = len(self.bias)
-        a_z, r_z = products[:unknowns], products[-1]
-        g_z = self.inverse @ a_z if self.optimal else products[unknowns:-1]
+        a_z = products[: len(self.bias)]
+        g_z = self.inverse @ products[self.solving]
+        r_z = products[-1] - self.bias @ a_z
         chi2 = products.shape[1] * self.residual_squares + squares - 2.0 * np.sum(r_z)
         chi2 += np.sum(g_z * (self.normal @ g_z - 2.0 * a_z + 2.0 * self.design_residual[:, None]))
         return self.bias[:, None] - g_z, float(chi2)
@@ -77,67 +84,68 @@ class FixedSums:
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
         """Add the objects of a tile; the reference has no errors here."""
-        setup, columns = self.design.setup, self.design.columns
-        if satellite is None or satellite.start >= len(columns) or not setup.satellite:
+        noise, columns = self.design.setup.satellite, self.design.columns
+        if satellite is None or satellite.start >= len(columns) or not noise:
             return
-        noise = setup.satellite.standardised(satellite.of(len(columns)), satellite.start)
-        part = columns[satellite.start : satellite.start + len(noise)]
-        self.products += part.reshape(-1, columns.shape[2]).T @ noise.reshape(-1, noise.shape[2])
-        correlated = setup.satellite.factor is not None
-        self.squares += float(np.vdot(noise, noise)) if correlated else satellite.squares(len(columns))
+        part = columns[satellite.start : satellite.start + len(satellite.normals)]
+        if noise.factor is None:
+            self.products += satellite.product(part)
+            self.squares += satellite.squares(len(columns))
+        else:
+            errors = noise.standardised(satellite.of(len(columns)), satellite.start)
+            self.products += part.reshape(-1, columns.shape[2]).T @ errors.reshape(-1, errors.shape[2])
+            self.squares += float(np.vdot(errors, errors))
 
     def solved(self) -> tuple[Array, float]:
         """Return estimate - truth of each realisation, (K, rows), and the sum of chi2."""
         return self.design.solved(self.products, self.squares)
 
 
-def fixed_design(setup: Setup) -> FixedDesign:
+def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
     """Return the design at the true reference; raises LinkError where the catalogue does not determine the link."""
     unknowns = len(setup.truth)
     optimal = setup.scenario.weighting == "inverse-variance"
-    columns = _whitened(setup, 1 if optimal else 2)
-    flat = columns.reshape(-1, columns.shape[2])
-    a, misclosure = flat[:, :unknowns], flat[:, -1]
-    normal = a.T @ a
-    if optimal:
-        inverse = normal_inverse(normal)
-        bias = inverse @ (a.T @ misclosure)
-    else:  # the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
-        gain = flat[:, unknowns:-1]
-        inverse = normal_inverse(a.T @ gain)
-        gain @= inverse
-        bias = gain.T @ misclosure
-    misclosure -= a @ bias
+    columns = _columns(setup, 1 if optimal else 2, shared)
+    products = shared.products(columns)
+    design, solving = slice(0, unknowns), slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
+    normal, design_misclosure = products[design, design], products[design, -1]
+    # of equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
+    inverse = normal_inverse(products[design, solving])
+    bias = inverse @ products[solving, -1]
+    design_residual = design_misclosure - normal @ bias
     return FixedDesign(
         setup=setup,
         columns=columns,
         normal=normal,
         inverse=inverse,
         bias=bias,
-        design_residual=np.zeros(unknowns) if optimal else a.T @ misclosure,
-        residual_squares=float(misclosure @ misclosure),
+        design_residual=np.zeros(unknowns) if optimal else design_residual,
+        residual_squares=max(0.0, float(products[-1, -1] - bias @ (design_misclosure + design_residual))),
+        gain_squares=np.einsum("ki,ij,jk->k", inverse, products[solving, solving], inverse),
     )
 
 
-def _whitened(setup: Setup, copies: int) -> Array:
-    """Return the columns [a, misclosure], or with two ``copies`` [a, sigma^2 a, misclosure]; shape (N, 4, C)."""
-    catalogue, scenario, unknowns = setup.catalogue, setup.scenario, len(setup.truth)
-    require_off_poles(catalogue.dec, np.cos(catalogue.dec))
-    columns = np.empty((len(catalogue), 4, copies * unknowns + 1))
-    for part in parts(len(catalogue)):
-        design = design_matrix(
-            catalogue.ra[part],
-            catalogue.dec[part],
-            catalogue.pmra[part],
-            catalogue.pmdec[part],
-            corrections=scenario.corrections,
-            glide=scenario.solve_glide,
-        )
-        sigma = setup.sigma[part, :, None]
-        columns[part, :, :unknowns] = np.moveaxis(design, 0, 1)
-        columns[part, :, -1] = setup.differences[part] - (design @ setup.truth).T
-        if copies == 2:
-            np.multiply(columns[part, :, :unknowns], sigma, out=columns[part, :, unknowns:-1])
-        columns[part, :, :unknowns] /= sigma
-        columns[part, :, -1:] /= sigma
-    return columns
+def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
+    """Return the columns [a, m], or with two ``copies`` [a, sigma^2 a, m]; shape (N, 4, C)."""
+    catalogue, scenario, truth = setup.catalogue, setup.scenario, setup.truth
+    unknowns = len(truth)
+
+    def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array, sigma: Array) -> Array:
+        require_off_poles(dec, np.cos(dec))
+        columns = np.empty((len(ra), 4, copies * unknowns + 1))
+        for part in parts(len(ra)):
+            objects = ra[part], dec[part], pmra[part], pmdec[part]
+            design = design_matrix(*objects, corrections=scenario.corrections, glide=scenario.solve_glide)
+            design = np.moveaxis(design, 0, 1)
+            misclosure = differences[part].copy()
+            for k, value in enumerate(truth):  # one by one, since a matrix product may round a row by its place
+                misclosure -= design[..., k] * value
+            columns[part, :, :unknowns] = design / sigma[part, :, None]
+            if copies == 2:
+                columns[part, :, unknowns:-1] = design * sigma[part, :, None]
+            columns[part, :, -1] = misclosure / sigma[part]
+        return columns
+
+    settings = "columns", copies, scenario.corrections, scenario.solve_glide, truth.tobytes()
+    objects = catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec
+    return shared.once(settings, compute, *objects, setup.differences, setup.sigma)

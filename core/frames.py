@@ -48,6 +48,19 @@ def _cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
+def along(vector: Array, axes: Array) -> Array:
+    """Return the scalar products of one vector (3,) with many, (3, ...).
+
+    Unlike those of a matrix product, the bits of each depend neither on how many there are nor on where it stands.
+    """
+    return np.asarray(vector[0] * axes[0] + vector[1] * axes[1] + vector[2] * axes[2])
+
+
+def turned(matrix: Array, vectors: Array) -> Array:
+    """Return ``matrix @ vectors`` of shape (3, ...), each by itself as `along`."""
+    return np.array([along(row, vectors) for row in matrix])
+
+
 def rotation_minus_identity(epsilon: Array) -> Array:
     """Return R - I for R = exp([epsilon x]), without cancellation for small angles; shape (3, 3).
 
@@ -77,9 +90,9 @@ def satellite_catalogue(
     reference = triad(ra, dec)
     back = rotation_matrix(epsilon).T
     velocity = reference.p * pmra + reference.q * pmdec - _cross(omega, reference.r)
-    ra_sat, dec_sat = position(back @ reference.r)
+    ra_sat, dec_sat = position(turned(back, reference.r))
     satellite = triad(ra_sat, dec_sat)
-    v_sat = back @ velocity
+    v_sat = turned(back, velocity)
     return ra_sat, dec_sat, np.sum(satellite.p * v_sat, axis=0), np.sum(satellite.q * v_sat, axis=0)
 
 
@@ -102,7 +115,7 @@ def exact_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon:
     """
     p, q, r = triad(ra, dec)
     back_minus_identity = rotation_minus_identity(-epsilon)
-    step = back_minus_identity @ r  # r_sat - r_ref
+    step = turned(back_minus_identity, r)  # r_sat - r_ref
     rho = np.cos(dec)
     rho_sat = np.hypot(r[0] + step[0], r[1] + step[1])
     rho_step = (step[0] * (2.0 * r[0] + step[0]) + step[1] * (2.0 * r[1] + step[1])) / (rho + rho_sat)
@@ -117,7 +130,7 @@ def exact_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon:
     # v_ref.p_ref - v_sat.p_sat = -(v_sat - v_ref).p_sat - v_ref.(p_sat - p_ref), and the same for q
     velocity = p * pmra + q * pmdec
     spin = _cross(omega, r)
-    velocity_step = back_minus_identity @ (velocity - spin) - spin
+    velocity_step = turned(back_minus_identity, velocity - spin) - spin
     satellite = triad(ra + d_ra, dec + d_dec)
     one_minus_cos = 2.0 * np.sin(0.5 * d_ra) ** 2
     p_step = np.array([-p[1] * sin_ra - p[0] * one_minus_cos, p[0] * sin_ra - p[1] * one_minus_cos, 0.0 * sin_ra])

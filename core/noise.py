@@ -5,7 +5,7 @@ stream runs through the objects: 4 observables of object 0 in all realisations o
 object i gets depends neither on how many objects follow nor on what the other side or another point needs.
 """
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
+from core.prefixes import place
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,7 @@ class Tile:
     start: int
     normals: Array
     _squares: dict[int, float] = field(default_factory=dict)
+    _products: dict[Hashable, Array] = field(default_factory=dict)
 
     def of(self, n_obj: int) -> Array:
         """Return the part that belongs to a catalogue of ``n_obj`` objects."""
@@ -53,6 +55,16 @@ class Tile:
         if len(part) not in self._squares:
             self._squares[len(part)] = float(np.vdot(part, part))
         return self._squares[len(part)]
+
+    def product(self, columns: Array) -> Array:
+        """Return columns^T normals, (C, rows), of the columns (n, 4, C) of the tile's first n objects, computed once
+        for all points that have the same columns.
+        """
+        key = place(columns)
+        if key not in self._products:
+            flat = columns.reshape(-1, columns.shape[2])
+            self._products[key] = flat.T @ self.normals[: len(columns)].reshape(len(flat), -1)
+        return self._products[key]
 
 
 def tiles(rng: np.random.Generator, rows: int, n_obj: int) -> Iterator[Tile]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core.fixed_design import FixedDesign
 from core.link import LinkError
-from core.setup import parts
+from core.prefixes import parts
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:
     square_sec = np.cos(catalogue.dec[part]) ** -2.0
     reference, variance = np.square(setup.reference.sigma[part]).T, np.square(setup.sigma[part]).T
     weight = variance**-2.0 if design.optimal else np.ones_like(variance)  # squared
-    error = 3.0 * variance * (1.0 + np.square(design.columns[part, :, -1].T))
+    error = 3.0 * variance * (1.0 + np.square(design.residual(part).T))
     # E|D|^2: p and q turn with ra and dec by at most 1/cos dec, pmdec eta and pmra eta with the motions too
     turn = square_sec * (reference[0] + reference[1])
     eta = square_sec * np.square([catalogue.pmdec[part], catalogue.pmra[part]])

@@ -1,6 +1,7 @@
 """From a point's parameters to the physics of it: catalogue, errors, truth and solution."""
 
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +29,29 @@ FAINTEST_MAG = {"synthetic": 15.0, "quasars": float(V_MAX[-1]), "galaxies": GALA
 """Limiting magnitude where a study gives none; a file or the radio stars have none."""
 
 
+_OF_CATALOGUE = (
+    *("catalogue", "n_obj", "v_min", "v_max", "mean_pm", "pm_distribution", "zone_of_avoidance", "sky_contrast"),
+    *("counts", "positions", "file", "columns", "pmra_cos_dec"),
+)
+"""Parameters of a point that decide which catalogue is drawn."""
+
+
+@dataclass(frozen=True)
+class CatalogueDraw:
+    """How a catalogue is drawn: equal for points whose catalogues are, so that they need only be drawn once."""
+
+    asked: tuple[tuple[str, object], ...]
+
+    def __call__(self, rng: np.random.Generator) -> Catalogue:
+        """Draw one."""
+        return _draw_catalogue(dict(self.asked), rng)
+
+
 def scenario(point: Point) -> Scenario:
     """Return the physics of a point (its parameters by name, in the units of `PARAMETERS`)."""
     random = point["directions"] == "random"
     return Scenario(
-        draw_catalogue=partial(_draw_catalogue, point),
+        draw_catalogue=CatalogueDraw(tuple((name, point[name]) for name in _OF_CATALOGUE)),
         reference_errors=error_model(point, "reference"),
         satellite_errors=error_model(point, "satellite"),
         epsilon=TrueVector(_radians(point["epsilon"], point["epsilon_size"]), random),

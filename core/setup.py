@@ -9,17 +9,15 @@ from numpy.typing import NDArray
 
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
-from core.frames import exact_differences, stored_differences, triad
+from core.frames import along, exact_differences, stored_differences, triad
 from core.link import Weighting, combined_error
 from core.noise import Noise
+from core.prefixes import Prefixes, parts
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Arithmetic = Literal["exact", "stored"]
 Method = Literal["catalogue", "projected"]
-
-PART = 2048
-"""Objects that are prepared at a time, so that intermediate arrays stay in cache."""
 
 
 @dataclass(frozen=True)
@@ -72,39 +70,51 @@ class Setup:
     sigma: Array  # (N, 4), as the link weighs the differences
 
 
-def prepare(scenario: Scenario, catalogue_rng: np.random.Generator, direction_rng: np.random.Generator) -> Setup:
-    """Draw a catalogue and the truth (steps A and B) and the errors of its objects; raises LinkError where these
-    cannot be weighed.
-    """
-    catalogue = scenario.draw_catalogue(catalogue_rng)
-    epsilon, omega = scenario.epsilon.draw(direction_rng), scenario.omega.draw(direction_rng)
-    glide = np.array(scenario.aberration)
+@dataclass(frozen=True)
+class Draw:
+    """One catalogue and the true orientation (rad) and spin (rad/yr) that go with it: steps A and B."""
+
+    catalogue: Catalogue
+    epsilon: Array
+    omega: Array
+
+    @staticmethod
+    def of(scenario: Scenario, catalogue: Catalogue, direction_rng: np.random.Generator) -> "Draw":
+        """Draw the vectors that go with a catalogue."""
+        return Draw(catalogue, scenario.epsilon.draw(direction_rng), scenario.omega.draw(direction_rng))
+
+
+def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
+    """Return the errors and differences of the objects; raises LinkError where these cannot be weighed."""
+    catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
     reference = Noise.of(scenario.reference_errors, catalogue)
     satellite = Noise.of(scenario.satellite_errors, catalogue)
     return Setup(
         scenario=scenario,
         catalogue=catalogue,
-        truth=np.concatenate([epsilon, omega, -glide] if scenario.solve_glide else [epsilon, omega]),
-        differences=_differences(scenario, catalogue, epsilon, omega, glide),
+        truth=np.concatenate([drawn.epsilon, drawn.omega, *([-glide] if scenario.solve_glide else [])]),
+        differences=_differences(scenario, drawn, shared),
         reference=reference,
         satellite=satellite,
         sigma=np.ascontiguousarray(combined_error(reference.sigma.T, satellite.sigma.T).T),
     )
 
 
-def parts(n_obj: int) -> list[slice]:
-    """Return the slices of at most `PART` objects that make up a catalogue."""
-    return [slice(start, min(start + PART, n_obj)) for start in range(0, n_obj, PART)]
-
-
-def _differences(scenario: Scenario, catalogue: Catalogue, epsilon: Array, omega: Array, glide: Array) -> Array:
+def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
     subtract = exact_differences if scenario.arithmetic == "exact" else stored_differences
-    found = np.empty((len(catalogue), 4))
-    for part in parts(len(catalogue)):
-        ra, dec = catalogue.ra[part], catalogue.dec[part]
-        found[part] = subtract(ra, dec, catalogue.pmra[part], catalogue.pmdec[part], epsilon, omega).T
-        if np.any(glide):
-            p, q, _ = triad(ra, dec)
-            found[part, 2] -= glide @ p  # it is in the satellite's motions
-            found[part, 3] -= glide @ q
-    return found
+    catalogue, vectors = drawn.catalogue, np.array([drawn.epsilon, drawn.omega, scenario.aberration])
+    epsilon, omega, glide = vectors
+
+    def compute(*objects: Array) -> Array:
+        found = np.empty((len(objects[0]), 4))
+        for part in parts(len(found)):
+            ra, dec, pmra, pmdec = (column[part] for column in objects)
+            found[part] = subtract(ra, dec, pmra, pmdec, epsilon, omega).T
+            if np.any(glide):
+                p, q, _ = triad(ra, dec)
+                found[part, 2] -= along(glide, p)  # it is in the satellite's motions
+                found[part, 3] -= along(glide, q)
+        return found
+
+    settings = "differences", scenario.arithmetic, vectors.tobytes()
+    return shared.once(settings, compute, catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec)

@@ -1,18 +1,20 @@
 """Steps A-F of the simulation for a block of realisations, in bounded memory."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
+from core.catalogue import Catalogue
 from core.constants import MAS
 from core.fixed_design import FixedDesign, FixedSums, fixed_design
 from core.full_path import FullPath, FullSums
 from core.noise import chunks, tiles
+from core.prefixes import Prefixes
 from core.projected import Drawn, Projected
-from core.setup import Scenario, Setup, prepare
+from core.setup import Draw, Scenario, Setup, prepare
 
 Array = NDArray[np.float64]
 
@@ -50,7 +52,7 @@ def simulate(
     others are there.  Memory does not grow with ``n_sim`` but for estimates that are kept.  Raises LinkError where a
     catalogue does not determine the link.
     """
-    points = [_Point(setup, n_sim, keep_estimates) for setup in _setups(scenarios, catalogue_rng)]
+    points = _points(scenarios, n_sim, catalogue_rng, keep_estimates)
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for rows in chunks(n_sim):
         satellite_rng, reference_rng = rng.spawn(2)
@@ -68,8 +70,8 @@ def simulate(
 class _Point:
     """One scenario's way to estimates, and the sums over what came out."""
 
-    def __init__(self, setup: Setup, n_sim: int, keep_estimates: bool) -> None:
-        design = fixed_design(setup)
+    def __init__(self, setup: Setup, shared: Prefixes, n_sim: int, keep_estimates: bool) -> None:
+        design = fixed_design(setup, shared)
         unknowns = len(setup.truth)
         self.setup, self.n_sim = setup, n_sim
         self.predicted = design.predicted_variance() / MAS**2
@@ -126,12 +128,29 @@ def _path(design: FixedDesign) -> FixedDesign | FullPath | Projected:
     return FullPath(design.setup) if design.setup.reference else design
 
 
-def _setups(scenarios: Sequence[Scenario], catalogue_rng: np.random.Generator) -> Iterator[Setup]:
-    """Yield each scenario's setup, all from the same state: directions have a stream of their own, so that they are
+def _points(
+    scenarios: Sequence[Scenario], n_sim: int, catalogue_rng: np.random.Generator, keep_estimates: bool
+) -> list[_Point]:
+    """Return each scenario ready, the largest catalogue made so first, since the others may be the beginning of it."""
+    drawn, shared = _draws(scenarios, catalogue_rng), Prefixes()
+    points = {
+        k: _Point(prepare(scenarios[k], drawn[k], shared), shared, n_sim, keep_estimates)
+        for k in sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))
+    }
+    return [points[k] for k in range(len(drawn))]
+
+
+def _draws(scenarios: Sequence[Scenario], catalogue_rng: np.random.Generator) -> list[Draw]:
+    """Return what each scenario draws, all from the same state: directions have a stream of their own, so that they are
     the same for catalogues of any size.
     """
     objects, (directions,) = catalogue_rng.bit_generator.state, catalogue_rng.spawn(1)
     start = directions.bit_generator.state
+    drawn: list[Draw] = []
+    catalogues: dict[Callable[[np.random.Generator], Catalogue], Catalogue] = {}
     for scenario in scenarios:
         catalogue_rng.bit_generator.state, directions.bit_generator.state = objects, start
-        yield prepare(scenario, catalogue_rng, directions)
+        if scenario.draw_catalogue not in catalogues:
+            catalogues[scenario.draw_catalogue] = scenario.draw_catalogue(catalogue_rng)
+        drawn.append(Draw.of(scenario, catalogues[scenario.draw_catalogue], directions))
+    return drawn

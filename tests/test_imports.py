@@ -13,8 +13,8 @@ HOUSE = {
     "core": [
         *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),
         *("missions", "function_curve", "own_mission", "radio_stars", "catalogue", "quasars", "table_catalogue"),
-        *("errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "projected", "simulate"),
-        *("parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
+        *("prefixes", "errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "projected"),
+        *("simulate", "parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
     ],
     "sweep.studies": [
         *("definitions", "study", "source", "form", "problems", "axes", "claims", "published", "exclusions", "rules"),

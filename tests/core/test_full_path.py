@@ -14,7 +14,8 @@ from core.experiment import link, scenario
 from core.full_path import SMALL_ANGLE, FullPath
 from core.link import POLE_LIMIT, LinkError, design_matrix, solve
 from core.noise import Tile, tile_objects
-from core.setup import prepare
+from core.prefixes import Prefixes
+from core.setup import Draw, prepare
 
 ARCSEC = 1000.0 * MAS
 WELL_POSED = 1e3
@@ -49,7 +50,8 @@ def set_up(objects, reference_scale=1.0, satellite_scale=0.7, **changes):
         reference_errors=CatalogueErrors(reference_scale),
         satellite_errors=CatalogueErrors(satellite_scale),
     )
-    return prepare(physics, np.random.default_rng(1), np.random.default_rng(2))
+    draw = Draw.of(physics, objects, np.random.default_rng(2))
+    return prepare(physics, draw, Prefixes())
 
 
 def all_at_once(setup, normals):

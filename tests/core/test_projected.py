@@ -12,8 +12,9 @@ from core.errors import CatalogueErrors, NormalErrors
 from core.experiment import evaluate, link, scenario
 from core.fixed_design import fixed_design
 from core.link import LinkError, design_matrix, solve
+from core.prefixes import Prefixes
 from core.projected import Projected, neglected
-from core.setup import prepare
+from core.setup import Draw, prepare
 from core.simulate import simulate
 
 
@@ -27,7 +28,9 @@ def run(point, n_sim, seed=1, catalogue_seed=2):
 
 
 def set_up(point, seed=2):
-    return prepare(scenario(point), np.random.default_rng(seed), np.random.default_rng(3))
+    physics = scenario(point)
+    draw = Draw.of(physics, physics.draw_catalogue(np.random.default_rng(seed)), np.random.default_rng(3))
+    return prepare(physics, draw, Prefixes())
 
 
 @pytest.mark.parametrize(
@@ -127,7 +130,7 @@ def test_what_is_neglected_is_bounded(changes):
     arcsec = {"reference_errors": "normal", "reference_sigma_pos": 1000.0, "reference_sigma_pm": 500.0}
     arcsec |= {"satellite_errors": "normal", "satellite_sigma_pos": 700.0, "satellite_sigma_pm": 200.0}
     setup = set_up(point(**(arcsec | changes)))
-    design, n_sim, rng = fixed_design(setup), 200, np.random.default_rng(5)
+    design, n_sim, rng = fixed_design(setup, Prefixes()), 200, np.random.default_rng(5)
     sigma = np.sqrt(design.predicted_variance())
     whole, fixed = [], []
     for _ in range(n_sim):
@@ -164,7 +167,7 @@ def test_a_truth_far_beyond_the_errors_is_refused():
 
 
 def test_no_reference_error_neglects_nothing():
-    np.testing.assert_array_equal(neglected(fixed_design(set_up(point()))), 0.0)
+    np.testing.assert_array_equal(neglected(fixed_design(set_up(point()), Prefixes())), 0.0)
 
 
 def test_correlated_errors_are_refused():
@@ -184,7 +187,7 @@ def test_correlated_errors_are_refused():
 def test_the_triangle_has_the_products_of_the_columns():
     """R^T R = P^T P, however many objects there are: those of one more part than fit in one, and fewer than columns."""
     for n_obj in (2, 40, 5000):
-        design = fixed_design(set_up(point(n_obj=n_obj, weighting="equal")))
+        design = fixed_design(set_up(point(n_obj=n_obj, weighting="equal")), Prefixes())
         columns = design.columns.reshape(4 * n_obj, -1)
         products, triangle = columns.T @ columns, Projected(design).triangle
         scale = np.sqrt(np.diag(products))
