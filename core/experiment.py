@@ -141,7 +141,7 @@ def _catalogue_error(predicted: Array, squared: Array, n_cat: Array) -> Array:
 
 link = Experiment(
     name="link",
-    version=1,
+    version=2,
     parameters=PARAMETERS,
     sums=SUMS,
     outputs=OUTPUTS,
