@@ -23,16 +23,34 @@ def print_whole(renderable: Any) -> None:
     Console(width=width, highlight=False).print(renderable, soft_wrap=False)
 
 
-def print_plan(study: "Study", store: "Location", as_json: bool) -> None:
+def print_plan(study: "Study", store: "Location", workers: int | None, as_json: bool) -> None:
     """Print what a run would do."""
     from sweep.running.status import plan_report
 
-    report = plan_report(study, store)
+    report = plan_report(study, store, workers)
     if as_json:
         click.echo(json.dumps(report, indent=1))
     else:
-        for key, value in report.items():
-            click.echo(f"{key:14} {value:,}" if isinstance(value, (int, float)) else f"{key:14} {value}")
+        for key, text in _plan_in_words(report).items():
+            click.echo(f"{key:14}{text}")
+
+
+def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
+    from sweep.running.eta import in_words
+
+    done = report["realisations"] - report["realisations_pending"]
+    cores = f"{report['cores']} core{'' if report['cores'] == 1 else 's'}"
+    return {
+        "study": report["title"],
+        "grid": report["grid"],
+        "points": f"{report['points']:,}, {report['points_done']:,} of them done",
+        "realisations": f"{report['realisations']:,}, {done:,} of them done",
+        "work": f"{report['blocks_pending']:,} blocks in about {report['tasks_about']:,} tasks",
+        "memory": f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
+        f"{report['ledger_mb']:,.3g} MB of ledger",
+        "time": f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone",
+        "store": report["store"],
+    }
 
 
 def print_table(dataset: Any, table_format: str) -> None:

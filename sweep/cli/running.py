@@ -55,7 +55,7 @@ def run(
     """
     loaded, path = load(study, settings, axes, store)
     if dry_run:
-        print_plan(loaded, path, as_json)
+        print_plan(loaded, path, resources.workers, as_json)
         return
     dataset, failures = run_with_progress(loaded, path, resources, watching, break_lock=break_lock)
     print_table(dataset, "json" if as_json else "text")
@@ -66,15 +66,23 @@ def run(
 @main.command()
 @study_argument
 @study_options
+@click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one a core]")
 @json_option
-def plan(study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: "Location | None", as_json: bool) -> None:
+def plan(
+    study: str,
+    settings: tuple[str, ...],
+    axes: tuple[str, ...],
+    store: "Location | None",
+    workers: int | None,
+    as_json: bool,
+) -> None:
     """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
 
     \b
     sweep plan grid --set n_cat=100
     """
     loaded, path = load(study, settings, axes, store)
-    print_plan(loaded, path, as_json)
+    print_plan(loaded, path, workers, as_json)
 
 
 def run_with_progress(

@@ -85,9 +85,9 @@ def _progress(
     return axes, tally.status.reshape(grid.shape), tally.realisations.reshape(grid.shape)
 
 
-def plan_report(study: Study, store: Where) -> dict[str, Any]:
-    """Return what a run would do; the time is for the cores of this machine, from a short timing of its random
-    numbers.
+def plan_report(study: Study, store: Where, workers: int | None = None) -> dict[str, Any]:
+    """Return what a run would do; the time is what the random numbers alone would take, from a short timing of this
+    machine, with so many ``workers`` (one a core by default).
     """
     plan, survey = plan_study(study, store)
     grid = plan.grid
@@ -95,6 +95,8 @@ def plan_report(study: Study, store: Where) -> dict[str, Any]:
     samples = study.experiment.samples_width * survey.total.realisations if study.sampling.keep_samples else 0
     result_mb = 8e-6 * (floats + samples)
     ledger_mb = 8e-6 * (study.experiment.sums_width * survey.total.blocks + samples)
+    tasks = math.ceil(survey.pending.cost / TARGET)
+    cores = max(1, min(workers or available_cores(), available_cores(), tasks))
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {len(study.axes[name])}" for name in grid.dimensions) or "one point",
@@ -103,11 +105,12 @@ def plan_report(study: Study, store: Where) -> dict[str, Any]:
         "realisations": survey.total.realisations,
         "realisations_pending": survey.pending.realisations,
         "blocks_pending": survey.pending.blocks,
-        "tasks_about": math.ceil(survey.pending.cost / TARGET),
+        "tasks_about": tasks,
         "result_mb": round(result_mb, 3),
         "ledger_mb": round(ledger_mb, 3),
         "memory_mb": round(result_mb + ledger_mb, 3),
-        "seconds": round(survey.pending.cost / (_normals_per_second() * available_cores()), 1),
+        "seconds": round(survey.pending.cost / (_normals_per_second() * cores), 1),
+        "cores": cores,
         "store": str(store),
     }
 

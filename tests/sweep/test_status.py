@@ -13,7 +13,7 @@ from sweep.interrupt import RunInterruptedError
 from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
 from sweep.running.completion import MOST_LINES, Stretch, as_lines, by_axis, folded
 from sweep.running.run import Resources, Silent, run_study
-from sweep.running.status import status_report
+from sweep.running.status import plan_report, status_report
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict
 
@@ -168,3 +168,36 @@ def test_a_long_axis_is_folded_where_nothing_happens():
 def test_a_hundred_percent_is_said_only_of_what_is_whole():
     nearly = Stretch({"x": 1}, {"x": 1}, 1, 1, 0, 0, 0, 999_999, 1_000_000)
     assert nearly.percent == 99
+
+
+def test_a_plan_is_told_in_words_with_units(sweep, coins, tmp_path):
+    text = f"""
+title = "Coins"
+experiment = "{coins["experiment"]}"
+axes.coins = [1, 5]
+sampling = {{ n_sim = 1000, n_cat = 20 }}
+"""
+    (tmp_path / "study.toml").write_text(text)
+    sweep("run", "study.toml", "--set", "coins=1", cwd=tmp_path)
+    code, out, err = sweep("plan", "study.toml", cwd=tmp_path)
+    assert code == 0, err
+    lines = dict(line.split(maxsplit=1) for line in out.splitlines())
+    assert lines["study"] == "Coins"
+    assert lines["grid"] == "coins 2"
+    assert lines["points"] == "2, 1 of them done"
+    assert lines["realisations"] == "40,000, 20,000 of them done"
+    assert lines["work"] == "4 blocks in about 1 tasks"
+    assert lines["time"] == "at least 0 s on 1 core of this machine: its random numbers alone"
+    assert lines["store"] == "results/study.zarr"
+
+
+def test_the_time_of_a_plan_is_for_the_cores_that_there_are(coins, tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.running.status.available_cores", lambda: 4)
+    monkeypatch.setattr("sweep.running.status._normals_per_second", lambda: 1e8)
+    study = study_from_dict(coins | {"sampling": {"n_sim": 10**6, "n_cat": 20}})
+    whole = plan_report(study, tmp_path / "s.zarr", 1)
+    assert whole["cores"] == 1
+    for workers, cores in ((2, 2), (None, 4), (400, 4)):
+        report = plan_report(study, tmp_path / "s.zarr", workers)
+        assert report["cores"] == cores
+        assert report["seconds"] == pytest.approx(whole["seconds"] / cores, rel=0.01)
