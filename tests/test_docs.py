@@ -61,7 +61,7 @@ def test_the_commands_of_the_document_run(tmp_path, sweep):
 
 def test_the_commands_about_watching_run(tmp_path, sweep):
     for command in commands("running.md"):
-        status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
+        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
         assert status == 0, f"{command}: {err}"
     assert "realisations" in (tmp_path / "run.log").read_text()
 

@@ -22,7 +22,7 @@ HOUSE = {
     ],
     "sweep.planning": ["byaxes", "grid", "plan", "tally", "pending"],
     "sweep.executing": [
-        *("limit", "worker", "agreement", "guard", "pin", "execute"),
+        *("limit", "worker", "agreement", "clock", "guard", "pin", "execute"),
         *("on_client", "clusterfile", "own_cluster", "clusters"),
     ],
     "sweep.stores": [

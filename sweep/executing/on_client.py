@@ -11,6 +11,7 @@ from distributed import Client, Future, KilledWorker
 
 from sweep.contract import SweepError
 from sweep.executing.agreement import Identity, differences, identity, identity_like
+from sweep.executing.clock import Clock, wake
 from sweep.executing.execute import Limits, Results, Say, Take, make_task
 from sweep.executing.pin import PLUGIN, Answer, OnWorker, run_on_worker
 from sweep.executing.worker import Failure, TaskResult, failed
@@ -57,6 +58,7 @@ class OnClient:
         self._threads = 1
         self._looked = self._had_workers = time.monotonic()
         self._waiting = False
+        self._clock = Clock()
 
     def prepare(self) -> None:
         """Wait for a worker, bring the workers what they need, and compare them with the client.
@@ -158,6 +160,9 @@ class OnClient:
         if self._client.status != "running":
             raise self._gone()
         try:
+            if self._clock.was_set_back():
+                self._say("the clock was set back; the run goes on")
+                wake(self._client)
             self._threads = sum(self._client.nthreads().values())
         except (OSError, TimeoutError) as error:
             raise self._gone() from error

@@ -64,7 +64,9 @@ def scattered(random_, place):
 @pytest.mark.parametrize("known", [True, False], ids=["workers known", "workers seen"])
 @pytest.mark.parametrize("workers", [1, 2, 7, 64])
 @pytest.mark.parametrize(
-    ("kind", "tasks_each"), [(equal, 10), (growing, 10), (shrinking, 10), (scattered, 50)], ids=str
+    ("kind", "tasks_each"),
+    [(equal, 10), (growing, 10), (shrinking, 10), (scattered, 50)],
+    ids=lambda v: getattr(v, "__name__", str(v)),
 )
 def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half(kind, tasks_each, workers, known):
     n = tasks_each * workers

@@ -4,13 +4,10 @@ import os
 import random
 import signal
 import subprocess
-import time
 
-import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.running.run import Resources, run_study
 from sweep.stores.store import existing_store
 from sweep.studies.reader import load_study
 
@@ -79,15 +76,3 @@ def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tm
     code, _, err = sweep("run", link_study, "-o", store, *LONG)
     assert code == 0, err
     xr.testing.assert_identical(xr.open_zarr(store).load().drop_attrs(), results)
-
-
-@pytest.mark.parametrize("back_s", [1e6, 1e9])
-def test_a_clock_that_jumps_back_changes_nothing(link_study, tmp_path, sweep, monkeypatch, back_s):
-    """Durations are measured with a monotonic clock; that of the calendar is only written down."""
-    study = load_study(str(link_study))
-    straight, _ = run_study(study, tmp_path / "straight.zarr", Resources(pool="serial"))
-    real, started = time.time, time.monotonic()
-    monkeypatch.setattr("time.time", lambda: real() - (back_s if time.monotonic() - started > 0.2 else 0.0))
-    jumped, _ = run_study(study, tmp_path / "jumped.zarr", Resources(workers=2, pool="threads"))
-    xr.testing.assert_identical(straight.drop_attrs(), jumped.drop_attrs())
-    assert np.all(jumped["status"] == 1)
