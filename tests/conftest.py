@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.forked import Nursery
+
 for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(_number) is signal.SIG_IGN:  # as under nohup, and the processes of the tests would inherit it
         signal.signal(_number, _handler)
@@ -70,13 +72,15 @@ def start_sweep():
         process.communicate()
 
 
+@pytest.fixture(scope="session")
+def nursery():
+    """The process from which those of `sweep` are forked."""
+    nursery = Nursery()
+    yield nursery
+    nursery.close()
+
+
 @pytest.fixture
-def sweep(start_sweep):
+def sweep(nursery):
     """A function that runs `sweep` as a process to its end and returns (exit code, stdout, stderr)."""
-
-    def run(*arguments, **options):
-        process = start_sweep(*arguments, **options)
-        out, err = process.communicate(timeout=300)
-        return process.returncode, out, err
-
-    return run
+    return nursery.run

@@ -11,6 +11,9 @@ import pytest
 
 from sweep.running.run import Resources, run_study
 from sweep.studies.reader import load_study
+from tests.conftest import LINK_STUDY
+
+SERIAL = Resources(pool="serial")
 
 
 def free_port():
@@ -75,6 +78,16 @@ SHORT = {
 
 
 @pytest.fixture(scope="session")
+def reference(tmp_path_factory):
+    """The results of the small study of the link, computed in this process."""
+    folder = tmp_path_factory.mktemp("reference")
+    (folder / "small.toml").write_text(LINK_STUDY)
+    dataset, failures = run_study(load_study(str(folder / "small.toml")), folder / "serial.zarr", SERIAL)
+    assert not failures
+    return dataset.drop_attrs()
+
+
+@pytest.fixture(scope="session")
 def store_of(tmp_path_factory):
     """A function that returns the store of a built-in study, run with fewer realisations."""
     folder = tmp_path_factory.mktemp("stores")
@@ -82,7 +95,7 @@ def store_of(tmp_path_factory):
     def run(name):
         path = folder / f"{name}.zarr"
         if not path.exists():
-            run_study(load_study(name, **SHORT[name]), path, Resources(pool="serial"))
+            run_study(load_study(name, **SHORT[name]), path, SERIAL)
         return path
 
     return run

@@ -7,13 +7,6 @@ LOCAL = 'class = "distributed.LocalCluster"\n'
 WORKERS = "[options]\nn_workers = 0\nthreads_per_worker = 1\n"
 
 
-@pytest.fixture
-def reference(link_study, tmp_path, sweep):
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "serial.zarr", "--pool", "serial")
-    assert code == 0, err
-    return xr.open_zarr(tmp_path / "serial.zarr").load().drop_attrs()
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [
