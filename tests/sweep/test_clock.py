@@ -10,6 +10,7 @@ import xarray as xr
 from distributed import LocalCluster
 
 from sweep.executing.clock import STEP_S, Clock, wake
+from sweep.executing.own_cluster import own_cluster
 from sweep.running.run import Resources, run_study
 from sweep.studies.reader import load_study
 
@@ -57,7 +58,8 @@ def test_a_step_back_is_noticed_once(set_clock_back):
 @pytest.mark.parametrize("whose", ["client", "scheduler to worker", "scheduler to client", "worker"])
 def test_a_stream_that_waits_for_another_day_is_woken(whose):
     """Each stream is brought into the state in which a clock that is set back leaves it."""
-    with LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster, cluster.get_client() as client:
+    options = {"n_workers": 1, "processes": False}
+    with own_cluster(LocalCluster, options) as cluster, cluster.get_client() as client:
         client.submit(abs, -1).result(timeout=10)
         (worker,) = cluster.workers.values()
         streams = {

@@ -50,15 +50,14 @@ def test_a_study_runs_over_tls(link_study, tmp_path, sweep, files, outside):
     xr.testing.assert_identical(here, there)
 
 
-def test_dasks_own_configuration_is_enough(link_study, tmp_path, sweep, files, outside, monkeypatch):
+def test_dasks_own_configuration_is_enough(link_study, tmp_path, start_sweep, files, outside, monkeypatch):
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CA_FILE", files.ca)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT", files.cert)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY", files.key)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "true")
-    code, _, err = sweep(
-        "run", link_study, "--set", "n_sim=50", "-o", tmp_path / "s.zarr", "--scheduler", outside.address
-    )
-    assert code == 0, err
+    run = start_sweep("run", link_study, "--set", "n_sim=50", "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
+    _, err = run.communicate(timeout=120)  # read when Dask is imported
+    assert run.returncode == 0, err
 
 
 @pytest.mark.parametrize("wrong", ["strangers", "none", "rubbish"])
