@@ -24,7 +24,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
         report.append(Measured(f"{what}: peak memory", peak, "MB", Target("<=", 1000.0) if whole else None))
         for points in RUN[size]:
             (folder / "run.toml").write_text(toml(points))
-            run = watch([*SWEEP, "run", "run.toml", "--workers", "2", "--json", "-o", f"{points}.zarr"], folder)
+            run = watch([*SWEEP, "run", "run.toml", "--workers", "2", "--quiet", "-o", f"{points}.zarr"], folder)
             files = [path for path in (folder / f"{points}.zarr").rglob("*") if path.is_file()]
             middle = [memory for when, memory in run.own_bytes if 0.4 < when / run.seconds < 0.6]
             report += [
