@@ -1,5 +1,6 @@
 """Reference catalogues (step A): the record, positions on the sky, and what is drawn by simple laws."""
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -38,7 +39,7 @@ class Catalogue:
     def __len__(self) -> int:
         return len(self.ra)
 
-    def take(self, index: NDArray[np.intp]) -> "Catalogue":
+    def take(self, index: NDArray[np.intp] | slice) -> "Catalogue":
         """Return the objects at these indices."""
         return Catalogue(
             ra=self.ra[index],
@@ -53,6 +54,19 @@ class Catalogue:
     def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
         """Return the same objects, with their proper motions along the local triad, at other positions."""
         return replace(self, ra=ra, dec=dec)
+
+
+@dataclass(frozen=True)
+class NestedDraw:
+    """Draws a catalogue of ``n_obj`` objects, of equal generators the beginning of every larger one of its family."""
+
+    family: Hashable
+    n_obj: int
+    draw: Callable[[np.random.Generator], Catalogue]
+
+    def __call__(self, rng: np.random.Generator) -> Catalogue:
+        """Draw it."""
+        return self.draw(rng)
 
 
 @dataclass(frozen=True)

@@ -64,4 +64,7 @@ class Prefixes:
 
 def _begins(whole: Array, part: Array) -> bool:
     """Whether one array begins with the bits of the other."""
-    return len(part) <= len(whole) and np.array_equal(whole[: len(part)].view(np.uint64), part.view(np.uint64))
+    if len(part) > len(whole):
+        return False
+    beginning = whole[: len(part)]
+    return place(beginning) == place(part) or np.array_equal(beginning.view(np.uint64), part.view(np.uint64))

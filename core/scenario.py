@@ -1,12 +1,21 @@
 """From a point's parameters to the physics of it: catalogue, errors, truth and solution."""
 
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Hashable
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue, Sky, galaxies, radio_stars, resample, synthetic
+from core.catalogue import (
+    GALAXY_FAINT_LIMIT_MAG,
+    Catalogue,
+    NestedDraw,
+    Sky,
+    galaxies,
+    radio_stars,
+    resample,
+    synthetic,
+)
 from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import CatalogueErrors, ErrorModel, MagnitudeErrors, NoErrors, NormalErrors
 from core.missions import MISSIONS, Mission
@@ -36,22 +45,11 @@ _OF_CATALOGUE = (
 """Parameters of a point that decide which catalogue is drawn."""
 
 
-@dataclass(frozen=True)
-class CatalogueDraw:
-    """How a catalogue is drawn: equal for points whose catalogues are, so that they need only be drawn once."""
-
-    asked: tuple[tuple[str, object], ...]
-
-    def __call__(self, rng: np.random.Generator) -> Catalogue:
-        """Draw one."""
-        return _draw_catalogue(dict(self.asked), rng)
-
-
 def scenario(point: Point) -> Scenario:
     """Return the physics of a point (its parameters by name, in the units of `PARAMETERS`)."""
     random = point["directions"] == "random"
     return Scenario(
-        draw_catalogue=CatalogueDraw(tuple((name, point[name]) for name in _OF_CATALOGUE)),
+        draw_catalogue=NestedDraw(*_family(point), partial(_draw_catalogue, point)),
         reference_errors=error_model(point, "reference"),
         satellite_errors=error_model(point, "satellite"),
         epsilon=TrueVector(_radians(point["epsilon"], point["epsilon_size"]), random),
@@ -154,6 +152,13 @@ def _draw_catalogue(point: Point, rng: np.random.Generator) -> Catalogue:
     if n_obj < len(whole):
         whole = whole.take(np.sort(rng.choice(len(whole), n_obj, replace=False)))
     return whole.moved_to(*sky.positions(rng, n_obj)) if point["positions"] == "isotropic" and kind == "file" else whole
+
+
+def _family(point: Point) -> tuple[Hashable, int]:
+    """Return what decides which catalogue is drawn, and its size: a fainter limit adds quasars at the end."""
+    nested = point["catalogue"] == "quasars" and point["n_obj"] is None and limiting_magnitude(point) in V_MAX
+    decides = tuple(point[name] for name in _OF_CATALOGUE if not (nested and name == "v_max"))
+    return (nested, *decides), catalogue_size(point)
 
 
 def _radians(vector_mas: Vector, size_mas: float | None) -> Vector:

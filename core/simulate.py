@@ -1,13 +1,13 @@
 """Steps A-F of the simulation for a block of realisations, in bounded memory."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.catalogue import Catalogue
+from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
 from core.fixed_design import FixedDesign, FixedSums, fixed_design
 from core.full_path import FullPath, FullSums
@@ -146,11 +146,15 @@ def _draws(scenarios: Sequence[Scenario], catalogue_rng: np.random.Generator) ->
     """
     objects, (directions,) = catalogue_rng.bit_generator.state, catalogue_rng.spawn(1)
     start = directions.bit_generator.state
-    drawn: list[Draw] = []
-    catalogues: dict[Callable[[np.random.Generator], Catalogue], Catalogue] = {}
-    for scenario in scenarios:
-        catalogue_rng.bit_generator.state, directions.bit_generator.state = objects, start
-        if scenario.draw_catalogue not in catalogues:
-            catalogues[scenario.draw_catalogue] = scenario.draw_catalogue(catalogue_rng)
-        drawn.append(Draw.of(scenario, catalogues[scenario.draw_catalogue], directions))
-    return drawn
+    draws = [scenario.draw_catalogue for scenario in scenarios]
+    nests = [(d.family, d.n_obj) if isinstance(d, NestedDraw) else (k, None) for k, d in enumerate(draws)]
+    catalogues: dict[Hashable, Catalogue] = {}
+    drawn: dict[int, Draw] = {}
+    for k in sorted(range(len(draws)), key=lambda k: -(nests[k][1] or 0)):  # a family's largest first
+        family, n_obj = nests[k]
+        if family not in catalogues:
+            catalogue_rng.bit_generator.state = objects
+            catalogues[family] = draws[k](catalogue_rng)
+        directions.bit_generator.state = start
+        drawn[k] = Draw.of(scenarios[k], catalogues[family].take(slice(n_obj)), directions)
+    return [drawn[k] for k in range(len(draws))]

@@ -3,7 +3,9 @@
 from collections.abc import Collection, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import Protocol
 
 import numpy as np
@@ -178,4 +180,6 @@ def choose_executor(
     if resources.cluster is not None:
         return dask_from_file(study, resources.cluster, say, limits)
     assert pool != "serial"
+    # xarray takes half a second to look at its first array, workers to start: both at once
+    Thread(target=import_module, args=["dask.array"], daemon=True).start()
     return dask_local(study, resources.workers or available_cores(), pool, say, limits)
