@@ -1,4 +1,4 @@
-"""What one would write first: a process pool over `numpy.linalg.lstsq`, two fits of three unknowns a realisation.
+"""What one would write first: a process pool over `numpy.linalg.lstsq`, one fit of six unknowns a realisation.
 
     python -m benchmarks.lstsq_pool SHARE WORKERS     prints the seconds of the work, for all of it scaled by 1/SHARE
 
@@ -23,10 +23,11 @@ N_CAT, N_SIM = 100, 100
 
 
 def design(ra, dec):
-    """Return the design matrix of a small rotation, (2 n, 3)."""
+    """Return the design matrix of a small rotation and spin, (4 n, 6)."""
     east = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=1)
     north = np.stack([np.sin(ra), -np.cos(ra), np.zeros_like(ra)], axis=1)
-    return np.concatenate([east, north])
+    positions = np.concatenate([east, north])
+    return np.block([[positions, np.zeros_like(positions)], [np.zeros_like(positions), positions]])
 
 
 def catalogue_squares(arguments):
@@ -37,12 +38,11 @@ def catalogue_squares(arguments):
     matrix = design(catalogue.ra, catalogue.dec)
     squares = np.zeros(6)
     with threadpool_limits(1):
-        errors = MagnitudeErrors(MISSIONS[model]).standard_errors(catalogue)
+        sigma = MagnitudeErrors(MISSIONS[model]).standard_errors(catalogue).ravel()
+        weighted = matrix / sigma[:, None]
         for _ in range(N_SIM):
-            for half, sigma in enumerate((errors[:2].ravel(), errors[2:].ravel())):
-                noisy = rng.normal(0.0, sigma)
-                found = np.linalg.lstsq(matrix / sigma[:, None], noisy / sigma)[0]
-                squares[3 * half : 3 * half + 3] += found**2
+            noisy = rng.normal(0.0, sigma)
+            squares += np.linalg.lstsq(weighted, noisy / sigma)[0] ** 2
     return squares
 
 

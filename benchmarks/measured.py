@@ -14,7 +14,7 @@ from typing import Any, Literal
 import psutil
 
 Size = Literal["tiny", "normal", "full"]
-LOOK_EVERY_S = 0.02
+LOOK_EVERY_S = 0.2
 SWEEP = [sys.executable, "-m", "sweep"]
 ROOT = Path(__file__).parent.parent
 
