@@ -27,6 +27,10 @@ class Column:
     values: list[Any]
 
 
+MOST_ROWS = 1000
+"""Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
+
+
 def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
     """Return columns {name: (unit, values)} with one row a point: the axes, then every variable without further
     dimensions.
@@ -87,7 +91,7 @@ def as_json(dataset: xr.Dataset) -> str:
 
 def as_text(dataset: xr.Dataset) -> "Table":
     """Return the headline results for reading: value +- Monte-Carlo error, prediction, published value and
-    difference.
+    difference; of the first `MOST_ROWS` points.
     """
     from rich.markup import escape
     from rich.table import Table
@@ -100,7 +104,7 @@ def as_text(dataset: xr.Dataset) -> "Table":
         pad_edge=False,
         header_style="bold",
     )
-    columns = headline_columns(dataset)
+    columns = headline_columns(dataset, MOST_ROWS)
     for column in columns:
         heading = f"{column.name}\n[{column.unit}]" if column.unit else column.name
         table.add_column(Text(heading), justify="right", no_wrap=True)
@@ -109,9 +113,18 @@ def as_text(dataset: xr.Dataset) -> "Table":
     return table
 
 
-def headline_columns(dataset: xr.Dataset) -> list[Column]:
-    """Return the columns of the headline results: axes, values with errors, prediction, published and difference."""
-    long = _without_excluded(long_table(dataset))
+def rows_left_out(dataset: xr.Dataset) -> int:
+    """Return how many points `as_text` leaves out."""
+    return max(0, int((dataset["status"] != STATUS_WORDS.index("excluded")).sum()) - MOST_ROWS)
+
+
+def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:
+    """Return the columns of the headline results: axes, values with errors, prediction, published and difference; of
+    all points or of the first ones.
+    """
+    whole = _without_excluded(long_table(dataset))
+    finished = set(whole["status"][1]) == {"done"}
+    long = {name: (unit, values[:most]) for name, (unit, values) in whole.items()}
     columns = [
         Column(name, long[name][0], [_plain(v) for v in long[name][1]], long[name][1])
         for name in _axis_coordinates(dataset, axes_of(dataset))
@@ -128,7 +141,7 @@ def headline_columns(dataset: xr.Dataset) -> list[Column]:
             pairs = list(zip(values, published[1], strict=True))
             columns.append(Column("difference", "", [_difference(*p) for p in pairs], [_relative(*p) for p in pairs]))
     status = long["status"][1]
-    return columns if set(status) == {"done"} else [*columns, Column("status", "", status, status)]
+    return columns if finished else [*columns, Column("status", "", status, status)]
 
 
 def with_error(value: float, error: float) -> str:

@@ -59,6 +59,8 @@ def print_table(dataset: Any, table_format: str) -> None:
 
     if table_format == "text":
         print_whole(tables.as_text(dataset))
+        if left_out := tables.rows_left_out(dataset):
+            click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):
             click.echo(
                 f"INCOMPLETE: {dataset.attrs.get('points_done')} of {dataset.attrs.get('points')} points are done"

@@ -173,3 +173,18 @@ def test_a_title_is_shown_as_it_is_written(coins, tmp_path):
     console = Console(file=io.StringIO(), width=200)
     console.print(as_text(dataset))
     assert "Coins [/mas] [bold]x" in " ".join(console.file.getvalue().split())
+
+
+def test_a_table_for_reading_says_what_it_leaves_out(coins, tmp_path, capsys):
+    from sweep.analysis.tables import MOST_ROWS
+    from sweep.cli.output import print_table
+
+    axes = {"coins": {"start": 1, "stop": MOST_ROWS + 7, "step": 1}}
+    sampling = {"n_sim": 1, "n_cat": 1, "seed": 1}
+    dataset, _ = run(coins | {"axes": axes, "sampling": sampling}, tmp_path / "s.zarr")
+    print_table(dataset, "text")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2].split()[0] == str(MOST_ROWS)
+    assert lines[-1] == "7 more points: `sweep show STORE --format csv` has all of them"
+    print_table(dataset, "csv")
+    assert len(capsys.readouterr().out.splitlines()) > MOST_ROWS + 7
