@@ -3,25 +3,23 @@
 import re
 import shlex
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from tests.documents import ROOT, code, commands
 from tests.sweep.outside import Outside
 from tests.sweep.test_tls import Files as TlsFiles
 
-ROOT = Path(__file__).parent.parent
 
-
-def code(document, language):
-    text = (ROOT / "docs" / document).read_text()
-    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
-
-
-def commands(document):
-    return [line for block in code(document, "sh") for line in block.splitlines() if line.startswith("sweep ")]
+def test_every_command_of_the_documents_stands_where_it_is_run():
+    """In blocks of shell, which the tests here (of stores, the galaxy search and calibration: those of these) run."""
+    for document in (ROOT / "docs").glob("*.md"):
+        for language, block in re.findall(
+            r"^```(\w*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
+        ):
+            assert language == "sh" or not re.search(r"^sweep \w", block, flags=re.MULTILINE), document.name
 
 
 def test_the_experiment_of_the_document_runs(tmp_path, sweep):
@@ -47,6 +45,10 @@ def test_the_missions_of_the_document_run(tmp_path, sweep):
     (tmp_path / "missions.toml").write_text(code("missions.md", "toml")[0])
     status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
     assert status == 0, err
+    for command in commands("missions.md"):
+        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
+        assert status == 0, err
+    assert (tmp_path / "missions.png").stat().st_size > 10_000
     sigma = xr.open_zarr(tmp_path / "results" / "missions.zarr")["sigma_spin"].load()
     assert sigma["model"].values.tolist() == ["gaia", "small", "by-formula", "by-code"]
     assert np.all(np.isfinite(sigma))
@@ -80,6 +82,13 @@ def test_the_commands_of_the_report_run(tmp_path, sweep):
         status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
         assert status == 0, f"{command}: {err}"
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"quasars-report.html", "both.html"}
+
+
+def test_the_command_about_scaling_runs(tmp_path, sweep):
+    (command,) = commands("benchmarks.md")
+    status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
+    assert status == 0, err
+    assert (tmp_path / "scaling.svg").stat().st_size > 10_000
 
 
 def test_links_between_documents_lead_somewhere():

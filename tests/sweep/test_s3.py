@@ -6,6 +6,7 @@ import threading
 import time
 from contextlib import contextmanager
 from urllib.parse import urlsplit
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from sweep.stores import bucket as bucket_module
 from sweep.stores.location import located
 from sweep.stores.store import existing_store, open_dataset
 from sweep.studies.reader import study_from_dict
+from tests.documents import commands
 
 SERIAL = Resources(pool="serial")
 
@@ -127,6 +129,15 @@ def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, study, wanted, tmp_path
     names = located(f"{bucket}/results/s.zarr").keys()
     assert names == located(tmp_path / "wanted.zarr").keys()
     assert located(f"{bucket}/results").keys() == [f"s.zarr/{name}" for name in names]  # no lock is left
+
+
+def test_the_commands_of_the_document_run(bucket, s3_endpoint, sweep, tmp_path):
+    with urlopen(Request(f"{s3_endpoint}/my-bucket", method="PUT")) as answer:
+        assert answer.status == 200
+    for command in commands("stores.md"):
+        code, _, err = sweep(*command.split()[1:], cwd=tmp_path)
+        assert code == 0, err
+    same(open_dataset("s3://my-bucket/results/quasars.zarr"), open_dataset(tmp_path / "results" / "quasars.zarr"))
 
 
 def test_plain_xarray_opens_it(bucket, study, wanted):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 
@@ -22,6 +23,7 @@ from sweep.search.result import match_columns
 from sweep.search.skymap import MAX_BACKGROUND, sky_map
 from sweep.search.summary import summarise
 from sweep.search.tables import Reading, read_galaxies, read_stars
+from tests.documents import commands
 
 ARCSEC = 1.0 / 3600.0
 
@@ -68,6 +70,18 @@ def folder(tmp_path, monkeypatch):
     wide.write("wide.csv")
     sharp.write("sharp.ecsv")
     return tmp_path
+
+
+def test_the_command_of_the_document_runs(folder):
+    star_table().write("tycho2.fits")
+    Table.read("extra.ecsv").write("tycho2_suppl1.fits")
+    for table, name in zip(galaxy_tables(), ("pgc.fits", "uzc.csv"), strict=True):
+        table.write(name)
+    (command,) = commands("galaxy-search.md")
+    result = run(*shlex.split(command)[2:])
+    assert result.exit_code == 0, result.output
+    assert len(read_matches(folder / "galaxies.ecsv")) == 4
+    assert (folder / "galaxies.png").stat().st_size > 10_000
 
 
 ARGUMENTS = ["stars.fits", "wide.csv", "sharp.ecsv", "--error", "wide=1", "--error", "sharp=0.3"]
