@@ -26,6 +26,7 @@ class FixedDesign:
 
     setup: Setup
     columns: Array
+    solving: slice  # which columns make the gain when multiplied by the inverse
     normal: Array  # a^T a, (K, K)
     inverse: Array  # of A^T W A, W the weights of the solution
     bias: Array  # (K,)
@@ -51,12 +52,6 @@ class FixedDesign:
     def optimal(self) -> bool:
         """Whether the weights are those of the errors, so that the gain follows from the design."""
         return self.setup.scenario.weighting == "inverse-variance"
-
-    @property
-    def solving(self) -> slice:
-        """Which columns make the gain when multiplied by the inverse."""
-        unknowns = len(self.bias)
-        return slice(0, unknowns) if self.optimal else slice(unknowns, 2 * unknowns)
 
     def residual(self, part: slice) -> Array:
         """Return r of some objects; shape (n, 4)."""
@@ -116,6 +111,7 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
     return FixedDesign(
         setup=setup,
         columns=columns,
+        solving=solving,
         normal=normal,
         inverse=inverse,
         bias=bias,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tests.documents import ROOT, code, commands
+from tests.documents import ROOT, code, commands, run_commands
 from tests.sweep.outside import Outside
 from tests.sweep.test_tls import Files as TlsFiles
 
@@ -25,9 +25,7 @@ def test_every_command_of_the_documents_stands_where_it_is_run():
 def test_the_experiment_of_the_document_runs(tmp_path, sweep):
     (tmp_path / "walk.py").write_text(code("experiments.md", "python")[0])
     (tmp_path / "walk.toml").write_text(code("experiments.md", "toml")[0])
-    for command in commands("experiments.md"):
-        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
-        assert status == 0, err
+    run_commands("experiments.md", sweep, tmp_path)
     distance = xr.open_zarr(tmp_path / "results" / "walk.zarr")["distance"].load()
     for length in (10, 100, 1000):  # RMS of 5000 walks: 1/sqrt(2 x 5000) = 1 %
         assert distance.sel(length=length).item() == pytest.approx(length**0.5, rel=0.05)
@@ -45,9 +43,7 @@ def test_the_missions_of_the_document_run(tmp_path, sweep):
     (tmp_path / "missions.toml").write_text(code("missions.md", "toml")[0])
     status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
     assert status == 0, err
-    for command in commands("missions.md"):
-        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
-        assert status == 0, err
+    run_commands("missions.md", sweep, tmp_path)
     assert (tmp_path / "missions.png").stat().st_size > 10_000
     sigma = xr.open_zarr(tmp_path / "results" / "missions.zarr")["sigma_spin"].load()
     assert sigma["model"].values.tolist() == ["gaia", "small", "by-formula", "by-code"]
@@ -55,39 +51,29 @@ def test_the_missions_of_the_document_run(tmp_path, sweep):
 
 
 def test_the_commands_of_the_document_run(tmp_path, sweep):
-    for command in commands("studies.md"):
-        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
-        assert status == 0, f"{command}: {err}"
+    run_commands("studies.md", sweep, tmp_path)
     assert (tmp_path / "quick.png").stat().st_size > 10_000
 
 
 def test_the_commands_about_watching_run(tmp_path, sweep):
-    for command in commands("running.md"):
-        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
-        assert status == 0, f"{command}: {err}"
+    run_commands("running.md", sweep, tmp_path)
     assert "realisations" in (tmp_path / "run.log").read_text()
 
 
 def test_the_commands_of_the_analysis_run(tmp_path, sweep):
-    for command in commands("analysis.md"):
-        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
-        assert status == 0, f"{command}: {err}"
+    run_commands("analysis.md", sweep, tmp_path)
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
         *("quasars.png", "sky.png", "both.svg", "accuracy.pdf"),
     }
 
 
 def test_the_commands_of_the_report_run(tmp_path, sweep):
-    for command in commands("report.md"):
-        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=tmp_path)
-        assert status == 0, f"{command}: {err}"
+    run_commands("report.md", sweep, tmp_path)
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"quasars-report.html", "both.html"}
 
 
 def test_the_command_about_scaling_runs(tmp_path, sweep):
-    (command,) = commands("benchmarks.md")
-    status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
-    assert status == 0, err
+    run_commands("benchmarks.md", sweep, tmp_path)
     assert (tmp_path / "scaling.svg").stat().st_size > 10_000
 
 

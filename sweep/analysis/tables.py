@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
-from sweep.planning.tally import STATUS_WORDS
+from sweep.planning.tally import EXCLUDED, STATUS_WORDS
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -115,7 +115,7 @@ def as_text(dataset: xr.Dataset) -> "Table":
 
 def rows_left_out(dataset: xr.Dataset) -> int:
     """Return how many points `as_text` leaves out."""
-    return max(0, int((dataset["status"] != STATUS_WORDS.index("excluded")).sum()) - MOST_ROWS)
+    return max(0, int((dataset["status"] != EXCLUDED).sum()) - MOST_ROWS)
 
 
 def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:

@@ -43,12 +43,16 @@ def s3_endpoint():
     server.wait(timeout=30)
 
 
+def make_bucket(endpoint, name):
+    with urlopen(Request(f"{endpoint}/{name}", method="PUT")) as answer:
+        assert answer.status == 200
+
+
 @pytest.fixture
 def bucket(s3_endpoint, monkeypatch):
     """The address of a new bucket, with endpoint and credentials in the environment."""
     name = f"bucket-{uuid4().hex[:12]}"
-    with urlopen(Request(f"{s3_endpoint}/{name}", method="PUT")) as answer:
-        assert answer.status == 200
+    make_bucket(s3_endpoint, name)
     monkeypatch.setenv("AWS_ENDPOINT_URL", s3_endpoint)
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "someone")
     monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")

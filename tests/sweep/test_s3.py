@@ -6,7 +6,6 @@ import threading
 import time
 from contextlib import contextmanager
 from urllib.parse import urlsplit
-from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -19,7 +18,8 @@ from sweep.stores import bucket as bucket_module
 from sweep.stores.location import located
 from sweep.stores.store import existing_store, open_dataset
 from sweep.studies.reader import study_from_dict
-from tests.documents import commands
+from tests.documents import run_commands
+from tests.sweep.conftest import make_bucket
 
 SERIAL = Resources(pool="serial")
 
@@ -132,11 +132,8 @@ def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, study, wanted, tmp_path
 
 
 def test_the_commands_of_the_document_run(bucket, s3_endpoint, sweep, tmp_path):
-    with urlopen(Request(f"{s3_endpoint}/my-bucket", method="PUT")) as answer:
-        assert answer.status == 200
-    for command in commands("stores.md"):
-        code, _, err = sweep(*command.split()[1:], cwd=tmp_path)
-        assert code == 0, err
+    make_bucket(s3_endpoint, "my-bucket")
+    run_commands("stores.md", sweep, tmp_path)
     same(open_dataset("s3://my-bucket/results/quasars.zarr"), open_dataset(tmp_path / "results" / "quasars.zarr"))
 
 
