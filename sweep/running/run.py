@@ -172,8 +172,6 @@ def choose_executor(
     elsewhere = resources.scheduler is not None or resources.cluster is not None
     if pool == "serial" and not elsewhere:
         return serial(study, limits)
-    # xarray takes half a second to look at its first array, workers to start or to answer: both at once
-    Thread(target=import_module, args=["dask.array"], daemon=True).start()
     from sweep.executing.clusters import dask_from_file, dask_local, dask_scheduler, tls
 
     if resources.scheduler is not None:
@@ -182,4 +180,6 @@ def choose_executor(
     if resources.cluster is not None:
         return dask_from_file(study, resources.cluster, say, limits)
     assert pool != "serial"
+    # xarray takes half a second to look at its first array, workers to start: both at once
+    Thread(target=import_module, args=["dask.array"], daemon=True).start()
     return dask_local(study, resources.workers or available_cores(), pool, say, limits)
