@@ -1,6 +1,16 @@
-"""``python -m sweep`` is the command ``sweep``."""
+"""The command ``sweep``; ``python -m sweep`` is the same."""
 
-from sweep.cli import main
+import signal
+
+
+def main() -> None:
+    """Import the command and run it; Ctrl-C before it answers for itself ends the process without a traceback."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from sweep.cli import main as command
+
+    command(prog_name="sweep")
+
 
 if __name__ == "__main__":
-    main(prog_name="sweep")
+    main()

@@ -92,7 +92,16 @@ def watched() -> Iterator[Interruptions]:
         interruptions.watch()
     try:
         yield interruptions
-    except KeyboardInterrupt as stop:
+    except BaseException as stop:
+        if not _is_interrupt(stop):
+            raise
         raise RunInterruptedError(interruptions.received or signal.SIGINT) from stop
     finally:
         interruptions.restore()
+
+
+def _is_interrupt(error: BaseException) -> bool:
+    """Whether an exception is of an interrupt: in a class body that is executed Python makes a RuntimeError of it."""
+    return isinstance(error, KeyboardInterrupt) or (
+        isinstance(error, RuntimeError) and isinstance(error.__cause__, KeyboardInterrupt)
+    )

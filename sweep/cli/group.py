@@ -3,50 +3,43 @@
 import atexit
 import gc
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import click
 
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
 
 atexit.register(gc.freeze)  # else all that was imported is looked through for garbage at the end: a fifth of a second
 
 
 class _Group(click.Group):
-    """Turns a SweepError of any command into one message and exit code 2, and Ctrl-C into exit code 130."""
-
-    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
-        with _interruptible():
-            return super().make_context(*arguments, **options)
+    """Turns a SweepError of any command into one message and exit code 2, and a signal into 128 and its number."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        with _interruptible():
-            from sweep.contract import SweepError
+        from sweep.interrupt import RunInterruptedError, watched
 
-            try:
-                return super().invoke(ctx)
-            except SweepError as error:
-                where = f"{error.where}: " if error.where else ""
-                if len(error.problems) == 1:
-                    click.echo(f"error: {where}{error.problems[0]}", err=True)
-                else:
-                    click.echo(f"error: {where}{len(error.problems)} problems", err=True)
-                    for problem in error.problems:
-                        click.echo(f"  - {problem}", err=True)
-                sys.exit(EXIT_BAD_INPUT)
+        try:
+            with watched():  # click itself would end with 1, which means that points failed
+                return self._invoke(ctx)
+        except RunInterruptedError as stop:
+            click.echo("interrupted" if stop.signal.name == "SIGINT" else f"stopped by {stop.signal.name}", err=True)
+            sys.exit(128 + stop.signal)
 
+    def _invoke(self, ctx: click.Context) -> Any:
+        from sweep.contract import SweepError
 
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:  # click itself would end with 1, which means that points failed
-        click.echo("interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+        try:
+            return super().invoke(ctx)
+        except SweepError as error:
+            where = f"{error.where}: " if error.where else ""
+            if len(error.problems) == 1:
+                click.echo(f"error: {where}{error.problems[0]}", err=True)
+            else:
+                click.echo(f"error: {where}{len(error.problems)} problems", err=True)
+                for problem in error.problems:
+                    click.echo(f"  - {problem}", err=True)
+            sys.exit(EXIT_BAD_INPUT)
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})

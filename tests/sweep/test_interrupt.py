@@ -85,6 +85,48 @@ def test_a_held_signal_is_raised_once():
     assert steps == ["written", "after it"]
 
 
+def test_a_signal_in_a_class_body_is_the_same():
+    """Python makes a RuntimeError of what `__set_name__` raises, as it does in an import that is interrupted."""
+
+    class Field:
+        def __set_name__(self, owner, name):
+            signal.raise_signal(signal.SIGINT)
+
+    def body(interruptions):
+        class Owner:
+            field = Field()
+
+    assert ended_as(body) == signal.SIGINT
+
+
+def test_another_error_after_a_signal_stays_what_it_is():
+    def body(interruptions):
+        raise RuntimeError("of its own")
+
+    with pytest.raises(RuntimeError, match="of its own"):
+        ended_as(body)
+
+
+@pytest.mark.parametrize(
+    ("module", "code", "said"),
+    [("sweep.cli.group", -signal.SIGINT, ""), ("sweep.contract", 130, "interrupted\n")],
+    ids=["of the commands", "of a command"],
+)
+def test_interrupted_while_modules_are_imported(start_sweep, module, code, said):
+    script = (
+        "import builtins, signal, sweep.__main__ as command\n"
+        "def interrupted(name, *others, imported=builtins.__import__):\n"
+        f"    if name == {module!r}:\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
+        "    return imported(name, *others)\n"
+        "builtins.__import__ = interrupted\n"
+        "command.main()"
+    )
+    process = start_sweep(command=[sys.executable, "-c", script, "list"])
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (code, "", said)
+
+
 def test_the_second_signal_is_answered_as_before():
     seen = []
     counts = []
