@@ -8,8 +8,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from sweep.executing.choose import Resources
 from sweep.running.eta import Eta
-from sweep.running.run import Resources, Silent, run_study
+from sweep.running.run import Silent, run_study
 from sweep.studies.reader import study_from_dict
 
 STUDIES = {

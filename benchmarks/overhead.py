@@ -45,7 +45,8 @@ import sys, tempfile, time
 from pathlib import Path
 from benchmarks.trivial import study
 from sweep.studies.reader import study_from_dict
-from sweep.running.run import Resources, Silent, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import Silent, run_study
 
 class Clock(Silent):
     def start(self, survey, where, workers):

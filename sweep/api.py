@@ -8,8 +8,9 @@ from typing import Any, Literal
 
 import xarray as xr
 
+from sweep.executing.choose import Resources
 from sweep.executing.execute import GUARD, NO_LIMITS, Limits
-from sweep.running.run import Progress, Resources, Silent, run_study
+from sweep.running.run import Progress, Silent, run_study
 from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict

@@ -23,7 +23,7 @@ HOUSE = {
     "sweep.planning": ["byaxes", "grid", "plan", "tally", "pending"],
     "sweep.executing": [
         *("limit", "worker", "agreement", "clock", "guard", "pin", "execute"),
-        *("on_client", "clusterfile", "own_cluster", "clusters"),
+        *("children", "on_client", "clusterfile", "own_cluster", "clusters", "choose"),
     ],
     "sweep.stores": [
         *("folder", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),

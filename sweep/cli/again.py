@@ -14,7 +14,7 @@ from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
-    from sweep.running.run import Resources
+    from sweep.executing.choose import Resources
     from sweep.stores.location import Location
 
 

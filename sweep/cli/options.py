@@ -11,7 +11,7 @@ import click
 from sweep.cli import completing
 
 if TYPE_CHECKING:
-    from sweep.running.run import Resources
+    from sweep.executing.choose import Resources
     from sweep.stores.location import Location
     from sweep.studies.study import Study
 
@@ -155,8 +155,8 @@ def _resources(
     memory_limit: int | None,
 ) -> "Resources":
     """Return the resources that the options name; raises click.UsageError for options that contradict each other."""
+    from sweep.executing.choose import Resources
     from sweep.executing.execute import Limits
-    from sweep.running.run import Resources
 
     if scheduler is not None and cluster is not None:
         raise click.UsageError("--scheduler and --cluster are two places; name one")

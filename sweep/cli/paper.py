@@ -15,7 +15,7 @@ from sweep.cli.running import run_with_progress
 from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
-    from sweep.running.run import Resources
+    from sweep.executing.choose import Resources
     from sweep.stores.location import Location
 
 
@@ -49,8 +49,8 @@ def compare(
     sweep compare --all --workers 4
     """
     from sweep.analysis.compare import all_is_well
+    from sweep.executing.choose import Resources
     from sweep.paper.published_stores import compare_stores
-    from sweep.running.run import Resources
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")

@@ -11,7 +11,7 @@ from sweep.cli.paper import run_what_is_missing
 from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
-    from sweep.running.run import Resources
+    from sweep.executing.choose import Resources
     from sweep.stores.location import Location
 
 
@@ -52,7 +52,7 @@ def report(
         from sweep.report.page import check_output, default_path, report_of, write_report
     except ImportError as error:
         raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
-    from sweep.running.run import Resources
+    from sweep.executing.choose import Resources
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")

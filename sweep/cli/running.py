@@ -20,7 +20,7 @@ from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
 from sweep.cli.watching import Watching, told, watching_options
 
 if TYPE_CHECKING:
-    from sweep.running.run import Resources
+    from sweep.executing.choose import Resources
     from sweep.stores.location import Location
     from sweep.studies.study import Study
 
@@ -95,6 +95,9 @@ def run_with_progress(
     break_lock: bool = False,
 ) -> tuple[Any, dict[str, str]]:
     """Run a study with progress and a summary shown; an interruption ends the command."""
+    from sweep.executing.choose import expect
+
+    expect(study, resources)
     from sweep.interrupt import RunInterruptedError
     from sweep.running.progress import TerminalProgress
     from sweep.running.run import run_study

@@ -90,13 +90,20 @@ class OnClient:
         self._look()
 
     def __call__(self, take: Take) -> Results:
-        """Run everything that ``take`` gives."""
+        """Run everything that ``take`` gives, from now on and not only from the first result that is asked for."""
+        self._send_what_is_new(take)
+        return self._results(take)
+
+    def _send_what_is_new(self, take: Take) -> None:
+        while self._room() and (tasks := take(1)):  # one by one: workers need not wait for the rest
+            self._send(_Errand(tasks[0]))
+
+    def _results(self, take: Take) -> Results:
         retries: deque[_Errand] = deque()
         while True:
             for errand in [retries.popleft() for _ in range(min(self._room(), len(retries)))]:
                 yield from self._retry(errand)
-            while self._room() and (tasks := take(1)):  # one by one: workers need not wait for the rest
-                self._send(_Errand(tasks[0]))
+            self._send_what_is_new(take)
             if not retries and not self._in_flight:
                 return
             if self._in_flight and (future := self._next()):

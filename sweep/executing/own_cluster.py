@@ -3,19 +3,18 @@
 import asyncio
 import inspect
 import logging
-import signal
+import os
 import tempfile
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
-from multiprocessing import resource_tracker
 from typing import Any
 
 import dask
 from distributed import LocalCluster, SpecCluster
 from tornado.ioloop import PeriodicCallback
+
+from sweep.executing.children import ENVIRONMENT, METHOD, deaf_to_interrupts, start_forkserver
 
 PATIENCE_S = 0.5
 """What workers get to finish in when a run is stopped."""
@@ -24,15 +23,10 @@ REPLACE_EVERY_S = 5
 
 LOOPBACK = "127.0.0.1"
 
-KEEP_BYTES = 2**28
-"""Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them
-back to the system each time costs a fifth of the run."""
-
 OWN_CLUSTER = {
     "distributed.scheduler.allowed-failures": 0,  # what a dead worker had is done again, guarded
-    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": KEEP_BYTES,
-    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": KEEP_BYTES,
-    "distributed.nanny.pre-spawn-environ.DASK_LOGGING__DISTRIBUTED": "critical",
+    "distributed.worker.multiprocessing-method": METHOD,
+    **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
 }
 
 
@@ -46,39 +40,21 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         here = f"{LOOPBACK}:0"
         defaults: dict[str, Any] = {}
         if issubclass(kind, LocalCluster):
-            # In threads the worker's pages would be served to the world (its host is none).
-            pages = {} if options.get("processes", True) else {"worker_dashboard_address": here}
-            defaults = {"dashboard_address": here, "silence_logs": False, **pages}
+            defaults = {"dashboard_address": here, "silence_logs": False}
+            if options.get("processes", True):
+                start_forkserver()
+                defaults["env"] = dict(
+                    os.environ
+                )  # it may have changed since the process that they are forked from began
+            else:
+                defaults["worker_dashboard_address"] = here  # else they are served to the world: its host is none
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
             defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
-        cluster = stack.enter_context(_deaf_to_interrupts(partial(kind, **{**defaults, **options})))
+        cluster = stack.enter_context(deaf_to_interrupts(partial(kind, **{**defaults, **options})))
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(_lost_workers_replaced(cluster))
         yield cluster
-
-
-def _deaf_to_interrupts(make: Callable[[], Any]) -> Any:
-    """Start a cluster whose processes do not get SIGINT and SIGHUP: a terminal sends them to all of them, but they
-    are the client's to answer (distributed#1925).
-
-    They inherit the signal mask of the thread that starts them, which is not this one, so that this one can be
-    interrupted meanwhile.
-    """
-    made: Future[Any] = Future()
-
-    def start() -> None:
-        if hasattr(signal, "pthread_sigmask"):
-            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
-            resource_tracker.ensure_running()  # before the other: where it starts, it unblocks SIGINT in this thread
-            signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        try:
-            made.set_result(make())
-        except BaseException as error:
-            made.set_exception(error)
-
-    threading.Thread(target=start, name="start-cluster", daemon=True).start()
-    return made.result()
 
 
 @contextmanager

@@ -1,18 +1,14 @@
 """Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
 
 from collections.abc import Collection, Sequence
-from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass
-from importlib import import_module
-from pathlib import Path
-from threading import Thread
+from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Pool, Say, available_cores, serial
+from sweep.executing.choose import ANYWHERE, Resources, choose_executor
 from sweep.executing.worker import TaskResult
 from sweep.interrupt import watched
 from sweep.planning.grid import make_grid
@@ -26,24 +22,6 @@ from sweep.stores.lock import locked
 from sweep.stores.store import Store, check_store, create_or_resume, existing_store
 from sweep.studies.provenance import provenance
 from sweep.studies.study import Study
-
-SERIAL_COST = 5e7
-"""Below this many random numbers (half a second) starting a cluster takes longer than the work."""
-
-
-@dataclass(frozen=True)
-class Resources:
-    """What to run on; never part of a study, because it cannot change a number.
-
-    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.
-    """
-
-    workers: int | None = None
-    pool: Pool | None = None
-    scheduler: str | None = None
-    tls: tuple[Path, Path, Path] | None = None
-    cluster: Path | None = None
-    limits: Limits = NO_LIMITS
 
 
 class Progress(Protocol):
@@ -89,7 +67,7 @@ def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
 def run_study(
     study: Study,
     store: Where,
-    resources: Resources = Resources(),
+    resources: Resources = ANYWHERE,
     progress: Progress | None = None,
     retry: bool = False,
     break_lock: bool = False,
@@ -116,7 +94,7 @@ def run_study(
             if not again:
                 progress.say(f"no point in {store} has failed")
         tally = _tally(plan, opened, again)
-        with choose_executor(study, tally.survey, resources, progress.say) as (place, run):
+        with choose_executor(study, tally.survey.pending.cost, resources, progress.say) as (place, run):
             opened = opened or create_or_resume(store, study, provenance(study))
             opened.verify()
             if unused := len(opened.rows) - tally.survey.held.blocks:
@@ -124,12 +102,13 @@ def run_study(
             pending = Pending(plan, tally)
             writer = Writer(plan, tally, pending, opened, interruptions.held)
             try:
+                results = run(pending.take)
                 if tally.survey.pending.blocks:
                     writer.write()  # so that there is a labelled, if empty, dataset from the start
                 progress.start(tally.survey, place.words, place.workers)
                 if place.dashboard:
                     progress.say(f"Dask dashboard: {place.dashboard}")
-                for works, result in run(pending.take):
+                for works, result in results:
                     progress.advance(works, result, writer.take(works, result))
                 dataset = writer.write(final=True)
                 progress.written()
@@ -156,30 +135,3 @@ def _tally(plan: Plan, store: Store | None, only: Collection[bytes] | None = Non
     if store is None:
         return Tally(plan, {}, np.empty((0, 0)))
     return Tally(plan, store.rows, store.sums(), store.failures, only)
-
-
-def choose_executor(
-    study: Study, survey: Survey, resources: Resources, say: Say
-) -> AbstractContextManager[tuple[Place, Executor]]:
-    """Return the place where a run will be and its executor, to be entered.
-
-    Without a wish: a local cluster with one worker process a core, or this process where the work is less than
-    starting one and needs no limits.
-    """
-    limits = resources.limits
-    small = resources.workers is None and survey.pending.cost < SERIAL_COST and not limits
-    pool = resources.pool or ("serial" if small else "processes")
-    elsewhere = resources.scheduler is not None or resources.cluster is not None
-    if pool == "serial" and not elsewhere:
-        return serial(study, limits)
-    from sweep.executing.clusters import dask_from_file, dask_local, dask_scheduler, tls
-
-    if resources.scheduler is not None:
-        security = tls(*resources.tls) if resources.tls else None
-        return dask_scheduler(study, resources.scheduler, security, say, limits)
-    if resources.cluster is not None:
-        return dask_from_file(study, resources.cluster, say, limits)
-    assert pool != "serial"
-    # xarray takes half a second to look at its first array, workers to start: both at once
-    Thread(target=import_module, args=["dask.array"], daemon=True).start()
-    return dask_local(study, resources.workers or available_cores(), pool, say, limits)

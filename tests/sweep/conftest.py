@@ -10,7 +10,8 @@ from uuid import uuid4
 import pytest
 import xarray as xr
 
-from sweep.running.run import Resources, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
 from sweep.studies.reader import load_study
 from tests.conftest import LINK_STUDY
 

@@ -7,8 +7,9 @@ import pytest
 import xarray as xr
 
 from sweep.executing import worker
+from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict
 
 EXPERIMENT = Path(__file__).with_name("coins.py").read_text()

@@ -20,8 +20,9 @@ from sweep.analysis.quantity import main_quantity, quantities, require_axis, sta
 from sweep.analysis.selection import between, select
 from sweep.cli import main
 from sweep.contract import SweepError
+from sweep.executing.choose import Resources
 from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])

@@ -9,9 +9,10 @@ import pytest
 import xarray as xr
 from distributed import LocalCluster
 
+from sweep.executing.choose import Resources
 from sweep.executing.clock import STEP_S, Clock, wake
 from sweep.executing.own_cluster import own_cluster
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.studies.reader import load_study
 
 REAL = time.time

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from sweep.executing.choose import Resources
 from sweep.planning.grid import make_grid
 from sweep.planning.pending import Pending
 from sweep.planning.plan import Plan, generators
 from sweep.planning.tally import Tally
-from sweep.running.run import Resources, plan_study, run_study
+from sweep.running.run import plan_study, run_study
 from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")

@@ -13,9 +13,10 @@ from sweep.analysis.compare import all_is_well, claims_of, compare, remarks, sum
 from sweep.analysis.compare_tables import as_csv, as_json, notes, summary_line
 from sweep.cli import main
 from sweep.contract import SweepError
+from sweep.executing.choose import Resources
 from sweep.paper.published_stores import published_studies, store_of, unfinished
 from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.studies.reader import load_study, study_from_dict
 from sweep.studies.study import printed_rounding
 from tests.conftest import COINS

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from sweep.contract import Named, SweepError
+from sweep.executing.choose import Resources
 from sweep.load import load_function
 from sweep.planning.grid import Grid
 from sweep.running.revisit import reproduce
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.stores.store import open_dataset, read_attributes
 from sweep.studies.reader import load_study, study_from_dict, study_of_attributes
 

@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.running.run import Resources, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
 from sweep.stores.folder import Folder
 from sweep.stores.repair import check, repair
 from sweep.stores.store import existing_store, open_dataset

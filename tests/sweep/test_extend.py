@@ -6,7 +6,8 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.running.run import Resources, plan_study, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import plan_study, run_study
 from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
+from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError, watched
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.stores.store import Store
 from sweep.studies.reader import study_from_dict
 

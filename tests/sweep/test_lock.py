@@ -202,7 +202,8 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
 
 
 def test_plain_readers_do_not_see_the_lock(tmp_path, coins):
-    from sweep.running.run import Resources, run_study
+    from sweep.executing.choose import Resources
+    from sweep.running.run import run_study
     from sweep.studies.reader import study_from_dict
 
     store = tmp_path / "s.zarr"

@@ -13,6 +13,7 @@ from sweep.analysis.quantity import standard_error
 from sweep.analysis.selection import select
 from sweep.cli import main
 from sweep.contract import SweepError
+from sweep.executing.choose import Resources
 from sweep.planning.tally import MISSING
 from sweep.plots import style
 from sweep.plots.figure import draw_figure, possible_kinds
@@ -24,7 +25,7 @@ from sweep.plots.scaling import draw_efficiency, draw_speed_up
 from sweep.plots.scatter import draw_scatter
 from sweep.plots.sky import add_sky, draw_sky
 from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table, models_of
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.studies.reader import load_study, study_from_dict
 
 

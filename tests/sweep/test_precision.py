@@ -5,8 +5,9 @@ import pytest
 import xarray as xr
 
 from sweep.contract import Experiment, Output, Parameter, SweepError
+from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")

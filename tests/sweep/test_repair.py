@@ -8,7 +8,8 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.running.run import Resources, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
 from sweep.stores import ledger
 from sweep.stores.folder import Folder
 from sweep.stores.location import located

@@ -15,6 +15,7 @@ from click.testing import CliRunner
 
 from sweep.cli import main
 from sweep.contract import SweepError
+from sweep.executing.choose import Resources
 from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
 from sweep.report.answer import answers, completeness
 from sweep.report.cite import citations
@@ -22,7 +23,7 @@ from sweep.report.explorer import explorer
 from sweep.report.figures import pictures
 from sweep.report.page import MARK, check_output, report_of, report_page, write_report
 from sweep.report.section import MOST_ROWS
-from sweep.running.run import Resources, run_study
+from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
 from sweep.studies.source import built_in_studies

@@ -13,7 +13,8 @@ import xarray as xr
 from zarr.storage import ObjectStore
 
 from sweep.contract import SweepError
-from sweep.running.run import Resources, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
 from sweep.stores import bucket as bucket_module
 from sweep.stores.location import located
 from sweep.stores.store import existing_store, open_dataset

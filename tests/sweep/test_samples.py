@@ -7,7 +7,8 @@ import pytest
 import xarray as xr
 
 from sweep.contract import Output, SweepError
-from sweep.running.run import Resources, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
 from sweep.stores.store import Store
 from sweep.studies.reader import study_from_dict
 

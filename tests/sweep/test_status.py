@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError
 from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING
 from sweep.running.completion import MOST_LINES, Stretch, as_lines, by_axis, folded
-from sweep.running.run import Resources, Silent, run_study
+from sweep.running.run import Silent, run_study
 from sweep.running.status import plan_report, status_report
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict

@@ -10,7 +10,8 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.running.run import Resources, run_study
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
 from sweep.stores.store import check_store, create_or_resume, existing_store, open_dataset, read_attributes
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_from_dict
