@@ -132,14 +132,12 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
         for part in parts(len(ra)):
             objects = ra[part], dec[part], pmra[part], pmdec[part]
             design = design_matrix(*objects, corrections=scenario.corrections, glide=scenario.solve_glide)
-            design = np.moveaxis(design, 0, 1)
-            misclosure = differences[part].copy()
-            for k, value in enumerate(truth):  # one by one, since a matrix product may round a row by its place
-                misclosure -= design[..., k] * value
-            columns[part, :, :unknowns] = design / sigma[part, :, None]
-            if copies == 2:
-                columns[part, :, unknowns:-1] = design * sigma[part, :, None]
-            columns[part, :, -1] = misclosure / sigma[part]
+            design, weighing = np.moveaxis(design, -1, 0), sigma[part].T
+            misclosure = differences[part].T.copy()
+            for value, derivative in zip(truth, design, strict=True):
+                misclosure -= derivative * value  # one by one: a matrix product may round an object by its place
+            found = [design / weighing, design * weighing][:copies]
+            columns[part] = np.concatenate([*found, (misclosure / weighing)[None]]).transpose(2, 1, 0)
         return columns
 
     settings = "columns", copies, scenario.corrections, scenario.solve_glide, truth.tobytes()

@@ -48,16 +48,16 @@ def design_matrix(
     cos_dec = np.cos(dec)
     require_off_poles(dec, cos_dec)
     p, q, _ = triad(ra, dec)
-    p, q = np.moveaxis(p, 0, -1), np.moveaxis(q, 0, -1)
-    design = np.zeros((4, *np.shape(ra), 9 if glide else 6))
-    design[0, ..., :3] = design[2, ..., 3:6] = q
-    design[1, ..., :3] = design[3, ..., 3:6] = -p
+    design = np.zeros((9 if glide else 6, 4, *np.shape(ra)))  # an unknown's derivatives side by side: faster
+    design[:3, 0] = design[3:6, 2] = q
+    design[:3, 1] = design[3:6, 3] = -p
     if glide:
-        design[2, ..., 6:], design[3, ..., 6:] = p, q
+        design[6:, 2], design[6:, 3] = p, q
     if corrections:
         eta_x, eta_y = np.cos(ra) / cos_dec, np.sin(ra) / cos_dec
-        design[2, ..., 0], design[2, ..., 1] = -pmdec * eta_x, -pmdec * eta_y
-        design[3, ..., 0], design[3, ..., 1] = pmra * eta_x, pmra * eta_y
+        design[0, 2], design[1, 2] = -pmdec * eta_x, -pmdec * eta_y
+        design[0, 3], design[1, 3] = pmra * eta_x, pmra * eta_y
+    design = np.moveaxis(design, 0, -1)
     return design
 
 
@@ -98,7 +98,7 @@ def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
     Error-free data (all zero) get unit errors of 1 mas and 1 mas/yr, that is equal weights.  Raises LinkError where an
     error is negative or not finite, or zero beside non-zero ones.
     """
-    sigma = np.hypot(sigma_reference, sigma_satellite)
+    sigma = np.hypot(sigma_reference, sigma_satellite) if np.any(sigma_reference) else np.abs(sigma_satellite)
     _require(np.isfinite(sigma), "non-finite standard error")
     _require(np.minimum(sigma_reference, sigma_satellite) >= 0.0, "negative standard error")
     if not np.any(sigma):
