@@ -57,8 +57,7 @@ def design_matrix(
         eta_x, eta_y = np.cos(ra) / cos_dec, np.sin(ra) / cos_dec
         design[0, 2], design[1, 2] = -pmdec * eta_x, -pmdec * eta_y
         design[0, 3], design[1, 3] = pmra * eta_x, pmra * eta_y
-    design = np.moveaxis(design, 0, -1)
-    return design
+    return np.moveaxis(design, 0, -1)
 
 
 def require_off_poles(dec: Array, cos_dec: Array) -> None:

@@ -16,7 +16,7 @@ from sweep.cli.options import (
     study_options,
 )
 from sweep.cli.output import print_plan, print_table
-from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
+from sweep.cli.stopping import a_signal_ends_the_command, end_stopped, no_leak_warning
 from sweep.cli.watching import Watching, told, watching_options
 
 if TYPE_CHECKING:
@@ -97,7 +97,8 @@ def run_with_progress(
     """Run a study with progress and a summary shown; an interruption ends the command."""
     from sweep.executing.choose import expect
 
-    expect(study, resources)
+    with no_leak_warning():
+        expect(study, resources)
     from sweep.interrupt import RunInterruptedError
     from sweep.running.progress import TerminalProgress
     from sweep.running.run import run_study

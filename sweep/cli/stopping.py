@@ -16,7 +16,6 @@ LAST_SECOND = 1.0
 """What Python's own clean-up may take before the process ends without it."""
 
 NO_LEAK_WARNING = "ignore:resource_tracker"
-"""For the process that removes the semaphores which an end in haste leaves, and would tell the user of them."""
 
 
 @contextmanager
@@ -28,18 +27,29 @@ def a_signal_ends_the_command() -> Iterator[None]:
     """
     from sweep.interrupt import SIGNALS
 
-    sys.warnoptions.append(NO_LEAK_WARNING)
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number, handler in before.items():
         if handler not in (signal.SIG_IGN, None):
             signal.signal(number, _leave_at_once)
     try:
-        yield
+        with no_leak_warning():
+            yield
     finally:
-        sys.warnoptions.remove(NO_LEAK_WARNING)
         for number, handler in before.items():
             if handler is not None:
                 signal.signal(number, handler)
+
+
+@contextmanager
+def no_leak_warning() -> Iterator[None]:
+    """Start processes in this block such that the one that removes the semaphores which an end in haste leaves does not
+    tell the user of them.
+    """
+    sys.warnoptions.append(NO_LEAK_WARNING)
+    try:
+        yield
+    finally:
+        sys.warnoptions.remove(NO_LEAK_WARNING)
 
 
 def end_stopped(number: int) -> NoReturn:

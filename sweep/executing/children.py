@@ -9,16 +9,14 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from multiprocessing import forkserver, resource_tracker
 from typing import TypeVar
 
 Made = TypeVar("Made")
 
-METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
-"""How workers are started: what each of them needs of Python is imported once for all."""
-
 PRELOADED = ["distributed", "sweep.executing.pin"]
-"""Starts no thread: only a process without others may be forked."""
+"""What every worker imports.  It starts no thread: a process that has several must not be forked."""
 
 KEEP_BYTES = 2**28
 """Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them
@@ -33,14 +31,19 @@ ENVIRONMENT = {
 """Of every worker, and read by libraries as it starts, before Dask can say anything."""
 
 
-def start_forkserver() -> None:
-    """Start the process that workers are forked from, unless it runs already or this system has none."""
-    if METHOD == "forkserver":
-        deaf_to_interrupts(_start_forkserver)
+def start_forkserver() -> str:
+    """Start the process that workers are forked from, unless it runs already; return multiprocessing's name for the
+    way in which they can be started: "spawn" where there can be no such process.
+    """
+    if "forkserver" in multiprocessing.get_all_start_methods():
+        with suppress(OSError):  # its socket is in the temporary directory, whose name may be too long for one
+            deaf_to_interrupts(_start_forkserver)
+            return "forkserver"
+    return "spawn"
 
 
 def _start_forkserver() -> None:
-    multiprocessing.get_context(METHOD).set_forkserver_preload(PRELOADED)
+    multiprocessing.get_context("forkserver").set_forkserver_preload(PRELOADED)
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
     os.environ.update(ENVIRONMENT)
     try:

@@ -14,7 +14,7 @@ import dask
 from distributed import LocalCluster, SpecCluster
 from tornado.ioloop import PeriodicCallback
 
-from sweep.executing.children import ENVIRONMENT, METHOD, deaf_to_interrupts, start_forkserver
+from sweep.executing.children import ENVIRONMENT, deaf_to_interrupts, start_forkserver
 
 PATIENCE_S = 0.5
 """What workers get to finish in when a run is stopped."""
@@ -25,7 +25,6 @@ LOOPBACK = "127.0.0.1"
 
 OWN_CLUSTER = {
     "distributed.scheduler.allowed-failures": 0,  # what a dead worker had is done again, guarded
-    "distributed.worker.multiprocessing-method": METHOD,
     **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
 }
 
@@ -42,7 +41,8 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         if issubclass(kind, LocalCluster):
             defaults = {"dashboard_address": here, "silence_logs": False}
             if options.get("processes", True):
-                start_forkserver()
+                method = start_forkserver()
+                stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
                 defaults["env"] = dict(
                     os.environ
                 )  # it may have changed since the process that they are forked from began

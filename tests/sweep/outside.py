@@ -89,7 +89,9 @@ def below(pid):
 
 def workers_below(pid):
     """Return the processes below one that Dask's nannies started."""
-    return [child for child in sorted(below(pid)) if "spawn_main" in command_of(child)]
+    of, family = parents(), sorted(below(pid))
+    servers = {child for child in family if "multiprocessing.forkserver" in command_of(child)}
+    return [child for child in family if "spawn_main" in command_of(child) or of.get(child) in servers]
 
 
 def command_of(pid):

@@ -247,6 +247,6 @@ def test_everything_listens_on_loopback_and_nothing_is_left(link_study, tmp_path
     assert list((tmp_path / "temporary").iterdir())
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    assert not any(command_of(pid) for pid in family)
+    wait_until(lambda: not any(command_of(pid) for pid in family), "the end of all processes", 5)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["s.zarr", "small.toml", "temporary"]
     assert not list((tmp_path / "temporary").iterdir())
