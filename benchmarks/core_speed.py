@@ -5,24 +5,34 @@
 The unit is the bare generator: the same buffers of unit normals, filled by the same generator in the same process and
 nothing else done.  A ratio of 0.9 says that drawing took 90 % of the time.  For points that share a draw the ratio is
 that of points times normals, as if each had drawn its own, so it may be far above 1.  Everything a block costs is in
-it, catalogue and set-up too.  Medians over repetitions in which all cases take turns, in CPU time, BLAS on one thread.
+it, catalogue and set-up too.  Medians over repetitions in which all cases take turns, in CPU time, BLAS on one thread,
+in a process with the environment that `sweep run` gives its workers, whose allocator keeps what is freed.
 """
 
+import json
+import sys
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.measured import Measured, Size
+from benchmarks.measured import Measured, Size, Target, watch
 from core.experiment import cost, evaluate, link
 from core.noise import ROWS, TILE
 from core.quasars import V_MAX
+from sweep.executing.children import ENVIRONMENT
 
 N_OBJ = (28, 300, 1156, 15_533)
+TARGETS = {"fixed design": 0.80, "equal weights": 0.80, "errors of both": 0.35}
+"""Of the bare generator, for at least so many objects:"""
+TARGETS_FROM = 1000
 PROJECTED_OBJECTS = 500_000
+PROJECTED_S = 2.0
 LIMITS = [float(v) for v in V_MAX]
 Case = tuple[list[dict[str, Any]], int]
 
@@ -113,17 +123,40 @@ def projected(n_sim: int) -> dict[str, float]:
     return {"n_sim": float(n_sim), "set_up_s": one, "after_set_up_s": max(0.0, many - one)}
 
 
+def target(name: str) -> Target | None:
+    """Return the target of a case."""
+    kind, _, n_obj = name.partition(", N = ")
+    return Target(">=", TARGETS[kind]) if kind in TARGETS and int(n_obj) >= TARGETS_FROM else None
+
+
 def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     """Return the rate of the bare generator, the ratio of every case and the seconds of the projected method."""
+    command = [sys.executable, "-m", "benchmarks.core_speed", size, str(repetitions)]
+    with tempfile.TemporaryDirectory() as folder:
+        found = json.loads(watch(command, Path(folder), ENVIRONMENT).output)
+    once, whole = found["projected"], size != "tiny"
+    return [
+        Measured("bare generator", [found["rate"] / 1e6], "M/s", note="unit normals a second and core"),
+        *(Measured(n, values, "of bare", target(n) if whole else None) for n, values in found["ratios"].items()),
+        Measured(f"projected, {PROJECTED_OBJECTS:,} objects: set-up", [once["set_up_s"]], "s CPU"),
+        Measured(
+            f"projected: {once['n_sim']:,.0f} realisations",
+            [once["after_set_up_s"]],
+            "s CPU",
+            Target("<=", PROJECTED_S) if whole else None,
+        ),
+    ]
+
+
+def main(size: str, repetitions: str) -> None:
+    """Print what is measured in this process, as JSON."""
     with threadpool_limits(1):
         fill = bare(2**24)
         rate = 2**24 / min(seconds(fill) for _ in range(3))
-        found = ratios(1 if size == "tiny" else repetitions)
+        found = ratios(1 if size == "tiny" else int(repetitions))
         once = projected(10_000 if size == "tiny" else 1_000_000)
-    n_sim = f"{once['n_sim']:,.0f}"
-    return [
-        Measured("bare generator", [rate / 1e6], "M/s", note="unit normals a second and core"),
-        *(Measured(name, values, "of bare") for name, values in found.items()),
-        Measured(f"projected, {PROJECTED_OBJECTS:,} objects: set-up", [once["set_up_s"]], "s CPU"),
-        Measured(f"projected: {n_sim} realisations", [once["after_set_up_s"]], "s CPU"),
-    ]
+    json.dump({"rate": rate, "ratios": found, "projected": once}, sys.stdout)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -136,8 +136,11 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
             misclosure = differences[part].T.copy()
             for value, derivative in zip(truth, design, strict=True):
                 misclosure -= derivative * value  # one by one: a matrix product may round an object by its place
-            found = [design / weighing, design * weighing][:copies]
-            columns[part] = np.concatenate([*found, (misclosure / weighing)[None]]).transpose(2, 1, 0)
+            into = columns[part].transpose(2, 1, 0)
+            into[:unknowns] = design / weighing
+            if copies == 2:
+                into[unknowns:-1] = design * weighing
+            into[-1] = misclosure / weighing
         return columns
 
     settings = "columns", copies, scenario.corrections, scenario.solve_glide, truth.tobytes()

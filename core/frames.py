@@ -116,7 +116,7 @@ def exact_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon:
     p, q, r = triad(ra, dec)
     back_minus_identity = rotation_minus_identity(-epsilon)
     step = turned(back_minus_identity, r)  # r_sat - r_ref
-    rho = np.cos(dec)
+    rho = q[2]
     rho_sat = np.hypot(r[0] + step[0], r[1] + step[1])
     rho_step = (step[0] * (2.0 * r[0] + step[0]) + step[1] * (2.0 * r[1] + step[1])) / (rho + rho_sat)
 

@@ -45,16 +45,15 @@ def design_matrix(
     ``d pmdec = q.g``.
     Raises LinkError for a source at a pole, where ra is undefined.
     """
-    cos_dec = np.cos(dec)
-    require_off_poles(dec, cos_dec)
     p, q, _ = triad(ra, dec)
+    require_off_poles(dec, q[2])
     design = np.zeros((9 if glide else 6, 4, *np.shape(ra)))  # an unknown's derivatives side by side: faster
     design[:3, 0] = design[3:6, 2] = q
     design[:3, 1] = design[3:6, 3] = -p
     if glide:
         design[6:, 2], design[6:, 3] = p, q
     if corrections:
-        eta_x, eta_y = np.cos(ra) / cos_dec, np.sin(ra) / cos_dec
+        eta_x, eta_y = p[1] / q[2], -p[0] / q[2]
         design[0, 2], design[1, 2] = -pmdec * eta_x, -pmdec * eta_y
         design[0, 3], design[1, 3] = pmra * eta_x, pmra * eta_y
     return np.moveaxis(design, 0, -1)
