@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core.link import design_matrix, normal_inverse, require_off_poles
 from core.noise import Tile
-from core.prefixes import Prefixes, parts
+from core.prefixes import Prefixes, origin, parts
 from core.setup import Setup
 
 Array = NDArray[np.float64]
@@ -77,18 +77,23 @@ class FixedSums:
     products: Array
     squares: float = 0.0
 
+    def __post_init__(self) -> None:
+        """Note what each tile asks for."""
+        self._noise, self._columns = self.design.setup.satellite, self.design.columns
+        self._n_obj = len(self._columns) if self._noise else 0
+        self._whose = origin(self._columns)
+
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
         """Add the objects of a tile; the reference has no errors here."""
-        noise, columns = self.design.setup.satellite, self.design.columns
-        if satellite is None or satellite.start >= len(columns) or not noise:
+        if satellite is None or satellite.start >= self._n_obj:
             return
-        part = columns[satellite.start : satellite.start + len(satellite.normals)]
-        if noise.factor is None:
-            self.products += satellite.product(part)
-            self.squares += satellite.squares(len(columns))
+        part = self._columns[satellite.start : satellite.start + len(satellite.normals)]
+        if self._noise.factor is None:
+            self.products += satellite.product(part, self._whose)
+            self.squares += satellite.squares(self._n_obj)
         else:
-            errors = noise.standardised(satellite.of(len(columns)), satellite.start)
-            self.products += part.reshape(-1, columns.shape[2]).T @ errors.reshape(-1, errors.shape[2])
+            errors = self._noise.standardised(satellite.of(self._n_obj), satellite.start)
+            self.products += part.reshape(-1, part.shape[2]).T @ errors.reshape(-1, errors.shape[2])
             self.squares += float(np.vdot(errors, errors))
 
     def solved(self) -> tuple[Array, float]:

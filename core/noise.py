@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
-from core.prefixes import place
 
 Array = NDArray[np.float64]
 
@@ -51,16 +50,17 @@ class Tile:
 
     def squares(self, n_obj: int) -> float:
         """Return the sum of squares of that part, computed once for all points that have as many objects in it."""
-        part = self.of(n_obj)
-        if len(part) not in self._squares:
-            self._squares[len(part)] = float(np.vdot(part, part))
-        return self._squares[len(part)]
+        count = max(0, min(n_obj - self.start, len(self.normals)))
+        if count not in self._squares:
+            part = self.normals[:count]
+            self._squares[count] = float(np.vdot(part, part))
+        return self._squares[count]
 
-    def product(self, columns: Array) -> Array:
+    def product(self, columns: Array, whose: Hashable) -> Array:
         """Return columns^T normals, (C, rows), of the columns (n, 4, C) of the tile's first n objects, computed once
-        for all points that have the same columns.
+        for all points that have the same columns: as many of those that ``whose`` names.
         """
-        key = place(columns)
+        key = whose, len(columns)
         if key not in self._products:
             flat = columns.reshape(-1, columns.shape[2])
             self._products[key] = flat.T @ self.normals[: len(columns)].reshape(len(flat), -1)

@@ -21,9 +21,14 @@ def parts(n_obj: int) -> list[slice]:
     return [slice(start, min(start + PART, n_obj)) for start in range(0, n_obj, PART)]
 
 
+def origin(rows: Array) -> Hashable:
+    """Return what tells an array from all that are alive and contiguous and do not begin as it does, in memory."""
+    return rows.__array_interface__["data"][0], rows.shape[1:]
+
+
 def place(rows: Array) -> Hashable:
-    """Return what tells an array from all others that are alive and contiguous: where it is and its shape."""
-    return rows.__array_interface__["data"][0], rows.shape
+    """Return what tells an array from all others that are alive and contiguous: where it begins and its shape."""
+    return origin(rows), len(rows)
 
 
 class Prefixes:
