@@ -9,6 +9,9 @@ from benchmarks.trivial import toml
 PLANNED = {"tiny": 10_000, "normal": 1_000_000, "full": 1_000_000}
 RUN = {"tiny": (100, 900), "normal": (10_000, 100_000), "full": (10_000, 100_000)}
 
+MOST_GROWN = 1.25
+"""Of ten times as many points: each has a key in memory, 0.2 kB, and its part of the dataset while that is written."""
+
 
 def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     """Return seconds and memory of a plan, and of runs of few and many points (once: they are long)."""
@@ -22,17 +25,21 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
         report.append(Measured(what, [p.seconds for p in plans], "s", Target("<=", 10.0) if whole else None))
         peak = [p.peak_bytes / 1e6 for p in plans]
         report.append(Measured(f"{what}: peak memory", peak, "MB", Target("<=", 1000.0) if whole else None))
+        peaks = []
         for points in RUN[size]:
             (folder / "run.toml").write_text(toml(points))
             run = watch([*SWEEP, "run", "run.toml", "--workers", "2", "--quiet", "-o", f"{points}.zarr"], folder)
             files = [path for path in (folder / f"{points}.zarr").rglob("*") if path.is_file()]
             middle = [memory for when, memory in run.own_bytes if 0.4 < when / run.seconds < 0.6]
+            peaks.append(max(memory for _, memory in run.own_bytes))
             report += [
                 Measured(f"run of {points:,} points, whole process", [run.seconds], "s"),
                 Measured("  client and scheduler, half-way", [memory / 1e6 for memory in middle], "MB"),
-                Measured("  client and scheduler, peak", [max(m for _, m in run.own_bytes) / 1e6], "MB"),
+                Measured("  client and scheduler, peak", [peaks[-1] / 1e6], "MB"),
                 Measured("  largest process, peak", [run.peak_bytes / 1e6], "MB"),
                 Measured("  files in the store", [len(files)]),
                 Measured("  size of the store", [sum(path.stat().st_size for path in files) / 1e6], "MB"),
             ]
+        grown = f"client and scheduler, peak of {RUN[size][1]:,} over that of {RUN[size][0]:,}"
+        report.append(Measured(grown, [peaks[1] / peaks[0]], "", Target("<=", MOST_GROWN) if whole else None))
     return report

@@ -24,6 +24,7 @@ REPLACE_EVERY_S = 5
 LOOPBACK = "127.0.0.1"
 
 OWN_CLUSTER = {
+    "distributed.admin.low-level-log-length": 10,  # of messages that are kept, in memory and with all they carried
     "distributed.scheduler.allowed-failures": 0,  # what a dead worker had is done again, guarded
     **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
 }
