@@ -6,11 +6,12 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
-AGAIN_S = 0.02
+LOST_S = 0.2
+"""After that long an interrupt that the main thread does not deal with has been dropped."""
 
 
 class RunInterruptedError(Exception):
@@ -22,12 +23,16 @@ class RunInterruptedError(Exception):
 
 
 class Interruptions:
-    """The signals that stop a run: the first raises KeyboardInterrupt, the second is answered as without a run."""
+    """The signals that stop a run: the first raises KeyboardInterrupt, the second is answered as without a run.
+
+    Python drops a KeyboardInterrupt that arrives in a finaliser or in a callback of its import system, and libraries
+    drop some while they are imported.  So it is raised again until it gets through.
+    """
 
     def __init__(self) -> None:
         """Start with none received and nothing watched."""
         self.received: int | None = None
-        self._holding = self._owed = self._lost = False
+        self._holding = self._owed = self._lost = self._watching = False
         self._before: dict[int, Any] = {}
 
     @contextmanager
@@ -40,7 +45,7 @@ class Interruptions:
             self._holding = False
         if self._owed:
             self._owed = False
-            raise KeyboardInterrupt
+            self._interrupt()
 
     def watch(self) -> None:
         """Begin to answer signals."""
@@ -50,9 +55,11 @@ class Interruptions:
                 self._before[number] = before
                 signal.signal(number, self._answer)
         self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
+        self._watching = True
 
     def restore(self) -> None:
         """Leave signals to whoever answered them before."""
+        self._watching = False
         for number, before in self._before.items():
             signal.signal(number, before)
         if sys.unraisablehook == self._unraisable:
@@ -66,18 +73,39 @@ class Interruptions:
             return
         self.received, self._lost, self._owed = number, False, self._holding
         if not self._holding:
-            raise KeyboardInterrupt
+            self._interrupt()
+
+    def _interrupt(self) -> NoReturn:
+        self._look_later()
+        raise KeyboardInterrupt
+
+    def _look_later(self) -> None:
+        later = threading.Timer(LOST_S, self._look)
+        later.daemon = True
+        later.start()
+
+    def _look(self) -> None:
+        """Send the signal again unless the main thread is on its way out: in an except, a finally or a with."""
+        if not self._watching or self.received is None:
+            return
+        main = threading.main_thread().ident
+        assert main is not None
+        if _is_handling(main):
+            self._look_later()
+        else:
+            self._lost = True
+            signal.pthread_kill(main, self.received)
 
     def _unraisable(self, what: Any) -> None:
-        """Send a signal again whose KeyboardInterrupt Python dropped, because a finaliser or a callback of the garbage
-        collector was running.
-        """
+        """Say nothing of an interrupt that Python drops."""
         if self.received is None or not issubclass(what.exc_type, KeyboardInterrupt):
             self._unraisable_before(what)
-            return
-        self._lost = True
-        main = threading.main_thread().ident
-        threading.Timer(AGAIN_S, signal.pthread_kill, (main, self.received)).start()
+
+
+def _is_handling(thread: int) -> bool:
+    """Whether a thread is handling an exception at this moment."""
+    found = sys._current_exceptions().get(thread)
+    return (found[0] if isinstance(found, tuple) else found) is not None  # three of them in Python 3.11
 
 
 @contextmanager
@@ -95,6 +123,7 @@ def watched() -> Iterator[Interruptions]:
     except BaseException as stop:
         if not _is_interrupt(stop):
             raise
+        exec("")  # CPython, where it left the text of an exec, would end the process by the signal instead of exiting
         raise RunInterruptedError(interruptions.received or signal.SIGINT) from stop
     finally:
         interruptions.restore()

@@ -20,5 +20,9 @@ def commands(document):
 def run_commands(document, sweep, folder):
     """Run the commands that a document shows, one after the other, in a folder."""
     for command in commands(document):
-        status, _, err = sweep(*shlex.split(command, comments=True)[1:], cwd=folder)
+        words = shlex.split(command, comments=True)[1:]
+        words, file = (words[:-2], words[-1]) if ">" in words else (words, None)
+        status, out, err = sweep(*words, cwd=folder)
         assert status == 0, f"{command}: {err}"
+        if file:
+            (folder / file).write_text(out)

@@ -17,8 +17,8 @@ HOUSE = {
         *("simulate", "parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
     ],
     "sweep.studies": [
-        *("definitions", "study", "source", "form", "problems", "axes", "claims", "published", "exclusions", "rules"),
-        *("reader", "provenance"),
+        *("definitions", "study", "source", "form", "schema", "template", "problems", "axes"),
+        *("claims", "published", "exclusions", "rules", "reader", "provenance"),
     ],
     "sweep.planning": ["byaxes", "grid", "plan", "tally", "pending"],
     "sweep.executing": [

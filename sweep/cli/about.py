@@ -1,6 +1,7 @@
-"""Commands that say what there is: list and params."""
+"""Commands that say what there is and help to begin: list, params, new and schema."""
 
 import json
+from pathlib import Path
 
 import click
 
@@ -56,3 +57,48 @@ def params(experiment: str, as_json: bool) -> None:
         default = "see below" if row["default"] is None else row["default"]
         unit = f" [{row['unit']}]" if row["unit"] else ""
         click.echo(f"{row['name']}{unit}  default: {default}\n    {row['meaning']}; {row['allowed']}")
+
+
+@main.command()
+@click.argument("name")
+@click.argument("experiment", default="core.experiment:link")
+def new(name: str, experiment: str) -> None:
+    """Write NAME.toml, a study of EXPERIMENT to start from: it runs as it is, and has every parameter in a comment.
+
+    \b
+    sweep new mine
+    sweep new mine my_experiment.py:experiment
+    """
+    from sweep.contract import SweepError, shown
+    from sweep.load import load_experiment
+    from sweep.studies.definitions import GOOD_NAME
+    from sweep.studies.template import new_study
+
+    if not GOOD_NAME.fullmatch(name):
+        raise SweepError(
+            f"{shown(name)} is no name for a study: letters, digits and _ . + -, at most 60; a letter first"
+        )
+    path = Path(f"{name}.toml")
+    text = new_study(name, experiment, load_experiment(experiment, Path.cwd()))
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise SweepError("exists already; take another name", str(path)) from error
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+    click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
+
+
+@main.command()
+@click.argument("experiment", default="core.experiment:link")
+def schema(experiment: str) -> None:
+    """Print the JSON Schema of studies of EXPERIMENT, by which editors complete and check them.
+
+    \b
+    sweep schema > study.schema.json
+    """
+    from sweep.load import load_experiment
+    from sweep.studies.schema import study_schema
+
+    click.echo(json.dumps(study_schema(load_experiment(experiment)), indent=1, ensure_ascii=False))

@@ -102,12 +102,12 @@ def run_study(
             pending = Pending(plan, tally)
             writer = Writer(plan, tally, pending, opened, interruptions.held)
             try:
-                results = run(pending.take)
-                if tally.survey.pending.blocks:
-                    writer.write()  # so that there is a labelled, if empty, dataset from the start
                 progress.start(tally.survey, place.words, place.workers)
                 if place.dashboard:
                     progress.say(f"Dask dashboard: {place.dashboard}")
+                results = run(pending.take)
+                if tally.survey.pending.blocks:
+                    writer.write()  # so that there is a labelled, if empty, dataset from the start
                 for works, result in results:
                     progress.advance(works, result, writer.take(works, result))
                 dataset = writer.write(final=True)

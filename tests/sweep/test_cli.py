@@ -7,12 +7,11 @@ import sys
 import pytest
 import xarray as xr
 
+from sweep.cli import main
 from tests.conftest import COINS
 
-COMMANDS = ("run", "plan", "show", "status", "list", "params", "plot", "compare", "match", "calibrate", "fit", "find")
 
-
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", sorted(main.commands))
 def test_every_command_has_help_with_an_example(sweep, command):
     code, out, _ = sweep(command, "--help")
     assert code == 0

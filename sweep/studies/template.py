@@ -1,0 +1,93 @@
+"""A study to start from: it runs as it is, and has every parameter at its default as a comment."""
+
+import json
+
+from sweep.contract import Experiment, Parameter
+from sweep.studies.study import Sampling
+
+SAMPLING = {
+    "n_sim": "realisations of each catalogue",
+    "n_cat": "catalogues of each point, an outer draw that realisations share",
+    "seed": "same seed, same numbers, on any machine layout",
+    "precision": "relative error of the headline results at which a point stops, after n_sim at least",
+    "max_n_sim": "but not more than these",
+    "keep_samples": "keep every single estimate too",
+    "common_random_numbers": "let points share what they can: ratios and exponents have far less noise",
+}
+SUGGESTED = {"precision": 0.01, "max_n_sim": 1_000_000}
+FEW = 2
+"""Values on the axis that is there to begin with."""
+
+
+def new_study(title: str, reference: str, experiment: Experiment) -> str:
+    """Return the text of a study of the experiment at ``reference``, ``module:attribute`` or ``file.py:attribute``."""
+    lines = [
+        f"title = {_toml(title)}",
+        f"experiment = {_toml(reference)}",
+        "",
+        "[axes]  # every combination of the values is a point of the grid",
+        "# NAME = { start = 1.0, stop = 2.0, step = 0.5 }",
+        '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
+        *(f"{name} = {_toml(values)}" for name, values in _first_axis(experiment).items()),
+        "",
+        "[sampling]",
+    ]
+    useless = _useless(experiment)
+    for name, field in Sampling.model_fields.items():
+        if name in useless:
+            continue
+        given = SUGGESTED.get(name, field.default)
+        mark = "# " if name in SUGGESTED else ""
+        lines.append(f"{mark}{name} = {_toml(given)}  # {SAMPLING[name]}")
+    lines += ["", "[fixed]  # any other parameter; these are the defaults"]
+    for parameter in experiment.parameters:
+        unit = f" [{parameter.unit}]" if parameter.unit and f"[{parameter.unit}]" not in parameter.allowed() else ""
+        lines += ["", " ".join(f"# {parameter.meaning}{unit}; {parameter.allowed()}".split())]
+        default = "" if parameter.default is None else f" {_toml(_plain(parameter))}"
+        lines.append(f"# {parameter.name} ={default}")
+    return "\n".join(lines) + "\n"
+
+
+def _useless(experiment: Experiment) -> set[str]:
+    """Return what of [sampling] the experiment has nothing for."""
+    needed = {
+        "precision": experiment.errors_of_headline(),
+        "max_n_sim": experiment.errors_of_headline(),
+        "keep_samples": experiment.samples,
+        "common_random_numbers": experiment.shared,
+    }
+    return {name for name, what in needed.items() if not what}
+
+
+def _first_axis(experiment: Experiment) -> dict[str, list[object]]:
+    """Return a parameter and values of it that can be computed with all others at their defaults."""
+    chosen = [p for p in experiment.parameters if p.choices and p.default is not None]
+    for parameter in sorted(chosen, key=lambda p: p.define is None):  # what users may extend is what they compare
+        good = [choice for choice in parameter.choices if _works(experiment, parameter.name, choice)]
+        if len(good) >= FEW:
+            return {parameter.name: list(good[:FEW])}
+    given = [p for p in experiment.parameters if p.default is not None]
+    return {p.name: [_plain(p)] for p in given[:1]}
+
+
+def _works(experiment: Experiment, name: str, choice: str) -> bool:
+    try:
+        return experiment.check(experiment.defaults() | {name: choice}) is None
+    except Exception:  # whatever a user's experiment raises: then it is no value to begin with
+        return False
+
+
+def _plain(parameter: Parameter) -> object:
+    """Return the default as a study writes it."""
+    default = parameter.default
+    if parameter.kind == "map":
+        return dict(default) if isinstance(default, tuple) else {}
+    return list(default) if isinstance(default, tuple) else default
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)  # TOML's strings, numbers and booleans are JSON's

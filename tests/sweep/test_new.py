@@ -1,0 +1,174 @@
+"""`sweep new` writes a study that is true to the experiment, and `sweep schema` says what a study may be."""
+
+import json
+import re
+import tomllib
+
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from jsonschema import Draft202012Validator
+
+from sweep.contract import Experiment, Output, Parameter, SweepError
+from sweep.load import load_experiment
+from sweep.planning.grid import make_grid
+from sweep.studies.reader import study_from_dict
+from sweep.studies.schema import study_schema
+from sweep.studies.template import new_study
+from tests.conftest import COINS
+from tests.sweep.mutations import corpus
+from tests.sweep.test_study_fuzz import GOOD, documents
+
+LINK = "core.experiment:link"
+
+
+def validator(reference=LINK):
+    schema = study_schema(load_experiment(reference))
+    Draft202012Validator.check_schema(schema)
+    return Draft202012Validator(json.loads(json.dumps(schema)))
+
+
+LINK_VALIDATOR = validator()
+
+
+def digests(document):
+    return [point.digest for point in make_grid(study_from_dict(document)).points()]
+
+
+@pytest.mark.parametrize("reference", [LINK, COINS])
+def test_a_new_study_runs_as_it_is(reference, tmp_path, sweep):
+    code, out, err = sweep("new", "mine", reference, cwd=tmp_path)
+    assert (code, out) == (0, ""), err
+    assert "sweep plan mine.toml" in err
+    store = tmp_path / "s.zarr"
+    code, out, err = sweep(
+        "run", tmp_path / "mine.toml", "--set", "n_sim=5", "-o", store, "--pool", "serial", cwd=tmp_path
+    )
+    assert code == 0, err
+    assert "mine" not in out.splitlines()[1]
+    assert len(out.splitlines()) >= 4  # a heading and two points at least
+
+
+@pytest.mark.parametrize("reference", [LINK, COINS])
+def test_what_it_says_in_comments_are_the_defaults(reference):
+    text = new_study("mine", reference, load_experiment(reference))
+    without = tomllib.loads(text)
+    [axis] = without["axes"]
+    begun, fixed = text.split("[fixed]")
+    lines = re.findall(rf"^# ((?!{axis} )\w+ = .*)$", fixed, flags=re.MULTILINE)
+    assert len(lines) > 1
+    with_all = tomllib.loads(begun + "[fixed]\n" + "\n".join(lines))
+    assert digests(with_all) == digests(without)
+    sampled = re.sub(r"^# (precision|max_n_sim) =", r"\1 =", begun, flags=re.MULTILINE)
+    assert ("precision =" in sampled) == (reference == LINK)  # coins have no error to judge by
+    study_from_dict(tomllib.loads(sampled))
+    names = re.findall(r"^# (\w+) =", fixed, flags=re.MULTILINE)
+    assert names == [parameter.name for parameter in load_experiment(reference).parameters]
+
+
+def test_an_experiment_without_choices_or_defaults_or_manners():
+    def check(point):
+        raise ZeroDivisionError
+
+    def made(*parameters):
+        return Experiment(
+            *("odd", 1, parameters, {"a": ()}, (Output("a", "", "it"),)),
+            evaluate=lambda points, n_sim, rng, catalogue_rng: {"a": [0.0] * len(points)},
+            summarise=lambda sums, n, n_cat: sums,
+            check=check,
+        )
+
+    odd = made(
+        Parameter("x", "vector", (0.0, 1.5, 2.0), "a\nvector", "mas"), Parameter("m", "map", (("a", "b"),), "map")
+    )
+    found = tomllib.loads(new_study('a "title"', "x:y", odd))
+    assert found["axes"] == {"x": [[0.0, 1.5, 2.0]]}
+    assert found["title"] == 'a "title"'
+    assert '# m = { "a" = "b" }' in new_study("t", "x:y", odd)
+    choosy = made(Parameter("kind", "str", "a", "kind", choices=("a", "b")))
+    assert tomllib.loads(new_study("t", "x:y", choosy))["axes"] == {"kind": ["a"]}  # its check raises for every choice
+    assert tomllib.loads(new_study("t", "x:y", made()))["axes"] == {}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("taken",), "taken.toml: exists already; take another name"),
+        (("../up",), "'../up' is no name for a study"),
+        (("fine", "no.such:thing"), "no.such"),
+        (("fine", "math:tau"), "math:tau"),
+    ],
+)
+def test_what_cannot_be_begun(arguments, said, tmp_path, sweep):
+    (tmp_path / "taken.toml").write_text("mine")
+    code, out, err = sweep("new", *arguments, cwd=tmp_path)
+    assert (code, out) == (2, "")
+    assert said in err
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("taken.toml", "mine")]
+
+
+def test_it_may_not_be_writable(tmp_path, sweep):
+    code, _, err = sweep("new", "mine", cwd="/proc")
+    assert code == 2
+    assert "mine.toml: cannot be written" in err
+
+
+@pytest.mark.parametrize("name", sorted(corpus()))
+def test_every_study_of_ours_conforms_to_the_schema(name):
+    document = tomllib.loads(corpus()[name])
+    reference = document.get("experiment", LINK)
+    if reference != LINK:
+        pytest.skip("of another experiment, which only a document shows")
+    LINK_VALIDATOR.validate(document)
+
+
+@pytest.mark.parametrize("reference", [LINK, COINS])
+def test_a_new_study_conforms_to_the_schema(reference):
+    validator(reference).validate(tomllib.loads(new_study("t", reference, load_experiment(reference))))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"axes": {"v_mx": [14.0]}},
+        {"axes": {"v_max": []}},
+        {"axes": {"v_max": {"start": 1.0, "stop": 2.0}}},
+        {"axes": {"model": {"start": 1.0, "stop": 2.0, "step": 1.0}}},
+        {"fixed": {"catalogue": "quasar"}},
+        {"fixed": {"omega": [1.0, 2.0]}},
+        {"fixed": {"error_scale": -1.0}},
+        {"fixed": {"corrections": "yes"}},
+        {"fixed": {"n_obj": 2.5}},
+        {"sampling": {"n_sims": 5}},
+        {"sampling": {"n_sim": 0}},
+        {"define": {"catalogue": {"mine": {}}}},
+        {"exclude": [{"v_mx": 14.0}]},
+        {"titel": "x"},
+    ],
+    ids=json.dumps,
+)
+def test_the_schema_refuses_what_plan_refuses(wrong):
+    document = {"title": "t"} | wrong
+    assert not LINK_VALIDATOR.is_valid(document)
+    with pytest.raises(SweepError):
+        make_grid(study_from_dict(document))
+
+
+@given(documents())
+@settings(max_examples=30, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+def test_what_plan_accepts_conforms_to_the_schema(document):
+    without_files = {key: value for key, value in document.items() if key != "published"}
+    try:
+        study = study_from_dict(without_files)
+    except SweepError:
+        assume(False)
+    assume(study.experiment_reference == LINK)
+    LINK_VALIDATOR.validate(without_files)
+
+
+def test_the_schema_is_printed(sweep):
+    assert LINK_VALIDATOR.is_valid({k: v for k, v in GOOD.items() if k != "published"})
+    code, out, err = sweep("schema", COINS)
+    assert (code, err) == (0, "")
+    assert json.loads(out)["properties"]["fixed"]["properties"]["metal"]["enum"] == ["gold", "tin"]
+    code, out, err = sweep("schema", "no.such:thing")
+    assert (code, out) == (2, "")
