@@ -2,7 +2,9 @@
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 
 from sweep.executing.children import start_forkserver
 from sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Pool, Say, available_cores, serial
@@ -42,7 +44,7 @@ class Resources:
         return self.pool or ("serial" if small else "processes")
 
 
-ANYWHERE = Resources()
+NO_WISHES = Resources()
 
 
 def expect(study: Study, resources: Resources) -> None:
@@ -73,4 +75,6 @@ def choose_executor(
     if resources.cluster is not None:
         return dask_from_file(study, resources.cluster, say, limits)
     assert pool is not None
+    # xarray takes a third of a second to look at its first array, workers to start nearly as long: both at once
+    Thread(target=import_module, args=["dask.array"], daemon=True).start()
     return dask_local(study, resources.workers or available_cores(), pool, say, limits)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.executing.choose import ANYWHERE, Resources, choose_executor
+from sweep.executing.choose import NO_WISHES, Resources, choose_executor
 from sweep.executing.worker import TaskResult
 from sweep.interrupt import watched
 from sweep.planning.grid import make_grid
@@ -67,7 +67,7 @@ def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
 def run_study(
     study: Study,
     store: Where,
-    resources: Resources = ANYWHERE,
+    resources: Resources = NO_WISHES,
     progress: Progress | None = None,
     retry: bool = False,
     break_lock: bool = False,
