@@ -8,7 +8,7 @@ from benchmarks.measured import SWEEP, Measured, Size, Target, watch
 
 SETTINGS = {
     "tiny": ["--set", "n_cat=2", "--set", "n_sim=10", "--axis", "v_max=14"],
-    "normal": ["--set", "n_cat=100", "--axis", "v_max=17:20:0.5"],
+    "normal": ["--set", "n_sim=300"],
     "full": ["--set", "n_cat=1000"],
 }
 

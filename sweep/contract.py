@@ -145,6 +145,17 @@ class Parameter:
     define: Define | None = field(default=None, compare=False, repr=False)
     defined: tuple[Named, ...] = ()
 
+    @property
+    def may_be_axis(self) -> bool:
+        """Whether its values can be those of an axis."""
+        return self.kind not in ("vector", "map", "file")
+
+    def written_default(self) -> Any:
+        """Return the default as a study writes it."""
+        if isinstance(self.default, tuple):
+            return dict(self.default) if self.kind == "map" else list(self.default)
+        return self.default.item() if isinstance(self.default, np.generic) else self.default
+
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if self.kind == "str":

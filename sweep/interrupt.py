@@ -26,7 +26,8 @@ class Interruptions:
     """The signals that stop a run: the first raises KeyboardInterrupt, the second is answered as without a run.
 
     Python drops a KeyboardInterrupt that arrives in a finaliser or in a callback of its import system, and libraries
-    drop some while they are imported.  So it is raised again until it gets through.
+    drop some while they are imported.  So it is raised again until it gets through; not where all of the run is in an
+    ``except`` of the caller's, since then it cannot be told from one that is on its way.
     """
 
     def __init__(self) -> None:
@@ -34,6 +35,7 @@ class Interruptions:
         self.received: int | None = None
         self._holding = self._owed = self._lost = self._watching = False
         self._before: dict[int, Any] = {}
+        self._deciding = threading.Lock()
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -59,7 +61,8 @@ class Interruptions:
 
     def restore(self) -> None:
         """Leave signals to whoever answered them before."""
-        self._watching = False
+        with self._deciding:
+            self._watching = False
         for number, before in self._before.items():
             signal.signal(number, before)
         if sys.unraisablehook == self._unraisable:
@@ -86,15 +89,16 @@ class Interruptions:
 
     def _look(self) -> None:
         """Send the signal again unless the main thread is on its way out: in an except, a finally or a with."""
-        if not self._watching or self.received is None:
-            return
         main = threading.main_thread().ident
         assert main is not None
-        if _is_handling(main):
-            self._look_later()
-        else:
-            self._lost = True
-            signal.pthread_kill(main, self.received)
+        with self._deciding:
+            if not self._watching or self.received is None:
+                return
+            if _is_handling(main):
+                self._look_later()
+            else:
+                self._lost = True
+                signal.pthread_kill(main, self.received)
 
     def _unraisable(self, what: Any) -> None:
         """Say nothing of an interrupt that Python drops."""

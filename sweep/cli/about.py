@@ -1,6 +1,7 @@
 """Commands that say what there is and help to begin: list, params, new and schema."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -79,13 +80,15 @@ def new(name: str, experiment: str) -> None:
             f"{shown(name)} is no name for a study: letters, digits and _ . + -, at most 60; a letter first"
         )
     path = Path(f"{name}.toml")
-    text = new_study(name, experiment, load_experiment(experiment, Path.cwd()))
+    text = new_study(name, experiment, load_experiment(experiment)).encode(errors="replace")
     try:
-        with path.open("x", encoding="utf-8") as file:
+        with path.open("xb") as file:
             file.write(text)
     except FileExistsError as error:
         raise SweepError("exists already; take another name", str(path)) from error
     except OSError as error:
+        with suppress(OSError):
+            path.unlink()
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
     click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
 

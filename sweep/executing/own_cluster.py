@@ -14,7 +14,7 @@ import dask
 from distributed import LocalCluster, SpecCluster
 from tornado.ioloop import PeriodicCallback
 
-from sweep.executing.children import ENVIRONMENT, deaf_to_interrupts, start_forkserver
+from sweep.executing.children import ENVIRONMENT, SAFE_PATH, deaf_to_interrupts, start_method
 
 PATIENCE_S = 0.5
 """What workers get to finish in when a run is stopped."""
@@ -42,11 +42,9 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         if issubclass(kind, LocalCluster):
             defaults = {"dashboard_address": here, "silence_logs": False}
             if options.get("processes", True):
-                method = start_forkserver()
+                method = stack.enter_context(start_method())
                 stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
-                defaults["env"] = dict(
-                    os.environ
-                )  # it may have changed since the process that they are forked from began
+                defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # what they are forked from has it
             else:
                 defaults["worker_dashboard_address"] = here  # else they are served to the world: its host is none
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):

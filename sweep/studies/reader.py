@@ -195,7 +195,7 @@ class _Reader:
         where = ("axes", name)
         try:
             parameter = experiment.parameter(name)
-            if parameter.kind in ("vector", "map", "file"):
+            if not parameter.may_be_axis:
                 raise ValueError(f"a {parameter.kind} cannot be an axis")
             raw_values = axis_values(spec, whole=parameter.kind == "int")
         except ValueError as error:

@@ -1,5 +1,6 @@
 """The form of a study of one experiment as JSON Schema, for editors: what they complete and underline."""
 
+import math
 from typing import Any
 
 from sweep.contract import Experiment, Parameter
@@ -19,7 +20,7 @@ def study_schema(experiment: Experiment) -> Schema:
     parameters = experiment.parameters
     definable = [p for p in parameters if p.define is not None]
     schema["properties"] |= {
-        "axes": _table({p.name: _axis(p) for p in parameters}),
+        "axes": _table({p.name: _axis(p) for p in parameters if p.may_be_axis}),
         "fixed": _table({p.name: _value(p) for p in parameters}),
         "define": _table({p.name: {"type": "object", "description": f"own values of {p.name}"} for p in definable}),
     }
@@ -55,7 +56,7 @@ def _way(needed: Schema, possible: Schema | None = None) -> Schema:
 def _value(parameter: Parameter) -> Schema:
     number: Schema = {"type": "integer" if parameter.kind == "int" else "number"}
     bounds = {"minimum": parameter.minimum, "maximum": parameter.maximum, "exclusiveMinimum": parameter.above}
-    number |= {key: bound for key, bound in bounds.items() if bound is not None}
+    number |= {key: bound for key, bound in bounds.items() if bound is not None and math.isfinite(bound)}
     text: Schema = {"type": "string"}
     if parameter.choices:
         text |= {"enum" if parameter.define is None else "examples": list(parameter.choices)}
@@ -68,5 +69,5 @@ def _value(parameter: Parameter) -> Schema:
         "map": {"type": "object", "additionalProperties": {"type": "string"}},
         "file": {"type": "string"},
     }
-    default = {} if parameter.default is None else {"default": parameter.default}
+    default = {} if parameter.default is None else {"default": parameter.written_default()}
     return {**_described(parameter), **kinds[parameter.kind], **default}

@@ -2,7 +2,7 @@
 
 import json
 
-from sweep.contract import Experiment, Parameter
+from sweep.contract import Experiment
 from sweep.studies.study import Sampling
 
 SAMPLING = {
@@ -21,6 +21,7 @@ FEW = 2
 
 def new_study(title: str, reference: str, experiment: Experiment) -> str:
     """Return the text of a study of the experiment at ``reference``, ``module:attribute`` or ``file.py:attribute``."""
+    axes = _first_axis(experiment)
     lines = [
         f"title = {_toml(title)}",
         f"experiment = {_toml(reference)}",
@@ -28,7 +29,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         "[axes]  # every combination of the values is a point of the grid",
         "# NAME = { start = 1.0, stop = 2.0, step = 0.5 }",
         '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
-        *(f"{name} = {_toml(values)}" for name, values in _first_axis(experiment).items()),
+        *(f"{name} = {_toml(values)}" for name, values in axes.items()),
         "",
         "[sampling]",
     ]
@@ -41,9 +42,12 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         lines.append(f"{mark}{name} = {_toml(given)}  # {SAMPLING[name]}")
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
     for parameter in experiment.parameters:
+        if parameter.name in axes:
+            continue
         unit = f" [{parameter.unit}]" if parameter.unit and f"[{parameter.unit}]" not in parameter.allowed() else ""
-        lines += ["", " ".join(f"# {parameter.meaning}{unit}; {parameter.allowed()}".split())]
-        default = "" if parameter.default is None else f" {_toml(_plain(parameter))}"
+        words = f"# {parameter.meaning}{unit}; {parameter.allowed()}".split()
+        lines += ["", "".join(c for c in " ".join(words) if c.isprintable())]
+        default = "" if parameter.default is None else f" {_toml(parameter.written_default())}"
         lines.append(f"# {parameter.name} ={default}")
     return "\n".join(lines) + "\n"
 
@@ -66,8 +70,8 @@ def _first_axis(experiment: Experiment) -> dict[str, list[object]]:
         good = [choice for choice in parameter.choices if _works(experiment, parameter.name, choice)]
         if len(good) >= FEW:
             return {parameter.name: list(good[:FEW])}
-    given = [p for p in experiment.parameters if p.default is not None]
-    return {p.name: [_plain(p)] for p in given[:1]}
+    given = [p for p in experiment.parameters if p.default is not None and p.may_be_axis]
+    return {p.name: [p.written_default()] for p in given[:1]}
 
 
 def _works(experiment: Experiment, name: str, choice: str) -> bool:
@@ -77,17 +81,12 @@ def _works(experiment: Experiment, name: str, choice: str) -> bool:
         return False
 
 
-def _plain(parameter: Parameter) -> object:
-    """Return the default as a study writes it."""
-    default = parameter.default
-    if parameter.kind == "map":
-        return dict(default) if isinstance(default, tuple) else {}
-    return list(default) if isinstance(default, tuple) else default
-
-
 def _toml(value: object) -> str:
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in value.items()) + " }" if value else "{}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_toml, value)) + "]"
-    return json.dumps(value, ensure_ascii=False)  # TOML's strings, numbers and booleans are JSON's
+    if isinstance(value, float):
+        return repr(value)
+    # TOML's strings, integers and booleans are JSON's, but for one character
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from jsonschema import Draft202012Validator
 
-from sweep.contract import Experiment, Output, Parameter, SweepError
+from sweep.contract import SweepError
 from sweep.load import load_experiment
 from sweep.planning.grid import make_grid
 from sweep.studies.reader import study_from_dict
@@ -54,7 +54,7 @@ def test_what_it_says_in_comments_are_the_defaults(reference):
     without = tomllib.loads(text)
     [axis] = without["axes"]
     begun, fixed = text.split("[fixed]")
-    lines = re.findall(rf"^# ((?!{axis} )\w+ = .*)$", fixed, flags=re.MULTILINE)
+    lines = re.findall(r"^# (\w+ = .*)$", fixed, flags=re.MULTILINE)
     assert len(lines) > 1
     with_all = tomllib.loads(begun + "[fixed]\n" + "\n".join(lines))
     assert digests(with_all) == digests(without)
@@ -62,31 +62,61 @@ def test_what_it_says_in_comments_are_the_defaults(reference):
     assert ("precision =" in sampled) == (reference == LINK)  # coins have no error to judge by
     study_from_dict(tomllib.loads(sampled))
     names = re.findall(r"^# (\w+) =", fixed, flags=re.MULTILINE)
-    assert names == [parameter.name for parameter in load_experiment(reference).parameters]
+    assert names == [p.name for p in load_experiment(reference).parameters if p.name != axis]
 
 
-def test_an_experiment_without_choices_or_defaults_or_manners():
-    def check(point):
+ODD = """
+import math
+import numpy as np
+from sweep.contract import Experiment, Output, Parameter
+
+def check(point):
+    if point["kind"] != "a":
         raise ZeroDivisionError
 
-    def made(*parameters):
-        return Experiment(
-            *("odd", 1, parameters, {"a": ()}, (Output("a", "", "it"),)),
-            evaluate=lambda points, n_sim, rng, catalogue_rng: {"a": [0.0] * len(points)},
-            summarise=lambda sums, n, n_cat: sums,
-            check=check,
-        )
+experiment = Experiment(
+    "odd", 1,
+    (
+        Parameter("x", "vector", (0.0, 1.5, 2.0), "a\\nvector\\x1b[31m", "mas"),
+        Parameter("m", "map", (("a b", "\\x7f"),), "a map"),
+        Parameter("f", "file", None, "a file"),
+        Parameter("n", "int", np.int64(3), "a number", maximum=math.inf, minimum=1),
+        Parameter("kind", "str", "a", "kind", choices=("a", "b")),
+        Parameter("word", "str", "\\x7f\\"", "any word"),
+    ),
+    {"a": ()},
+    (Output("a", "", "it", headline=True),),
+    evaluate=lambda points, n_sim, rng, catalogue_rng: {"a": [1.0] * len(points)},
+    summarise=lambda sums, n, n_cat: sums,
+    check=check,
+)
+""".replace("\\\\", "\\")
 
-    odd = made(
-        Parameter("x", "vector", (0.0, 1.5, 2.0), "a\nvector", "mas"), Parameter("m", "map", (("a", "b"),), "map")
-    )
-    found = tomllib.loads(new_study('a "title"', "x:y", odd))
-    assert found["axes"] == {"x": [[0.0, 1.5, 2.0]]}
-    assert found["title"] == 'a "title"'
-    assert '# m = { "a" = "b" }' in new_study("t", "x:y", odd)
-    choosy = made(Parameter("kind", "str", "a", "kind", choices=("a", "b")))
-    assert tomllib.loads(new_study("t", "x:y", choosy))["axes"] == {"kind": ["a"]}  # its check raises for every choice
-    assert tomllib.loads(new_study("t", "x:y", made()))["axes"] == {}
+
+def test_an_odd_experiment(tmp_path, sweep):
+    """With parameters that cannot be axes or hold what TOML cannot, and a check that raises."""
+    (tmp_path / "odd.py").write_text(ODD)
+    code, _, err = sweep("new", "mine", "odd.py:experiment", cwd=tmp_path)
+    assert code == 0, err
+    text = (tmp_path / "mine.toml").read_text()
+    assert tomllib.loads(text)["axes"] == {"n": [3]}
+    code, _, err = sweep("plan", "mine.toml", cwd=tmp_path)
+    assert code == 0, err
+    lines = re.findall(r"^# (\w+ = .*)$", text.split("[fixed]")[1], flags=re.MULTILINE)
+    assert len(lines) == 4
+    (tmp_path / "all.toml").write_text(text + "\n".join(lines) + "\n")
+    code, _, err = sweep("plan", "all.toml", cwd=tmp_path)
+    assert code == 0, err
+    code, out, err = sweep("schema", "odd.py:experiment", cwd=tmp_path)
+    assert code == 0, err
+    schema = json.loads(out, parse_constant=pytest.fail)
+    Draft202012Validator(schema).validate(tomllib.loads((tmp_path / "all.toml").read_text()))
+    for name, value in schema["properties"]["fixed"]["properties"].items():
+        if "default" in value:
+            Draft202012Validator(value).validate(value["default"])
+        axis = {"title": "t", "experiment": "odd.py:experiment", "axes": {name: [value.get("default")]}}
+        assert (name in schema["properties"]["axes"]["properties"]) == (name in ("n", "kind", "word"))
+        assert Draft202012Validator(schema).is_valid(axis) == (name in ("n", "kind", "word"))
 
 
 @pytest.mark.parametrize(
