@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
@@ -26,8 +25,6 @@ class OnWorker(WorkerPlugin):
 
     def setup(self, worker: Any) -> None:
         """Set the limits when the plugin reaches a worker."""
-        # Not for us: workers that are forked would all give an experiment that uses it the same numbers.
-        np.random.seed()  # noqa: NPY002
         self._limits = threadpool_limits(1)
         self.deadlines = Deadlines()
 

@@ -60,12 +60,14 @@ def test_a_server_of_the_users_own_is_left_alone():
         forkserver._forkserver._stop()
 
 
-def test_workers_draw_different_numbers_even_from_the_generator_they_must_not_use():
-    from sweep.executing.pin import OnWorker
+def legacy_draw():
+    return float(np.random.random())  # noqa: NPY002
 
+
+def test_workers_draw_different_numbers_even_from_the_generator_they_must_not_use():
+    """They are forked with the same state of it, and Dask gives each a new one."""
     with own_cluster(LocalCluster, ONE | {"n_workers": 2}) as cluster, cluster.get_client() as client:
-        client.register_plugin(OnWorker(), name="test")
-        assert len(set(client.run(np.random.random).values())) == 2
+        assert len(set(client.run(legacy_draw).values())) == 2
 
 
 def test_modules_of_the_folder_are_not_taken_for_others(link_study, tmp_path, start_sweep):
