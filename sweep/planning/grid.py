@@ -103,6 +103,14 @@ class Grid:
         study = self.study
         return frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
 
+    def draw(self, parameters: Mapping[str, Any]) -> tuple[Value, ...]:
+        """Return what points of this grid that share their random numbers have in common, and no others."""
+        return tuple(parameters[name] for name in self._drawing)
+
+    @cached_property
+    def _drawing(self) -> list[str]:
+        return [name for name in self._names if name not in self._shared]
+
     @cached_property
     def _texts(self) -> list[tuple[str, dict[Value, str]]]:
         """Each parameter that may count in a digest, in order, with its text for each of its values."""

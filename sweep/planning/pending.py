@@ -4,11 +4,8 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 
 from sweep.planning.grid import GridPoint
-from sweep.planning.plan import TARGET, Block, Plan, Work
+from sweep.planning.plan import MOST_SHARING, TARGET, Block, Plan, Work
 from sweep.planning.tally import MISSING, Tally
-
-MOST_SHARING = 64
-"""Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory."""
 
 
 class Pending:

@@ -20,6 +20,9 @@ on a task."""
 OVERHEAD = 20_000
 """What one evaluation costs beside its random numbers, counted in random numbers."""
 
+MOST_SHARING = 64
+"""Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory."""
+
 SHARED = 0.15
 """What a point costs that shares the random numbers of another: its part of the linear algebra."""
 

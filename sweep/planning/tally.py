@@ -1,15 +1,15 @@
 """The tally of a run: the sums of each point so far, and which blocks it still needs."""
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sweep.contract import Array
+from sweep.contract import Array, Value
 from sweep.planning.grid import GridPoint
-from sweep.planning.plan import Block, Plan, PlanSize, ledger_key
+from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, ledger_key
 
 MISSING, DONE, FAILED, EXCLUDED = 0, 1, 2, 3
 STATUS_WORDS = ("missing", "done", "failed", "excluded")
@@ -69,15 +69,20 @@ class Tally:
 
     def _survey(self, sums: Array) -> Survey:
         total = all_held = pending = PlanSize(0, 0, 0, 0.0)
+        common = self.plan.grid.study.sampling.common_random_numbers
+        groups: defaultdict[tuple[Value, ...], list[tuple[float, PlanSize]]] = defaultdict(list)
         if not self._rows and not self._failed:  # as fast as a grid of a million points needs
             costs: Counter[float] = Counter()
             for index, parameters in self.plan.grid.parameters():
                 self.status[index] = MISSING
-                costs[self.plan.cost(parameters)] += 1
+                cost = self.plan.cost(parameters)
+                costs[cost] += 1
+                if common:
+                    groups[self.plan.grid.draw(parameters)].append((cost, self.plan.size(cost)))
             for cost, points in costs.items():
                 total += self.plan.size(cost, points)
             self.plan.check_size(total.blocks)
-            return Survey(total, all_held, total)
+            return Survey(total, all_held, replace(total, cost=_cost_together(groups)) if common else total)
         for point in self.plan.grid.points():
             self.status[point.index] = FAILED if point.digest in self._failed else MISSING
             held, left = self._resume(point, sums)
@@ -86,7 +91,9 @@ class Tally:
             self.plan.check_size(total.blocks)
             if self._is_wanted(point):
                 pending += left
-        return Survey(total, all_held, pending)
+                if common:
+                    groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
+        return Survey(total, all_held, replace(pending, cost=_cost_together(groups)) if common else pending)
 
     def _resume(self, point: GridPoint, sums: Array) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
@@ -179,3 +186,17 @@ class Tally:
             return parts
         needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
         return min(max(parts + 1, self.plan.parts(cost, needed)), self.plan.parts(cost, sampling.most))
+
+
+def _cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:
+    """Return what is left of points, each with the cost of its realisations, that draw together with those of their
+    group: the costliest draws, the others only make something of it (see `Plan.work`).
+    """
+    total = 0.0
+    for members in groups.values():
+        for start in range(0, len(members), MOST_SHARING):
+            piece = members[start : start + MOST_SHARING]
+            draws = max(range(len(piece)), key=lambda k: piece[k][0])
+            for k, (cost, left) in enumerate(piece):
+                total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
+    return total

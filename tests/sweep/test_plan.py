@@ -9,7 +9,7 @@ from sweep.planning.grid import make_grid
 from sweep.planning.pending import Pending
 from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, TARGET, Plan, generators, ledger_key
 from sweep.planning.tally import Tally
-from sweep.studies.reader import study_from_dict
+from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 
 
@@ -128,6 +128,23 @@ def test_the_survey_counts_what_is_pending(coins):
     assert survey.held.blocks == 3
     assert survey.pending.blocks == len(keys) - 3
     assert survey.total.cost == pytest.approx(6 * (20_000 + 20 * 2 * OVERHEAD))
+
+
+@pytest.mark.parametrize("common", [False, True])
+@pytest.mark.parametrize("held", [0, 3])
+def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held):
+    """By which the time left is estimated: points that share a draw cost less than each alone."""
+    study = load_study("quasars", ["n_cat=5", "n_sim=777", f"common_random_numbers={str(common).lower()}"])
+    plan = Plan(make_grid(study))
+    blocks = [(point, block) for point in plan.grid.points() for block in plan.blocks(plan.cost(point.parameters))]
+    keys = [ledger_key(point.digest, block) for point, block in blocks if block.group < held]
+    sums = np.ones((len(keys), study.experiment.sums_width))
+    tally = Tally(plan, {key: row for row, key in enumerate(keys)}, sums)
+    pending, given = Pending(plan, tally), 0.0
+    while tasks := pending.take(1):
+        given += sum(work.cost for work in tasks[0])
+    assert given > 0
+    assert tally.survey.pending.cost == pytest.approx(given)
 
 
 @pytest.mark.parametrize("seed", [0, 5, 2**32, 2**64 - 1])
