@@ -22,6 +22,11 @@ class RunInterruptedError(Exception):
         super().__init__(self.signal.name)
 
 
+def how_ended(name: str) -> str:
+    """Return what the user is told of the signal of this name that ended a command."""
+    return "interrupted" if name == "SIGINT" else f"stopped by {name}"
+
+
 class Interruptions:
     """The signals that stop a run: the first raises KeyboardInterrupt, the second is answered as without a run.
 

@@ -17,13 +17,13 @@ class _Group(click.Group):
     """Turns a SweepError of any command into one message and exit code 2, and a signal into 128 and its number."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        from sweep.interrupt import RunInterruptedError, watched
+        from sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
             with watched():  # click itself would end with 1, which means that points failed
                 return self._invoke(ctx)
         except RunInterruptedError as stop:
-            click.echo("interrupted" if stop.signal.name == "SIGINT" else f"stopped by {stop.signal.name}", err=True)
+            click.echo(how_ended(stop.signal.name), err=True)
             sys.exit(128 + stop.signal)
 
     def _invoke(self, ctx: click.Context) -> Any:

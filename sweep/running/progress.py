@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
 from sweep.executing.worker import TaskResult
+from sweep.interrupt import how_ended
 from sweep.planning.grid import describe
 from sweep.planning.plan import Work
 from sweep.planning.tally import Survey
@@ -111,10 +112,9 @@ class TerminalProgress:
     def stopped(self, signal: str, store: object) -> None:
         """Say what an interrupted run leaves, and how to go on."""
         self._end_bar()
-        how = "interrupted" if signal == "SIGINT" else f"stopped by {signal}"
         kept = f"{self._account.done.realisations:,} realisations of this run are kept in {store}"
         done = "nothing was begun" if self._begun is None else kept
-        SENTENCES.error(f"{how}; {done}; the same command goes on from there")
+        SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
     def finish(self, failures: int, store: object) -> None:
         """Say what the run took, and how to look closer at points that failed."""
