@@ -25,7 +25,7 @@ from benchmarks.measured import Measured, Size, Target, watch
 from core.experiment import cost, evaluate, link
 from core.noise import ROWS, TILE
 from core.quasars import V_MAX
-from sweep.executing.children import ENVIRONMENT
+from sweep.executing.forkserver import ENVIRONMENT
 
 N_OBJ = (28, 300, 1156, 15_533)
 TARGETS = {"fixed design": 0.80, "equal weights": 0.80, "errors of both": 0.35}

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from core.link import design_matrix, normal_inverse, require_off_poles
 from core.noise import Tile
-from core.prefixes import Prefixes, origin, parts
-from core.setup import Setup
+from core.prepared import Setup
+from core.shared_arrays import Prefixes, origin, parts
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,7 @@ class FixedSums:
             self.products += satellite.product(part, self._whose)
             self.squares += satellite.squares(self._n_obj)
         else:
-            errors = self._noise.standardised(satellite.of(self._n_obj), satellite.start)
+            errors = self._noise.standardised(satellite.head(self._n_obj), satellite.start)
             self.products += part.reshape(-1, part.shape[2]).T @ errors.reshape(-1, errors.shape[2])
             self.squares += float(np.vdot(errors, errors))
 

@@ -44,7 +44,7 @@ class Tile:
     _squares: dict[int, float] = field(default_factory=dict)
     _products: dict[Hashable, Array] = field(default_factory=dict)
 
-    def of(self, n_obj: int) -> Array:
+    def head(self, n_obj: int) -> Array:
         """Return the part that belongs to a catalogue of ``n_obj`` objects."""
         return self.normals[: max(0, n_obj - self.start)]
 

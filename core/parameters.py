@@ -1,7 +1,7 @@
 """What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
 
 from core.missions import MISSIONS
-from core.own_mission import mission_from_table
+from core.user_mission import mission_from_table
 from sweep.contract import Output, Parameter
 
 PARAMETERS = (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core.fixed_design import FixedDesign
 from core.link import LinkError
-from core.prefixes import parts
+from core.shared_arrays import parts
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from core.catalogue import (
 from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import CatalogueErrors, ErrorModel, MagnitudeErrors, NoErrors, NormalErrors
 from core.missions import MISSIONS, Mission
+from core.prepared import Scenario, TrueVector, Vector
 from core.quasars import V_MAX, quasar_count, quasars
-from core.setup import Scenario, TrueVector, Vector
 from core.table_catalogue import Table, catalogue_from_table
 from sweep.contract import Named, Point
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
 from core.fixed_design import FixedDesign, FixedSums, fixed_design
-from core.full_path import FullPath, FullSums
 from core.noise import chunks, tiles
-from core.prefixes import Prefixes
+from core.noisy_design import FullPath, FullSums
+from core.prepared import Draw, Scenario, Setup, prepare
 from core.projected import Drawn, Projected
-from core.setup import Draw, Scenario, Setup, prepare
+from core.shared_arrays import Prefixes
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 from tests.documents import ROOT, code, commands, run_commands
+from tests.sweep.executing.test_tls import Files as TlsFiles
 from tests.sweep.outside import Outside
-from tests.sweep.test_tls import Files as TlsFiles
 
 
 def test_every_command_of_the_documents_stands_where_it_is_run():
@@ -118,7 +118,7 @@ def test_the_commands_about_clusters_run(tmp_path, sweep):
 def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     """The files make job scripts; a real SLURM runs one like the first in test_slurm."""
     from sweep.executing.clusterfile import cluster_class, read_cluster_file
-    from sweep.executing.own_cluster import own_cluster
+    from sweep.executing.local_cluster import own_cluster
 
     (tmp_path / "slurm.toml").write_text(code("clusters.md", "toml")[1])
     (tmp_path / "pbs.yaml").write_text(code("clusters.md", "yaml")[0])

@@ -12,26 +12,47 @@ GROUND = ["sweep.interrupt", "sweep.contract", "sweep.load", "sweep.tablefile"]
 HOUSE = {
     "core": [
         *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),
-        *("missions", "function_curve", "own_mission", "radio_stars", "catalogue", "quasars", "table_catalogue"),
-        *("prefixes", "errors", "link", "noise", "setup", "fixed_design", "normal_sums", "full_path", "projected"),
+        *("missions", "function_curve", "user_mission", "radio_stars", "catalogue", "quasars", "table_catalogue"),
+        *(
+            "shared_arrays",
+            "errors",
+            "link",
+            "noise",
+            "prepared",
+            "fixed_design",
+            "normal_equations",
+            "noisy_design",
+            "projected",
+        ),
         *("simulate", "parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
     ],
     "sweep.studies": [
         *("definitions", "study", "source", "form", "schema", "template", "problems", "axes"),
         *("claims", "published", "exclusions", "rules", "reader", "provenance"),
     ],
-    "sweep.planning": ["byaxes", "grid", "plan", "tally", "pending"],
+    "sweep.planning": ["point_cache", "grid", "plan", "accumulator", "work_queue"],
     "sweep.executing": [
-        *("limit", "worker", "agreement", "clock", "guard", "pin", "execute"),
-        *("children", "on_client", "clusterfile", "own_cluster", "clusters", "choose"),
+        *("deadlines", "worker", "versions", "clock", "isolated", "worker_plugin", "execute"),
+        *("forkserver", "dask_executor", "clusterfile", "local_cluster", "clusters", "choose"),
     ],
     "sweep.stores": [
-        *("folder", "bucket", "location", "lock", "sealed", "column", "ledger", "identity", "snapshot", "failures"),
+        *(
+            "folder",
+            "bucket",
+            "location",
+            "lock",
+            "checksums",
+            "chunked_rows",
+            "ledger",
+            "identity",
+            "snapshot",
+            "failures",
+        ),
         *("store", "repair"),
     ],
     "sweep.running": [
-        *("results", "covariance", "larger", "writer", "run", "revisit"),
-        *("completion", "status", "eta", "account", "progress", "scaling"),
+        *("results", "covariance", "subset", "writer", "run", "reproduce"),
+        *("axis_progress", "status", "eta", "run_summary", "progress", "scaling"),
     ],
     "sweep.analysis": [
         *("tables", "fits", "levelling", "selection", "quantity", "lines", "conditions"),
@@ -39,16 +60,16 @@ HOUSE = {
     ],
     "sweep.paper": ["published_stores", "calibrate"],
     "sweep.plots": [
-        *("style", "layout", "lines", "law", "maps", "scatter", "scaling", "sky", "accuracy", "views"),
-        *("panels", "figure", "other"),
+        *("style", "layout", "lines", "law", "maps", "scatter", "scaling", "sky", "missions", "views"),
+        *("panels", "figure", "standalone"),
     ],
     "sweep.report": ["cite", "answer", "figures", "explorer", "section", "page"],
     "sweep.search": [
         *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
     ],
     "sweep.cli": [
-        *("group", "completing", "options", "output", "stopping", "watching", "running", "again"),
-        *("reading", "analysis", "drawing", "paper", "report", "scaling", "about", "match"),
+        *("group", "shell_completion", "options", "output", "signals", "log_options", "running", "rerun"),
+        *("store", "analysis", "plot", "paper", "report", "scaling", "studies", "match"),
     ],
 }
 ROOF = ["sweep.api", "sweep.__init__", "sweep.__main__"]
@@ -68,7 +89,7 @@ ONLY_IN = {
 KNOWS_THE_CORE = {"sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.search"}
 KNOWS_THE_CONTRACT = {
     *("core.parameters", "core.scenario", "core.checks", "core.experiment"),
-    *("core.function_curve", "core.own_mission", "core.expected_errors"),
+    *("core.function_curve", "core.user_mission", "core.expected_errors"),
 }
 # The search is a command beside the platform.
 SEARCH_MAY_USE = {"sweep.contract", "sweep.tablefile"}

@@ -20,7 +20,7 @@ from sweep.analysis.fits import power_law
 from sweep.analysis.quantity import standard_error
 from sweep.analysis.selection import place_in_words
 from sweep.contract import SweepError
-from sweep.planning.tally import DONE, EXCLUDED, FAILED
+from sweep.planning.accumulator import DONE, EXCLUDED, FAILED
 from sweep.studies.study import Claim, Ratio, Reading, Slope, printed_rounding
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "incomplete"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sweep.analysis.quantity import COVARIANCE_SUFFIX, SHARES_RANDOM_NUMBERS, require_axis, standard_error
 from sweep.analysis.selection import place_in_words
 from sweep.contract import FEW, SweepError
-from sweep.planning.tally import DONE, EXCLUDED, STATUS_WORDS
+from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS
 
 Array = NDArray[np.float64]
 

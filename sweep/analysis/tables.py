@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
-from sweep.planning.tally import EXCLUDED, STATUS_WORDS
+from sweep.planning.accumulator import EXCLUDED, STATUS_WORDS
 
 if TYPE_CHECKING:
     from rich.table import Table

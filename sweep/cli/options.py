@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.cli import completing
+from sweep.cli import shell_completion
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
@@ -22,7 +22,7 @@ RESOURCES = (
 )
 MEMORY_AT_LEAST = 200 * 10**6
 
-study_argument = click.argument("study", shell_complete=completing.studies)
+study_argument = click.argument("study", shell_complete=shell_completion.studies)
 place_option = click.option(
     "--at", multiple=True, metavar="AXIS=VALUE", help="Only this part of the grid, e.g. model=gaia,v_max=16."
 )
@@ -48,9 +48,9 @@ def _located(context: click.Context, _parameter: click.Parameter, value: Any) ->
     return located(value)
 
 
-store_argument = click.argument("store", callback=_located, shell_complete=completing.stores)
+store_argument = click.argument("store", callback=_located, shell_complete=shell_completion.stores)
 stores_argument = click.argument(
-    "stores", nargs=-1, metavar="STORE...", callback=_located, shell_complete=completing.stores
+    "stores", nargs=-1, metavar="STORE...", callback=_located, shell_complete=shell_completion.stores
 )
 
 
@@ -62,7 +62,7 @@ def study_options(command: Command) -> Command:
             "settings",
             multiple=True,
             metavar="KEY=VALUE",
-            shell_complete=completing.settings,
+            shell_complete=shell_completion.settings,
             help="Override a value of the study, e.g. n_sim=500 or weighting=equal.",
         ),
         click.option(
@@ -70,7 +70,7 @@ def study_options(command: Command) -> Command:
             "axes",
             multiple=True,
             metavar="NAME=SPEC",
-            shell_complete=completing.axes,
+            shell_complete=shell_completion.axes,
             help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
         ),
         click.option(

@@ -89,7 +89,7 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
 
 def print_status(report: dict[str, Any]) -> None:
     """Print how far a run is."""
-    from sweep.running.completion import as_lines
+    from sweep.running.axis_progress import as_lines
 
     for key, value in report.items():
         if key == "axes":
@@ -111,8 +111,8 @@ def status_as_json(report: dict[str, Any]) -> str:
         dimension: [
             {"at": s.first, "points": s.points, "done": s.done, "failed": s.failed, "excluded": s.excluded}
             | {"realisations_done": s.realisations_done, "realisations": s.realisations}
-            for s in stretches
+            for s in segments
         ]
-        for dimension, stretches in report["axes"].items()
+        for dimension, segments in report["axes"].items()
     }
     return json.dumps(report | {"axes": axes}, indent=1)

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
+from sweep.cli.log_options import Watching, watching_options
 from sweep.cli.options import json_option, resource_options, stores_argument
 from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.running import run_with_progress
-from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources

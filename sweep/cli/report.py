@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import click
 
 from sweep.cli.group import main
+from sweep.cli.log_options import Watching, watching_options
 from sweep.cli.options import resource_options, stores_argument
 from sweep.cli.paper import run_what_is_missing
-from sweep.cli.watching import Watching, watching_options
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
+from sweep.cli.log_options import Watching, told, watching_options
 from sweep.cli.options import (
     break_lock_option,
     json_option,
@@ -16,8 +17,7 @@ from sweep.cli.options import (
     study_options,
 )
 from sweep.cli.output import print_plan, print_table
-from sweep.cli.stopping import a_signal_ends_the_command, end_stopped, no_leak_warning
-from sweep.cli.watching import Watching, told, watching_options
+from sweep.cli.signals import a_signal_ends_the_command, end_stopped, no_leak_warning
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources

@@ -8,7 +8,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option
-from sweep.cli.stopping import a_signal_ends_the_command, end_stopped
+from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 
 
 def _counts(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, ...]:

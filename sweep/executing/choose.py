@@ -8,11 +8,11 @@ from threading import Thread
 
 import numpy as np
 
-from sweep.executing.children import start_forkserver
 from sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Pool, Say, available_cores, serial
+from sweep.executing.forkserver import start_forkserver
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid, make_grid
 from sweep.planning.plan import Plan
-from sweep.planning.tally import Tally
 from sweep.studies.study import Study
 
 SERIAL_COST = 5e7
@@ -57,7 +57,7 @@ def expect(study: Study, resources: Resources) -> None:
     """
     cost = SERIAL_COST
     if len(Grid(study)) <= FEW_POINTS:
-        cost = Tally(Plan(make_grid(study)), {}, np.empty((0, 0))).survey.pending.cost
+        cost = Accumulator(Plan(make_grid(study)), {}, np.empty((0, 0))).survey.pending.cost
     if resources.pool_for(cost) == "processes":
         start_forkserver()
 

@@ -14,9 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from sweep.contract import SweepError
 from sweep.executing.clusterfile import cluster_class, read_cluster_file
+from sweep.executing.dask_executor import DaskExecutor
 from sweep.executing.execute import GUARD, NO_LIMITS, Executor, Limits, Place, Say
-from sweep.executing.on_client import OnClient
-from sweep.executing.own_cluster import own_cluster, without_logs
+from sweep.executing.local_cluster import own_cluster, without_logs
 from sweep.studies.study import Study
 
 CONNECT_TIMEOUT_S = 10
@@ -117,7 +117,7 @@ def tls(ca: Path, cert: Path, key: Path) -> Security:
 
 
 def _executor(client: Client, study: Study, words: str, say: Say, limits: Limits, guarded: bool = False) -> Executor:
-    executor = OnClient(study, client, words, say, limits, guarded)
+    executor = DaskExecutor(study, client, words, say, limits, guarded)
     executor.prepare()
     return executor
 

@@ -8,9 +8,9 @@ from typing import Literal
 
 from threadpoolctl import threadpool_limits
 
-from sweep.executing.agreement import identity
-from sweep.executing.guard import run_guarded
-from sweep.executing.worker import Task, TaskResult, Unit, run_task
+from sweep.executing.isolated import run_guarded
+from sweep.executing.versions import identity
+from sweep.executing.worker import PointBlock, Task, TaskResult, run_task
 from sweep.planning.plan import Work
 from sweep.studies.study import Study
 
@@ -55,7 +55,7 @@ def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS) -> Ta
     """Return what a worker must know to do this work."""
     defaults = study.experiment.defaults()
     units = tuple(
-        Unit(
+        PointBlock(
             tuple({k: v for k, v in point.parameters.items() if v != defaults[k]} for point in work.points),
             work.points[0].stream,
             work.block,

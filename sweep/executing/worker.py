@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Experiment, Point
-from sweep.executing.limit import Deadlines, TimeLimitError
+from sweep.executing.deadlines import Deadlines, TimeLimitError
 from sweep.load import load_experiment
 from sweep.planning.plan import Block, generators
 
 
 @dataclass(frozen=True)
-class Unit:
+class PointBlock:
     """A block of points that share its random numbers: their parameters (those that are not at their default), and the
     name of the stream.
     """
@@ -35,7 +35,7 @@ class Task:
 
     experiment_reference: str
     seed: int
-    units: tuple[Unit, ...]
+    units: tuple[PointBlock, ...]
     keep_samples: bool = False
     time_limit_s: float | None = None
 
@@ -98,7 +98,7 @@ def _try(
     experiment: Experiment,
     points: Sequence[Point],
     rows: list[int],
-    unit: Unit,
+    unit: PointBlock,
     task: Task,
     result: TaskResult,
     deadlines: Deadlines,

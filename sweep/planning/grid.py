@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import SweepError, Value
-from sweep.planning.byaxes import ByAxes
+from sweep.planning.point_cache import PointCache
 from sweep.studies.study import Study
 from sweep.tablefile import as_json
 
@@ -154,7 +154,7 @@ def make_grid(study: Study) -> Grid:
     sentences = _repeated(grid)
     reasons: dict[str, int] = {}
     empty = True
-    check = ByAxes(partial(_reason, study), study.axes)
+    check = PointCache(partial(_reason, study), study.axes)
     for _, parameters in grid.parameters():
         empty = False
         if (reason := check(parameters)) is None:

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.contract import SweepError
-from sweep.planning.byaxes import ByAxes
 from sweep.planning.grid import Grid, GridPoint
+from sweep.planning.point_cache import PointCache
 
 TARGET = 2**24
 """Random numbers in one task, and in a block of several catalogues: about 0.2 s of work, against 2 ms that Dask spends
@@ -174,8 +174,8 @@ class Plan:
         return max(1.0, self._cost(parameters))
 
     @cached_property
-    def _cost(self) -> ByAxes[float]:
-        return ByAxes(self.grid.study.experiment.cost, self.grid.study.axes)
+    def _cost(self) -> PointCache[float]:
+        return PointCache(self.grid.study.experiment.cost, self.grid.study.axes)
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
         """Return the work of a block of points that share its random numbers."""

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.compare import claims_of
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, require_quantity
 from sweep.contract import SweepError, shown, suggest
-from sweep.planning.tally import DONE, EXCLUDED
+from sweep.planning.accumulator import DONE, EXCLUDED
 from sweep.plots.law import draw_law, draw_law_residuals
 from sweep.plots.layout import arrange
 from sweep.plots.lines import draw_lines

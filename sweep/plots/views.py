@@ -18,7 +18,7 @@ from sweep.contract import Named, SweepError, shown, suggest
 from sweep.paper.calibrate import published_numbers
 from sweep.planning.grid import Grid
 from sweep.planning.plan import generators
-from sweep.running.revisit import place_of, study_of
+from sweep.running.reproduce import place_of, study_of
 from sweep.stores.location import Where
 from sweep.studies.study import Study
 from sweep.tablefile import table_file

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Array, Output
+from sweep.planning.accumulator import DONE, Accumulator
 from sweep.planning.plan import Block, Plan, ledger_key
-from sweep.planning.tally import DONE, Tally
 
 LARGEST = 10**7
 """Elements of one covariance at most: it has one for every pair of points along an axis."""
@@ -16,7 +16,7 @@ LARGEST = 10**7
 Variable = tuple[tuple[str, ...], Array, dict[str, Any]]
 
 
-def covariances(plan: Plan, tally: Tally, rows: Mapping[bytes, int], sums: Array) -> dict[str, Variable]:
+def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], sums: Array) -> dict[str, Variable]:
     """Return ``NAME_mc_covariance_AXIS`` of every headline result with a Monte-Carlo error, for every axis along which
     points share their random numbers; dimensions of the grid and ``AXIS_other``.
 
@@ -37,7 +37,7 @@ def covariances(plan: Plan, tally: Tally, rows: Mapping[bytes, int], sums: Array
         and len(blocks) > (along := len(grid.study.axes[dimension])) + 2
         and len(grid) * along <= LARGEST
     ]
-    samples = _samples(plan, tally, blocks, outputs, rows, sums) if shared else {}
+    samples = _samples(plan, accumulator, blocks, outputs, rows, sums) if shared else {}
     return {
         f"{output.name}_mc_covariance_{dimension}": _covariance(plan, samples[output.name], output, dimension)
         for dimension in shared
@@ -52,14 +52,19 @@ def _paired_blocks(plan: Plan) -> list[Block]:
 
 
 def _samples(
-    plan: Plan, tally: Tally, blocks: list[Block], outputs: list[Output], rows: Mapping[bytes, int], sums: Array
+    plan: Plan,
+    accumulator: Accumulator,
+    blocks: list[Block],
+    outputs: list[Output],
+    rows: Mapping[bytes, int],
+    sums: Array,
 ) -> dict[str, Array]:
     """Return the results of every block by itself, (points, blocks), NaN for points that are not done."""
     experiment = plan.grid.study.experiment
     samples = {output.name: np.full((len(plan.grid), len(blocks)), np.nan) for output in outputs}
     n, n_cat = (np.full(len(blocks), float(count)) for count in (blocks[0].realisations, blocks[0].n_cat))
     for point in plan.grid.points():
-        if tally.status[point.index] == DONE:
+        if accumulator.status[point.index] == DONE:
             own = sums[[rows[ledger_key(point.digest, block)] for block in blocks]]
             results = experiment.summarise(experiment.named(own), n, n_cat)
             for name, values in samples.items():

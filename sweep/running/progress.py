@@ -13,11 +13,11 @@ from rich.text import Text
 
 from sweep.executing.worker import TaskResult
 from sweep.interrupt import how_ended
+from sweep.planning.accumulator import Survey
 from sweep.planning.grid import describe
 from sweep.planning.plan import Work
-from sweep.planning.tally import Survey
-from sweep.running.account import Account, counted
 from sweep.running.eta import Eta, in_words
+from sweep.running.run_summary import RunSummary, counted
 from sweep.running.writer import Taken
 from sweep.studies.study import Study
 
@@ -43,7 +43,7 @@ class TerminalProgress:
         self._console = Console(stderr=True)
         self._with_bar = bar and self._console.is_terminal
         self._bar: Progress | None = None
-        self._account = Account(study)
+        self._summary = RunSummary(study)
         self._begun: float | None = None
 
     def __enter__(self) -> "TerminalProgress":
@@ -78,7 +78,7 @@ class TerminalProgress:
         now = time.monotonic()
         self._eta.extend(taken.more.cost)
         self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
-        self._account.take(works, result, taken.done)
+        self._summary.take(works, result, taken.done)
         self._points += taken.done.points
         self._tell_points(works, result, taken)
         if self._bar is not None:
@@ -112,7 +112,7 @@ class TerminalProgress:
     def stopped(self, signal: str, store: object) -> None:
         """Say what an interrupted run leaves, and how to go on."""
         self._end_bar()
-        kept = f"{self._account.done.realisations:,} realisations of this run are kept in {store}"
+        kept = f"{self._summary.done.realisations:,} realisations of this run are kept in {store}"
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
@@ -120,10 +120,10 @@ class TerminalProgress:
         """Say what the run took, and how to look closer at points that failed."""
         self._end_bar()
         if self._begun is not None:
-            for line in (*self._account.summary(time.monotonic() - self._begun), f"wrote {store}"):
+            for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}"):
                 self.say(line)
         if failures:
-            kinds = self._account.kinds()
+            kinds = self._summary.kinds()
             SENTENCES.error(
                 f"{counted(failures, 'point')} failed{f' ({kinds})' if kinds else ''}; "
                 f"`sweep status {store}` names them and says why, `sweep retry {store}` tries them again, "
@@ -133,7 +133,7 @@ class TerminalProgress:
     def _description(self) -> str:
         assert self._begun is not None, "a run starts before it is described"
         elapsed = max(time.monotonic() - self._begun, 1e-9)
-        rate = self._account.done.realisations / elapsed
+        rate = self._summary.done.realisations / elapsed
         return f"{self._points:,}/{self._all_points:,} points, {rate:,.0f} realisations/s"
 
     def _end_bar(self) -> None:

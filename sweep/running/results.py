@@ -8,29 +8,29 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sweep.contract import Output, Parameter
+from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
-from sweep.planning.tally import DONE, STATUS_WORDS, Tally
 from sweep.studies.study import Published, printed_rounding
 
 Array = NDArray[np.float64]
 
 
-def assemble(plan: Plan, tally: Tally) -> xr.Dataset:
-    """Return the dataset of a plan from what its tally holds.
+def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
+    """Return the dataset of a plan from what its accumulator holds.
 
     A point has values when all its blocks are there; all others are NaN with a ``status`` that says why.
     """
     grid = plan.grid
     study = grid.study
     experiment = study.experiment
-    done = tally.status == DONE
+    done = accumulator.status == DONE
     variables: dict[str, Any] = {}
     results: Mapping[str, Array] = {}
     if done.any():
         n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        sums = experiment.named(tally.total[done])
-        results = experiment.summarise(sums, tally.realisations[done].astype(float), n_cat)
+        sums = experiment.named(accumulator.total[done])
+        results = experiment.summarise(sums, accumulator.realisations[done].astype(float), n_cat)
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already
@@ -40,9 +40,9 @@ def assemble(plan: Plan, tally: Tally) -> xr.Dataset:
             values[done] = results[output.name]
         variables[output.name] = _variable(grid, values, output)
     variables["n_sim_done"] = _variable(
-        grid, tally.realisations.copy(), Output("n_sim_done", "", "realisations done, over all catalogues")
+        grid, accumulator.realisations.copy(), Output("n_sim_done", "", "realisations done, over all catalogues")
     )
-    variables["status"] = _variable(grid, tally.status.copy(), Output("status", "", "state of the point"))
+    variables["status"] = _variable(grid, accumulator.status.copy(), Output("status", "", "state of the point"))
     variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
     variables |= _published(grid)
     return xr.Dataset(variables, coords=_coordinates(grid))

@@ -11,11 +11,11 @@ from sweep.contract import SweepError
 from sweep.executing.choose import NO_WISHES, Resources, choose_executor
 from sweep.executing.worker import TaskResult
 from sweep.interrupt import watched
+from sweep.planning.accumulator import Accumulator, Survey
 from sweep.planning.grid import make_grid
-from sweep.planning.pending import Pending
 from sweep.planning.plan import Plan, Work
-from sweep.planning.tally import Survey, Tally
-from sweep.running.larger import part_of_larger
+from sweep.planning.work_queue import Pending
+from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.location import Where
 from sweep.stores.lock import locked
@@ -61,7 +61,7 @@ def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
     input.
     """
     plan = Plan(make_grid(study))
-    return plan, _tally(plan, existing_store(store, study)).survey
+    return plan, _accumulator(plan, existing_store(store, study)).survey
 
 
 def run_study(
@@ -93,20 +93,20 @@ def run_study(
             again = _forgive(opened, plan)
             if not again:
                 progress.say(f"no point in {store} has failed")
-        tally = _tally(plan, opened, again)
-        with choose_executor(study, tally.survey.pending.cost, resources, progress.say) as (place, run):
+        accumulator = _accumulator(plan, opened, again)
+        with choose_executor(study, accumulator.survey.pending.cost, resources, progress.say) as (place, run):
             opened = opened or create_or_resume(store, study, provenance(study))
             opened.verify()
-            if unused := len(opened.rows) - tally.survey.held.blocks:
+            if unused := len(opened.rows) - accumulator.survey.held.blocks:
                 progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-            pending = Pending(plan, tally)
-            writer = Writer(plan, tally, pending, opened, interruptions.held)
+            pending = Pending(plan, accumulator)
+            writer = Writer(plan, accumulator, pending, opened, interruptions.held)
             try:
-                progress.start(tally.survey, place.words, place.workers)
+                progress.start(accumulator.survey, place.words, place.workers)
                 if place.dashboard:
                     progress.say(f"Dask dashboard: {place.dashboard}")
                 results = run(pending.take)
-                if tally.survey.pending.blocks:
+                if accumulator.survey.pending.blocks:
                     writer.write()  # so that there is a labelled, if empty, dataset from the start
                 for works, result in results:
                     progress.advance(works, result, writer.take(works, result))
@@ -127,11 +127,11 @@ def _forgive(store: Store | None, plan: Plan) -> frozenset[bytes]:
     if store is None:
         return frozenset()
     failed = frozenset(store.failures.keys() & {point.digest for point in plan.grid.points()})
-    store.forgive(failed)
+    store.clear_failures(failed)
     return failed
 
 
-def _tally(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Tally:
+def _accumulator(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Accumulator:
     if store is None:
-        return Tally(plan, {}, np.empty((0, 0)))
-    return Tally(plan, store.rows, store.sums(), store.failures, only)
+        return Accumulator(plan, {}, np.empty((0, 0)))
+    return Accumulator(plan, store.rows, store.sums(), store.failures, only)

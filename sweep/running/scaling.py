@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.executing.execute import Pool, available_cores
-from sweep.planning.tally import Survey
+from sweep.planning.accumulator import Survey
 from sweep.running.run import Silent, run_study
 from sweep.studies.provenance import now, provenance
 from sweep.studies.study import Study

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from sweep.contract import SweepError
 from sweep.executing.execute import available_cores
+from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS, Accumulator
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import TARGET, Plan
-from sweep.planning.tally import DONE, EXCLUDED, STATUS_WORDS, Tally
-from sweep.running.completion import by_axis
-from sweep.running.revisit import study_of
+from sweep.running.axis_progress import by_axis
+from sweep.running.reproduce import study_of
 from sweep.running.run import plan_study
 from sweep.stores.location import Where
 from sweep.stores.lock import holder
@@ -75,14 +75,14 @@ def _progress(
         axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
         return axes, dataset["status"].values, dataset["n_sim_done"].values
     grid = make_grid(study)
-    tally = Tally(Plan(grid), opened.rows, opened.sums(), opened.failures)
+    accumulator = Accumulator(Plan(grid), opened.rows, opened.sums(), opened.failures)
     axes = {
         dimension: [
             dict(zip(names, values, strict=True)) for values in zip(*(study.axes[n] for n in names), strict=True)
         ]
         for dimension, names in grid.dimensions.items()
     }
-    return axes, tally.status.reshape(grid.shape), tally.realisations.reshape(grid.shape)
+    return axes, accumulator.status.reshape(grid.shape), accumulator.realisations.reshape(grid.shape)
 
 
 def plan_report(study: Study, store: Where, workers: int | None = None) -> dict[str, Any]:

@@ -12,10 +12,10 @@ import numpy as np
 import xarray as xr
 
 from sweep.executing.worker import Failure, TaskResult
+from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING, Accumulator
 from sweep.planning.grid import GridPoint, describe
-from sweep.planning.pending import Pending
 from sweep.planning.plan import Plan, PlanSize, Work
-from sweep.planning.tally import DONE, EXCLUDED, FAILED, MISSING, Tally
+from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
 from sweep.running.results import assemble, assemble_samples
 from sweep.stores.store import Store
@@ -51,13 +51,13 @@ class Writer:
     def __init__(
         self,
         plan: Plan,
-        tally: Tally,
+        accumulator: Accumulator,
         pending: Pending,
         store: Store,
         held: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
-        """Start with an open store whose ledger the tally holds."""
-        self.plan, self.tally, self.store = plan, tally, store
+        """Start with an open store whose ledger the accumulator holds."""
+        self.plan, self.accumulator, self.store = plan, accumulator, store
         self._pending, self._held = pending, held
         self._provenance = provenance(plan.grid.study)
         self._provenance["started"] = store.attributes.get("started", self._provenance["started"])
@@ -79,8 +79,10 @@ class Writer:
                     ends = self._fail(point, failure)
                 else:
                     good.append(row)
-                    added += [self.plan.work((point,), more) for more in self.tally.add(point, block, result.sums[row])]
-                    ends = self.tally.status[point.index] == DONE
+                    added += [
+                        self.plan.work((point,), more) for more in self.accumulator.add(point, block, result.sums[row])
+                    ]
+                    ends = self.accumulator.status[point.index] == DONE
                 if ends:
                     ended.append(point)
             self._pending.add(added)
@@ -99,13 +101,13 @@ class Writer:
         study = self.plan.grid.study
         with self._held():
             self.store.flush()
-        dataset = assemble(self.plan, self.tally)
+        dataset = assemble(self.plan, self.accumulator)
         if study.sampling.keep_samples:
-            dataset = dataset.assign(assemble_samples(self.plan, self.tally.status, self.store.samples))
+            dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
-            dataset = dataset.assign(covariances(self.plan, self.tally, self.store.rows, self.store.sums()))
-        points = int(np.count_nonzero(self.tally.status != EXCLUDED))
-        done = int(np.count_nonzero(self.tally.status == DONE))
+            dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.sums()))
+        points = int(np.count_nonzero(self.accumulator.status != EXCLUDED))
+        done = int(np.count_nonzero(self.accumulator.status == DONE))
         dataset.attrs = self._provenance | {
             "finished": now(),
             "points": points,
@@ -133,14 +135,16 @@ class Writer:
     def failures(self) -> dict[str, str]:
         """Return the points of this study that failed, by their place on the axes, and why."""
         grid, records = self.plan.grid, self.store.failures
-        failed = (grid.point(int(index)) for index in np.flatnonzero(self.tally.status == FAILED)[:MAX_FAILURES_NAMED])
+        failed = (
+            grid.point(int(index)) for index in np.flatnonzero(self.accumulator.status == FAILED)[:MAX_FAILURES_NAMED]
+        )
         return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in failed}
 
     def _fail(self, point: GridPoint, failure: Failure) -> bool:
         """Record why a point cannot be computed; return whether it was not given up already."""
-        if self.tally.status[point.index] != MISSING:
+        if self.accumulator.status[point.index] != MISSING:
             return False
-        self.tally.fail(point.index)
+        self.accumulator.fail(point.index)
         record = {"kind": failure.kind, "message": failure.message, "traceback": failure.traceback}
         place = describe(self.plan.grid.study, point.parameters)
         self.store.fail(point.digest, {"place": place, **record, "host": host(), "when": now()})

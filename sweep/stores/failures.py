@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.stores.sealed import unsealed
+from sweep.stores.checksums import unsealed
 
 MAX_TRACEBACKS = 1000
 TRACEBACK_BYTES = 4096

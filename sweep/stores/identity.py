@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from sweep.contract import SweepError
+from sweep.stores.checksums import unsealed
 from sweep.stores.ledger import shapes_of
 from sweep.stores.location import Location, reading
-from sweep.stores.sealed import unsealed
 from sweep.studies.study import Study
 from sweep.tablefile import content_digest
 

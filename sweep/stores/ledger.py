@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Experiment
-from sweep.stores.column import Column, DamagedError, Layout
+from sweep.stores.chunked_rows import Column, DamagedError, Layout
 from sweep.stores.location import Location
 
 KEY_BYTES = 32

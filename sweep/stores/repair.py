@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from sweep.contract import SweepError
 from sweep.stores import failures, snapshot
-from sweep.stores.column import Column, DamagedError
+from sweep.stores.checksums import group_document, sealed, unsealed
+from sweep.stores.chunked_rows import Column, DamagedError
 from sweep.stores.identity import COPY, ROOT, damaged_copy, find_root, readable_copy
 from sweep.stores.ledger import columns_of, damaged_descriptions, rows_of
 from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.stores.lock import holder, locked
-from sweep.stores.sealed import group_document, sealed, unsealed
 from sweep.stores.store import FAILURES
 
 

@@ -11,11 +11,11 @@ import xarray as xr
 
 from sweep.contract import Array, SweepError
 from sweep.stores import failures, snapshot
-from sweep.stores.column import DamagedError
+from sweep.stores.checksums import group_document, sealed, unsealed
+from sweep.stores.chunked_rows import DamagedError
 from sweep.stores.identity import COPY, REPAIR, ROOT, damaged_copy, differences, find_root, identity, read_root
 from sweep.stores.ledger import Ledger, columns_of, damaged_descriptions
 from sweep.stores.location import Location, Where, located, reading, writing
-from sweep.stores.sealed import group_document, sealed, unsealed
 from sweep.studies.study import Study
 
 FAILURES = "failures/zarr.json"
@@ -103,7 +103,7 @@ class Store:
         self.failures[digest] = record
         self._failures_changed = True
 
-    def forgive(self, digests: Iterable[bytes]) -> None:
+    def clear_failures(self, digests: Iterable[bytes]) -> None:
         """Forget failures of points, if there are any, so that they are computed again; durable after `flush`."""
         for digest in digests:
             self._failures_changed |= self.failures.pop(digest, None) is not None

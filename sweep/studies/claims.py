@@ -13,7 +13,7 @@ Problem = Callable[[tuple[str, ...], str], None]
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class ClaimContext:
     """What a claim speaks of.  ``axes`` may hold None for an axis that is itself wrong.
 
     ``overridden`` are parameters that the command line changed: a claim that no longer fits them is not a mistake of
@@ -26,7 +26,7 @@ class Surroundings:
     overridden: frozenset[str]
 
 
-def checked_claim(claim: Claim, around: Surroundings, problem: Problem) -> Claim:
+def checked_claim(claim: Claim, around: ClaimContext, problem: Problem) -> Claim:
     """Return the claim with the values of its axes parsed; ``problem`` is told of everything that is wrong."""
     _check_number(claim, problem)
     where = _selection(claim.where, ("where",), around, problem)
@@ -62,7 +62,7 @@ def _check_number(claim: Claim, problem: Problem) -> None:
         problem(("tolerance",), "a tolerance needs a tolerance_reason, and the other way round")
 
 
-def _check_variable(quantity: Slope | Ratio | Reading, kind: str, around: Surroundings, problem: Problem) -> None:
+def _check_variable(quantity: Slope | Ratio | Reading, kind: str, around: ClaimContext, problem: Problem) -> None:
     experiment, where = around.experiment, (kind, "variable")
     outputs = {o.name: o for o in experiment.outputs}
     output = outputs.get(quantity.variable)
@@ -74,7 +74,7 @@ def _check_variable(quantity: Slope | Ratio | Reading, kind: str, around: Surrou
         _check_component(output, quantity.component, kind, around, problem)
 
 
-def _check_component(output: Output, component: str | None, kind: str, around: Surroundings, problem: Problem) -> None:
+def _check_component(output: Output, component: str | None, kind: str, around: ClaimContext, problem: Problem) -> None:
     if not output.dims:
         if component is not None:
             problem((kind, "component"), f"{output.name} is one number and has no components")
@@ -90,7 +90,7 @@ def _check_component(output: Output, component: str | None, kind: str, around: S
             problem((kind, "component"), f"unknown component {shown(component)}{suggest(component, labels)}")
 
 
-def _check_over(over: str, where: Mapping[str, Value], around: Surroundings, problem: Problem) -> None:
+def _check_over(over: str, where: Mapping[str, Value], around: ClaimContext, problem: Problem) -> None:
     place = ("slope", "over")
     if over not in around.axes:
         if over not in around.overridden:
@@ -111,7 +111,7 @@ def _check_over(over: str, where: Mapping[str, Value], around: Surroundings, pro
 def _selection(
     places: Mapping[str, object],
     where: tuple[str, ...],
-    around: Surroundings,
+    around: ClaimContext,
     problem: Problem,
     beside: Mapping[str, Value] | None = None,
 ) -> dict[str, Value]:
@@ -123,7 +123,7 @@ def _on_axis(
     name: str,
     raw: object,
     where: tuple[str, ...],
-    around: Surroundings,
+    around: ClaimContext,
     problem: Problem,
     beside: Mapping[str, Value],
 ) -> Value:
@@ -143,7 +143,7 @@ def _on_axis(
     return value.name if isinstance(value, Named) else value
 
 
-def _known_axes(name: str, around: Surroundings) -> str:
+def _known_axes(name: str, around: ClaimContext) -> str:
     known = [axis for axis in around.axes if axis in around.experiment.defaults()]
     return suggest(name, known) if known else "; the study has none"
 

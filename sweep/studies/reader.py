@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from sweep.contract import Experiment, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, load_experiment
 from sweep.studies.axes import axis_values, override
-from sweep.studies.claims import Surroundings, checked_claim
+from sweep.studies.claims import ClaimContext, checked_claim
 from sweep.studies.definitions import defined_values
 from sweep.studies.exclusions import exclusion
 from sweep.studies.form import Form, known_keys
@@ -224,7 +224,7 @@ class _Reader:
         self, experiment: Experiment, form: Form, axes: Mapping[str, tuple[Value, ...] | None]
     ) -> tuple[Claim, ...]:
         changed = frozenset(str(place[1]) for place in self.overridden if place[:1] in (("axes",), ("fixed",)))
-        around = Surroundings(experiment, axes, form.grid.zip, changed)
+        around = ClaimContext(experiment, axes, form.grid.zip, changed)
         return tuple(
             checked_claim(claim, around, partial(self._claim_problem, i)) for i, claim in enumerate(form.claim)
         )

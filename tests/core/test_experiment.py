@@ -15,11 +15,11 @@ from core.expected_errors import errors_at_limit, has_errors
 from core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS, LinkError
 from core.missions import MISSIONS
-from core.own_mission import mission_from_table
 from core.parameters import OUTPUTS, PARAMETERS
 from core.quasars import quasar_count
 from core.scenario import error_model
 from core.simulate import simulate
+from core.user_mission import mission_from_table
 from sweep.contract import Named
 from sweep.tablefile import table_file
 

@@ -12,7 +12,7 @@ from core.errors import NoErrors, NormalErrors
 from core.experiment import link, scenario
 from core.frames import position, triad
 from core.link import LinkError, design_matrix, solve
-from core.setup import Scenario, TrueVector
+from core.prepared import Scenario, TrueVector
 from core.simulate import simulate
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]

@@ -12,9 +12,9 @@ from core.errors import CatalogueErrors, NormalErrors
 from core.experiment import evaluate, link, scenario
 from core.fixed_design import fixed_design
 from core.link import LinkError, design_matrix, solve
-from core.prefixes import Prefixes
+from core.prepared import Draw, prepare
 from core.projected import Projected, neglected
-from core.setup import Draw, prepare
+from core.shared_arrays import Prefixes
 from core.simulate import simulate
 
 

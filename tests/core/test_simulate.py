@@ -15,8 +15,8 @@ from core.frames import exact_differences, triad
 from core.link import LinkError, combined_error, design_matrix, solve
 from core.missions import MISSIONS
 from core.noise import ROWS, TILE
+from core.prepared import Scenario, TrueVector
 from core.quasars import quasars
-from core.setup import Scenario, TrueVector
 from core.simulate import simulate
 
 EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS

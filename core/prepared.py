@@ -1,0 +1,120 @@
+"""One point's physics, and what all realisations of one catalogue share."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.catalogue import Catalogue
+from core.errors import ErrorModel
+from core.frames import along, exact_differences, stored_differences, triad
+from core.link import Weighting, combined_error
+from core.noise import Noise
+from core.shared_arrays import Prefixes, parts
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Arithmetic = Literal["exact", "stored"]
+Method = Literal["catalogue", "projected"]
+
+
+@dataclass(frozen=True)
+class TrueVector:
+    """A true rotation or spin: one vector for all catalogues, or one of its length in a random direction for each."""
+
+    vector: Vector
+    random_direction: bool = False
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return the vector of one catalogue; shape (3,)."""
+        fixed = np.array(self.vector)
+        if not self.random_direction:
+            return fixed
+        direction = rng.standard_normal(3)
+        return np.asarray(np.linalg.norm(fixed) * direction / np.linalg.norm(direction))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One point's physics: how a catalogue is drawn, its errors, the truth (rad, rad/yr) and how the link is solved.
+
+    ``aberration`` is a glide (rad/yr) added to the satellite's proper motions; ``solve_glide`` adds it to the unknowns.
+    ``method`` says whether the errors of every object are drawn or what the link makes of them.
+    """
+
+    draw_catalogue: Callable[[np.random.Generator], Catalogue]
+    reference_errors: ErrorModel
+    satellite_errors: ErrorModel
+    epsilon: TrueVector
+    omega: TrueVector
+    aberration: Vector = (0.0, 0.0, 0.0)
+    solve_glide: bool = False
+    corrections: bool = True
+    weighting: Weighting = "inverse-variance"
+    arithmetic: Arithmetic = "exact"
+    method: Method = "catalogue"
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What all realisations of one catalogue share, in rad and rad/yr; K unknowns, N objects."""
+
+    scenario: Scenario
+    catalogue: Catalogue
+    truth: Array  # (K,)
+    differences: Array  # (N, 4) without errors, reference - satellite
+    reference: Noise
+    satellite: Noise
+    sigma: Array  # (N, 4), as the link weighs the differences
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One catalogue and the true orientation (rad) and spin (rad/yr) that go with it: steps A and B."""
+
+    catalogue: Catalogue
+    epsilon: Array
+    omega: Array
+
+    @staticmethod
+    def of(scenario: Scenario, catalogue: Catalogue, direction_rng: np.random.Generator) -> "Draw":
+        """Draw the vectors that go with a catalogue."""
+        return Draw(catalogue, scenario.epsilon.draw(direction_rng), scenario.omega.draw(direction_rng))
+
+
+def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
+    """Return the errors and differences of the objects; raises LinkError where these cannot be weighed."""
+    catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
+    reference = Noise.of(scenario.reference_errors, catalogue)
+    satellite = Noise.of(scenario.satellite_errors, catalogue)
+    return Setup(
+        scenario=scenario,
+        catalogue=catalogue,
+        truth=np.concatenate([drawn.epsilon, drawn.omega, *([-glide] if scenario.solve_glide else [])]),
+        differences=_differences(scenario, drawn, shared),
+        reference=reference,
+        satellite=satellite,
+        sigma=np.ascontiguousarray(combined_error(reference.sigma.T, satellite.sigma.T).T),
+    )
+
+
+def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
+    subtract = exact_differences if scenario.arithmetic == "exact" else stored_differences
+    catalogue, vectors = drawn.catalogue, np.array([drawn.epsilon, drawn.omega, scenario.aberration])
+    epsilon, omega, glide = vectors
+
+    def compute(*objects: Array) -> Array:
+        found = np.empty((len(objects[0]), 4))
+        for part in parts(len(found)):
+            ra, dec, pmra, pmdec = (column[part] for column in objects)
+            found[part] = subtract(ra, dec, pmra, pmdec, epsilon, omega).T
+            if np.any(glide):
+                p, q, _ = triad(ra, dec)
+                found[part, 2] -= along(glide, p)  # it is in the satellite's motions
+                found[part, 3] -= along(glide, q)
+        return found
+
+    settings = "differences", scenario.arithmetic, vectors.tobytes()
+    return shared.once(settings, compute, catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec)

@@ -1,0 +1,246 @@
+"""Runs tasks on a Dask client, and outlives its workers."""
+
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from distributed import Client, Future, KilledWorker
+
+from sweep.contract import SweepError
+from sweep.executing.clock import Clock, wake
+from sweep.executing.execute import Limits, Results, Say, Take, make_task
+from sweep.executing.versions import Identity, differences, identity, identity_like
+from sweep.executing.worker import Failure, TaskResult, failed
+from sweep.executing.worker_plugin import PLUGIN, Answer, TaskPlugin, run_on_worker
+from sweep.planning.plan import Work
+from sweep.studies.study import Study
+
+TASKS_IN_FLIGHT = 4
+"""For each worker thread: enough that none waits, few enough that a grid of any size makes no large graph."""
+
+LOOK_EVERY_S = 1.0
+"""At the number of workers."""
+
+PATIENCE_S = 3.0
+"""Without workers before the user is told: one that died is replaced in less."""
+
+MAX_LOSSES = 3
+"""So often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
+
+
+@dataclass
+class _Submission:
+    """Work on its way to a worker, and how often it was with one that died."""
+
+    works: list[Work]
+    losses: int = 0
+
+
+class DaskExecutor:
+    """An executor on a Dask client.
+
+    Work that was with a worker when it died is done again in a child process of another one, where a block that ends
+    its process ends nothing else and is known by it: no block is blamed for another.
+    """
+
+    def __init__(self, study: Study, client: Client, where: str, say: Say, limits: Limits, guarded: bool) -> None:
+        """``guarded`` lets everything run in child processes, for workers in a process that must not be ended."""
+        self._study, self._client, self._where, self._say = study, client, where, say
+        self._limits, self._guarded = limits, guarded
+        self._expected = identity(study.experiment_reference)
+        self._in_flight: dict[Future[Any], _Submission] = {}
+        self._finished: SimpleQueue[Future[Any]] = SimpleQueue()
+        self._given_up: dict[bytes, Failure] = {}
+        self._warned: set[str] = set()
+        self._threads = 1
+        self._looked = self._had_workers = time.monotonic()
+        self._waiting = False
+        self._clock = Clock()
+
+    def prepare(self) -> None:
+        """Wait for a worker, bring the workers what they need, and compare them with the client.
+
+        Raises SweepError with a list where a worker would compute other numbers.
+        """
+        reference = self._study.experiment_reference
+        try:
+            self._client.register_plugin(TaskPlugin(), name=PLUGIN)
+            # Where there is no worker yet, an adaptive cluster starts one for this.
+            probe = self._client.submit(identity_like, self._expected, reference, pure=False)
+            probe.add_done_callback(self._finished.put)
+            while not self._next():
+                pass
+            found = self._client.run(identity_like, self._expected, reference, on_error="return")
+        except SweepError:
+            raise
+        except Exception as error:  # whatever keeps a worker from importing what it is sent
+            raise (self._unable(error) if self._client.status == "running" else self._gone()) from error
+        problems = []
+        for worker, what in sorted(found.items()):
+            if isinstance(what, Identity):
+                self._warn(worker, differences(self._expected.others, what.others))
+                problems += [f"{worker}: {text}" for text in differences(self._expected.deciding, what.deciding)]
+            else:
+                problems.append(f"{worker}: {type(what).__name__}: {what}")
+        if problems:
+            raise SweepError(problems, "workers that would not compute what this process would")
+        self._look()
+
+    def __call__(self, take: Take) -> Results:
+        """Run everything that ``take`` gives, from now on and not only from the first result that is asked for."""
+        self._send_what_is_new(take)
+        return self._results(take)
+
+    def _send_what_is_new(self, take: Take) -> None:
+        while self._room() and (tasks := take(1)):  # one by one: workers need not wait for the rest
+            self._send(_Submission(tasks[0]))
+
+    def _results(self, take: Take) -> Results:
+        retries: deque[_Submission] = deque()
+        while True:
+            for submission in [retries.popleft() for _ in range(min(self._room(), len(retries)))]:
+                yield from self._retry(submission)
+            self._send_what_is_new(take)
+            if not retries and not self._in_flight:
+                return
+            if self._in_flight and (future := self._next()):
+                submission = self._in_flight.pop(future)
+                result, death = self._receive(future)
+                if result is None and (parts := list(_parts(submission))):
+                    retries.extend(parts)
+                    continue
+                if result is None:
+                    result = _failed(self._study, submission.works, Failure("killed", death))
+                self._remember(submission.works, result)
+                yield submission.works, result
+
+    def _room(self) -> int:
+        return max(0, TASKS_IN_FLIGHT * self._threads - len(self._in_flight))
+
+    def _retry(self, submission: _Submission) -> Results:
+        """Send work again, without the points that turned out meanwhile to end their process or to take too long: each
+        of their blocks would cost as much again.
+        """
+        rest = []
+        for work in submission.works:
+            left = tuple(point for point in work.points if point.digest not in self._given_up)
+            for point in work.points:
+                if (reason := self._given_up.get(point.digest)) is not None:
+                    one = [work._replace(points=(point,), cost=work.cost / len(work.points))]
+                    yield one, _failed(self._study, one, reason)
+            if left:
+                rest.append(work._replace(points=left, cost=work.cost * len(left) / len(work.points)))
+        if rest:
+            self._send(replace(submission, works=rest))
+
+    def _remember(self, works: list[Work], result: TaskResult) -> None:
+        points = [point for work in works for point in work.points]
+        for row, failure in result.failures.items():
+            if failure.kind in ("killed", "time limit"):
+                self._given_up.setdefault(points[row].digest, failure)
+
+    def _send(self, submission: _Submission) -> None:
+        future = self._client.submit(
+            run_on_worker,
+            make_task(self._study, submission.works, self._limits),
+            self._expected,
+            self._guarded or submission.losses > 0,
+            self._limits.memory,
+            pure=False,
+        )
+        self._in_flight[future] = submission
+        future.add_done_callback(self._finished.put)
+
+    def _next(self) -> Future[Any] | None:
+        """Return a future that has ended, None if there was none for a while; look after the workers meanwhile."""
+        if time.monotonic() - self._looked > LOOK_EVERY_S:
+            self._look()
+        try:
+            return self._finished.get(timeout=LOOK_EVERY_S)
+        except Empty:
+            return None
+
+    def _look(self) -> None:
+        if self._client.status != "running":
+            raise self._gone()
+        try:
+            if self._clock.was_set_back():
+                self._say("the clock was set back; the run goes on")
+                wake(self._client)
+            self._threads = sum(self._client.nthreads().values())
+        except (OSError, TimeoutError) as error:
+            raise self._gone() from error
+        self._looked = time.monotonic()
+        if self._threads:
+            if self._waiting:
+                self._say(f"{self._where} has workers again")
+            self._had_workers, self._waiting = self._looked, False
+        elif not self._waiting and self._looked - self._had_workers > PATIENCE_S:
+            self._say(f"{self._where} has no workers; waiting for some")
+            self._waiting = True
+        self._threads = max(1, self._threads)
+
+    def _receive(self, future: Future[Any]) -> tuple[TaskResult | None, str]:
+        """Return the result, or None and the reason why it is lost."""
+        if future.status == "cancelled":
+            raise self._gone()
+        try:
+            answer = self._fetch(future)
+        except KilledWorker as error:
+            return None, f"its worker died {MAX_LOSSES} times: {error}"
+        except SweepError:
+            raise
+        except ImportError as error:
+            raise self._unable(error) from error
+        except Exception as error:
+            if self._client.status != "running":
+                raise self._gone() from error
+            return None, f"{type(error).__name__}: {error}"
+        finally:
+            future.release()
+        self._warn(answer.worker, answer.others)
+        if answer.result is None:
+            raise SweepError([f"{answer.worker}: {text}" for text in answer.deciding], "a worker that differs")
+        return answer.result, ""
+
+    def _fetch(self, future: Future[Any]) -> Answer:
+        """Wait for a result, and look after the workers meanwhile: the one that had it may have died since, and then it
+        is computed again, which without workers would take for ever.
+        """
+        while True:
+            try:
+                answer: Answer = future.result(timeout=LOOK_EVERY_S)
+                return answer
+            except TimeoutError:
+                if future.status == "error":
+                    raise
+                self._look()
+
+    def _warn(self, worker: str, texts: list[str]) -> None:
+        for text in texts:
+            if text not in self._warned:
+                self._warned.add(text)
+                self._say(f"warning: {text} (worker {worker}); this should not change a number")
+
+    def _gone(self) -> SweepError:
+        return SweepError(
+            f"the connection to {self._where} is lost; what was finished is kept, the same command goes on from there"
+        )
+
+    def _unable(self, error: BaseException) -> SweepError:
+        return SweepError(f"the workers of {self._where} cannot run linksweep: {type(error).__name__}: {error}")
+
+
+def _parts(submission: _Submission) -> Iterator[_Submission]:
+    """Yield what is to be tried after a loss: the same work guarded, then each block for itself, then nothing."""
+    losses = submission.losses + 1
+    if losses < MAX_LOSSES:
+        groups = [submission.works] if losses == 1 else [[work] for work in submission.works]
+        yield from (_Submission(works, losses) for works in groups)
+
+
+def _failed(study: Study, works: list[Work], reason: Failure) -> TaskResult:
+    return failed(sum(len(work.points) for work in works), study.experiment.sums_width, reason)

@@ -1,0 +1,113 @@
+"""Starts and ends a Dask cluster that belongs to one run: quietly, on loopback, with nothing left behind."""
+
+import asyncio
+import inspect
+import logging
+import os
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from typing import Any
+
+import dask
+from distributed import LocalCluster, SpecCluster
+from tornado.ioloop import PeriodicCallback
+
+from sweep.executing.forkserver import ENVIRONMENT, SAFE_PATH, signals_blocked, start_method
+
+PATIENCE_S = 0.5
+"""What workers get to finish in when a run is stopped."""
+
+REPLACE_EVERY_S = 5
+
+LOOPBACK = "127.0.0.1"
+
+OWN_CLUSTER = {
+    "distributed.admin.low-level-log-length": 10,  # of messages that are kept, in memory and with all they carried
+    "distributed.scheduler.allowed-failures": 0,  # what a dead worker had is done again, guarded
+    **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
+}
+
+
+@contextmanager
+def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
+    """Start a cluster that belongs to this run, to be ended with it."""
+    with ExitStack() as stack:
+        stack.enter_context(without_logs())
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
+        stack.enter_context(dask.config.set({**OWN_CLUSTER, "temporary-directory": scratch}))
+        here = f"{LOOPBACK}:0"
+        defaults: dict[str, Any] = {}
+        if issubclass(kind, LocalCluster):
+            defaults = {"dashboard_address": here, "silence_logs": False}
+            if options.get("processes", True):
+                method = stack.enter_context(start_method())
+                stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
+                defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # what they are forked from has it
+            else:
+                defaults["worker_dashboard_address"] = here  # else they are served to the world: its host is none
+        elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
+            defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
+            options = {key: value for key, value in options.items() if key != "scheduler_options"}
+        cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options})))
+        stack.enter_context(_prompt_end(cluster))
+        stack.enter_context(_lost_workers_replaced(cluster))
+        yield cluster
+
+
+@contextmanager
+def _lost_workers_replaced(cluster: Any) -> Iterator[None]:
+    """Let a cluster start again the workers that it is to have and has lost, which batch jobs that ended are
+    (dask-jobqueue#691: a cluster forgets them, and starts others only when its size is changed).
+    """
+    if not isinstance(cluster, SpecCluster) or cluster.loop is None:
+        yield
+        return
+    replacing = PeriodicCallback(cluster._correct_state, REPLACE_EVERY_S * 1000)
+    loop = cluster.loop
+    loop.add_callback(replacing.start)
+    try:
+        yield
+    finally:
+        loop.add_callback(replacing.stop)
+
+
+@contextmanager
+def _prompt_end(cluster: Any) -> Iterator[None]:
+    """Where an exception ends the run, do not wait for blocks under way: nobody will take their results."""
+
+    async def close_workers() -> None:
+        await asyncio.gather(*(worker.close(timeout=PATIENCE_S) for worker in cluster.workers.values()))
+
+    try:
+        yield
+    except BaseException:
+        if isinstance(cluster, LocalCluster):
+            with suppress(TimeoutError):
+                cluster.sync(close_workers)
+        raise
+
+
+@contextmanager
+def without_logs() -> Iterator[None]:
+    """Keep Dask's log off standard error in this block, where it says at length what we say in a sentence; other
+    handlers of its loggers are left alone.
+    """
+    removed = [
+        (logger, handler)
+        for name, logger in list(logging.root.manager.loggerDict.items())
+        if name.partition(".")[0] in ("distributed", "tornado", "bokeh") and isinstance(logger, logging.Logger)
+        for handler in logger.handlers
+        if type(handler) is logging.StreamHandler
+    ]
+    nothing = logging.NullHandler()  # without any, Python would print to standard error after all
+    for logger, handler in removed:
+        logger.removeHandler(handler)
+        logger.addHandler(nothing)
+    try:
+        yield
+    finally:
+        for logger, handler in removed:
+            logger.removeHandler(nothing)
+            logger.addHandler(handler)

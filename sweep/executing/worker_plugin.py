@@ -1,0 +1,63 @@
+"""What linksweep brings to a Dask worker: one thread for linear algebra, time limits, the function that runs a task."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from distributed import WorkerPlugin, get_worker
+from threadpoolctl import threadpool_limits
+
+from sweep.executing.deadlines import Deadlines
+from sweep.executing.isolated import run_guarded
+from sweep.executing.versions import Identity, differences, identity_like
+from sweep.executing.worker import Task, TaskResult, run_task
+
+PLUGIN = "linksweep"
+
+
+class TaskPlugin(WorkerPlugin):
+    """Limits BLAS to one thread for as long as the plugin is on a worker, and holds the deadlines of its blocks.
+
+    Dask's nanny does the first for the workers that it starts, but not in other processes (distributed#9075); sums of
+    products would then depend on the number of cores, and workers would fight for them.
+    """
+
+    idempotent = True  # a second client of the same workers must not reset their alarm
+
+    def setup(self, worker: Any) -> None:
+        """Set the limits when the plugin reaches a worker."""
+        self._limits = threadpool_limits(1)
+        self.deadlines = Deadlines()
+
+    def teardown(self, worker: Any) -> None:
+        """Give the threads back."""
+        self._limits.restore_original_limits()
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a worker says: its address, in what it differs from the client, and the result if this decides no number."""
+
+    worker: str
+    deciding: list[str]
+    others: list[str]
+    result: TaskResult | None
+
+
+def run_on_worker(task: Task, expected: Identity, guarded: bool, memory_limit: int | None) -> Answer:
+    """Run a task on the worker that this is called on, if it computes the same numbers as the client.
+
+    With ``guarded`` in a child process, of so many bytes at most (None: as many as the worker may have).
+    """
+    worker = get_worker()
+    found = identity_like(expected, task.experiment_reference)
+    deciding = differences(expected.deciding, found.deciding)
+    others = differences(expected.others, found.others)
+    if deciding:
+        return Answer(worker.address, deciding, others, None)
+    if guarded:
+        result = run_guarded(task, expected, memory_limit or worker.memory_manager.memory_limit)
+    else:
+        plugin = worker.plugins[PLUGIN]
+        assert isinstance(plugin, TaskPlugin)
+        result = run_task(task, plugin.deadlines)
+    return Answer(worker.address, deciding, others, result)

@@ -1,0 +1,202 @@
+"""The accumulator of a run: the sums of each point so far, and which blocks it still needs."""
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sweep.contract import Array, Value
+from sweep.planning.grid import GridPoint
+from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, ledger_key
+
+MISSING, DONE, FAILED, EXCLUDED = 0, 1, 2, 3
+STATUS_WORDS = ("missing", "done", "failed", "excluded")
+
+LARGEST_STEP = 16
+"""A point that is not precise enough gets at most so many times the realisations that it has, then is asked again."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """How large a plan is, as far as known, how much of it the ledger holds, and how much is pending; the rest are
+    points that failed.
+    """
+
+    total: PlanSize
+    held: PlanSize
+    pending: PlanSize
+
+
+@dataclass
+class _Round:
+    """The parts of a point that are being added, block by block in their own order; those that came early wait."""
+
+    parts: range
+    group: int = 0
+    part: int = 0
+    early: dict[tuple[int, int], Array] = field(default_factory=dict)
+
+
+class Accumulator:
+    """Adds up blocks.
+
+    Those of a point are added in their own order, not in that of their arrival, so that its sums are bitwise the same
+    however it was computed; only blocks that come early are kept.  ``total`` (points, width), ``realisations`` and
+    ``status`` (points,) are indexed as the grid.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        rows: Mapping[bytes, int],
+        sums: Array,
+        failed: Collection[bytes] = (),
+        only: Collection[bytes] | None = None,
+    ) -> None:
+        """Start with the ``rows`` of a ledger and their ``sums``, and the points (by digest) that ``failed``.
+
+        With ``only`` nothing is missing but these points.  Raises SweepError for a plan of too many blocks.
+        """
+        grid = plan.grid
+        self.plan, self._rows, self._failed, self._only = plan, rows, failed, only
+        self.total = np.zeros((len(grid), grid.study.experiment.sums_width))
+        self.realisations = np.zeros(len(grid), dtype=np.int64)
+        self.status = np.full(len(grid), EXCLUDED, dtype=np.int8)
+        self._rounds: dict[int, _Round] = {}
+        self.survey = self._survey(sums)
+
+    def _survey(self, sums: Array) -> Survey:
+        total = all_held = pending = PlanSize(0, 0, 0, 0.0)
+        common = self.plan.grid.study.sampling.common_random_numbers
+        groups: defaultdict[tuple[Value, ...], list[tuple[float, PlanSize]]] = defaultdict(list)
+        if not self._rows and not self._failed:  # as fast as a grid of a million points needs
+            costs: Counter[float] = Counter()
+            for index, parameters in self.plan.grid.parameters():
+                self.status[index] = MISSING
+                cost = self.plan.cost(parameters)
+                costs[cost] += 1
+                if common:
+                    groups[self.plan.grid.draw(parameters)].append((cost, self.plan.size(cost)))
+            for cost, points in costs.items():
+                total += self.plan.size(cost, points)
+            self.plan.check_size(total.blocks)
+            return Survey(total, all_held, replace(total, cost=_cost_together(groups)) if common else total)
+        for point in self.plan.grid.points():
+            self.status[point.index] = FAILED if point.digest in self._failed else MISSING
+            held, left = self._resume(point, sums)
+            total += held + left
+            all_held += held
+            self.plan.check_size(total.blocks)
+            if self._is_wanted(point):
+                pending += left
+                if common:
+                    groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
+        return Survey(total, all_held, replace(pending, cost=_cost_together(groups)) if common else pending)
+
+    def _resume(self, point: GridPoint, sums: Array) -> tuple[PlanSize, PlanSize]:
+        """Add what the ledger holds of a point; return how much that is, and how much is missing."""
+        held = left = PlanSize(0, 0, 0, 0.0)
+        blocks = list(self._blocks(point))
+        while blocks:
+            more: list[Block] = []
+            for block in blocks:
+                work = self.plan.work((point,), block)
+                size = PlanSize(0, 1, block.realisations, work.cost)
+                if (row := self._rows.get(work.ledger_keys()[0])) is None:
+                    left += size
+                else:
+                    held += size
+                    more += self.add(point, block, sums[row])
+            blocks = more
+        one = PlanSize(1, 0, 0, 0.0)
+        return (held, left + one) if left.blocks else (held + one, left)
+
+    def missing(self, point: GridPoint) -> Iterator[Block]:
+        """Yield the blocks of a point that the ledger did not hold at the start, as far as they are known now."""
+        if self._is_wanted(point):
+            yield from (b for b in self._blocks(point) if ledger_key(point.digest, b) not in self._rows)
+
+    def _is_wanted(self, point: GridPoint) -> bool:
+        return self.status[point.index] == MISSING and (self._only is None or point.digest in self._only)
+
+    def add(self, point: GridPoint, block: Block, row: Array) -> list[Block]:
+        """Add one block's sums; return the blocks that the point needs beyond those known so far."""
+        index = point.index
+        self.realisations[index] += block.realisations
+        if self.status[index] != MISSING:
+            return []
+        cost = self.plan.cost(point.parameters)
+        round_ = self._rounds.get(index)
+        if round_ is None:
+            round_ = self._rounds[index] = _Round(range(self.plan.parts(cost)))
+        if (block.group, block.part) != (round_.group, round_.part):
+            round_.early[block.group, block.part] = row
+            return []
+        ready: Array | None = row
+        while ready is not None:
+            self.total[index] += ready
+            round_.part += 1
+            if round_.part == round_.parts.stop:
+                round_.part = round_.parts.start
+                round_.group += 1
+            ready = round_.early.pop((round_.group, round_.part), None) if round_.early else None
+        groups = -(-self.plan.grid.study.sampling.n_cat // self.plan.block_shape(cost)[1])
+        return self._finish_round(point, round_.parts.stop) if round_.group == groups else []
+
+    def fail(self, index: int) -> None:
+        """Give up a point."""
+        self.status[index] = FAILED
+        self._rounds.pop(index, None)
+
+    def _blocks(self, point: GridPoint) -> Sequence[Block]:
+        """Return the blocks of a point's current round."""
+        round_ = self._rounds.get(point.index)
+        return self.plan.blocks(self.plan.cost(point.parameters), None if round_ is None else round_.parts)
+
+    def _finish_round(self, point: GridPoint, parts: int) -> list[Block]:
+        """Say that a point is done, or begin the round that its precision needs."""
+        cost = self.plan.cost(point.parameters)
+        wanted = self._wanted_parts(point.index, parts, cost)
+        if wanted > parts:
+            self._rounds[point.index] = _Round(range(parts, wanted), part=parts)
+            return list(self._blocks(point))
+        del self._rounds[point.index]
+        self.status[point.index] = DONE
+        return []
+
+    def _wanted_parts(self, index: int, parts: int, cost: float) -> int:
+        """Return how many parts a point needs for its precision, judged by the sums of those that it has: these alone
+        decide, so that the number is the same in every run.
+        """
+        study = self.plan.grid.study
+        sampling, precision = study.sampling, study.sampling.precision
+        if precision is None:
+            return parts
+        n_sim = self.plan.realisations(cost, parts)
+        n = np.array([float(sampling.n_cat * n_sim)])
+        results = study.experiment.summarise(
+            study.experiment.named(self.total[index : index + 1]), n, np.array([float(sampling.n_cat)])
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            errors = [np.abs(results[e] / results[value]) for value, e in study.experiment.errors_of_headline()]
+        worst = max(float(np.max(error)) for error in errors)
+        if math.isnan(worst) or worst <= precision:
+            return parts
+        needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
+        return min(max(parts + 1, self.plan.parts(cost, needed)), self.plan.parts(cost, sampling.most))
+
+
+def _cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:
+    """Return what is left of points, each with the cost of its realisations, that draw together with those of their
+    group: the costliest draws, the others only make something of it (see `Plan.work`).
+    """
+    total = 0.0
+    for members in groups.values():
+        for start in range(0, len(members), MOST_SHARING):
+            piece = members[start : start + MOST_SHARING]
+            draws = max(range(len(piece)), key=lambda k: piece[k][0])
+            for k, (cost, left) in enumerate(piece):
+                total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
+    return total

@@ -1,0 +1,59 @@
+"""Asks a slow question about many points only as often as the answer can differ."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import Any, Generic, TypeVar
+
+from sweep.contract import Point
+
+T = TypeVar("T")
+
+MAX_KEPT = 100_000
+
+
+class PointCache(Generic[T]):
+    """A function of a point, called once for each combination of values of those axes that it looks at.
+
+    In a grid of a million points an experiment's check or cost rarely looks at all axes.  The function must depend on
+    its point alone.
+    """
+
+    def __init__(self, function: Callable[[Point], T], axes: Collection[str]) -> None:
+        self._function, self._axes = function, axes
+        self._read: tuple[str, ...] = ()
+        self._known: dict[tuple[Any, ...], T] = {}
+
+    def __call__(self, parameters: dict[str, Any]) -> T:
+        """Return what the function says of these parameters."""
+        if len(self._read) == len(self._axes):
+            return self._function(parameters)  # no two points are alike to it, and nothing is left to be noticed
+        key = tuple([parameters[name] for name in self._read])
+        if key in self._known:
+            return self._known[key]
+        watched = _Watched(parameters)
+        answer = self._function(watched)
+        if new := watched.read.intersection(self._axes).difference(self._read):
+            self._read += tuple(new)
+            self._known.clear()  # their keys say too little
+            key = tuple([parameters[name] for name in self._read])
+        if len(self._known) < MAX_KEPT:
+            self._known[key] = answer
+        return answer
+
+
+class _Watched(Mapping[str, Any]):
+    """A point that notes which parameters are looked at."""
+
+    def __init__(self, parameters: dict[str, Any]) -> None:
+        self._parameters = parameters
+        self.read: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        self.read.add(name)
+        return self._parameters[name]
+
+    def __iter__(self) -> Iterator[str]:
+        self.read.update(self._parameters)
+        return iter(self._parameters)
+
+    def __len__(self) -> int:
+        return len(self._parameters)

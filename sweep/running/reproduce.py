@@ -1,0 +1,143 @@
+"""Comes back to a store: its study, and one of its points computed again in this process."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from threadpoolctl import threadpool_limits
+
+from sweep.contract import Experiment, SweepError, shown, suggest
+from sweep.executing.worker import run_block
+from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator
+from sweep.planning.grid import Grid, describe
+from sweep.planning.plan import Plan
+from sweep.planning.work_queue import Pending
+from sweep.running.results import assemble
+from sweep.stores.location import Where
+from sweep.stores.store import open_dataset, read_attributes
+from sweep.studies.axes import parse_value
+from sweep.studies.reader import study_of_attributes
+from sweep.studies.study import Study
+
+MAX_NAMED = 10
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """One point again: its results, and the variables that differ from those in the store in any bit.
+
+    ``differences`` is None where the store has no results of the point, ``stored`` the word for its status there.
+    """
+
+    place: str
+    dataset: xr.Dataset
+    stored: str
+    differences: dict[str, tuple[Any, Any]] | None
+
+
+def study_of(store: Where) -> Study:
+    """Return the study whose results a store holds; raises SweepError if there is none or it cannot be made again."""
+    return study_of_attributes(read_attributes(store), str(store))
+
+
+def reproduce(store: Where, at: str) -> Reproduction:
+    """Compute the point at ``NAME=VALUE,...`` again, serially, in this process.
+
+    Raises SweepError where that is not one point of the store, and whatever the experiment raises.
+    """
+    study = study_of(store)
+    place = place_of(study, at, str(store))
+    own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
+    fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}
+    alone = replace(study, axes={}, zipped=(), excluded=(), fixed=fixed | own, published=None, claims=())
+    result = compute(Plan(Grid(alone)))
+    stored = open_dataset(store).isel(_indices(study, place))
+    status = int(stored["status"])
+    differences = None
+    if status == DONE:
+        pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
+        differences = {name: pair for name, pair in pairs.items() if not _same_bits(*pair)}
+    return Reproduction(describe(study, place), result, STATUS_WORDS[status], differences)
+
+
+def compute(plan: Plan) -> xr.Dataset:
+    """Return the dataset of a plan, computed in this process; an exception of the experiment is not caught."""
+    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+    pending = Pending(plan, accumulator)
+    study = plan.grid.study
+    with threadpool_limits(1):  # as everywhere: the last bits depend on it
+        while tasks := pending.take(1):
+            for work in tasks[0]:
+                points = [point.parameters for point in work.points]
+                rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
+                for point, row in zip(work.points, rows, strict=True):
+                    pending.add(plan.work((point,), block) for block in accumulator.add(point, work.block, row))
+    return assemble(plan, accumulator)
+
+
+def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
+    """Return a point's parameters from ``NAME=VALUE,...``; raises SweepError that says what is wrong or missing."""
+    problems: list[str] = []
+    given: dict[str, Any] = {}
+    for part in filter(None, (part.strip() for part in at.split(","))):
+        name, equals, text = (piece.strip() for piece in part.partition("="))
+        if not equals or name not in study.axes:
+            hint = suggest(name, list(study.axes)) if equals and study.axes else ""
+            problems.append(f"--at {shown(part)}: must be AXIS=VALUE{hint or f'; axes are {_listed(study.axes)}'}")
+        else:
+            given[name] = _on_axis(study.experiment, study.axes, name, text, problems)
+    fitting = {
+        dimension: [values for values in rows if all(given.get(n, v) == v for n, v in zip(axes, values, strict=True))]
+        for dimension, axes in Grid(study).dimensions.items()
+        for rows in [list(zip(*(study.axes[name] for name in axes), strict=True))]
+    }
+    if not problems:
+        problems += [
+            f"--at: {dimension} needs a value, one of {_listed(study.axes[dimension])}"
+            if rows
+            else f"--at {shown(at)}: no point has these values together"
+            for dimension, rows in fitting.items()
+            if len(rows) != 1
+        ]
+    if problems:
+        raise SweepError(problems, where)
+    parameters = study.experiment.defaults() | dict(study.fixed)
+    for dimension, axes in Grid(study).dimensions.items():
+        parameters |= dict(zip(axes, fitting[dimension][0], strict=True))
+    if any(all(c.holds(parameters[c.name]) for c in clause) for clause in study.excluded):
+        raise SweepError(f"--at {shown(at)}: the study excludes this point", where)
+    return parameters
+
+
+def _on_axis(
+    experiment: Experiment, axes: Mapping[str, Sequence[Any]], name: str, text: str, problems: list[str]
+) -> Any:
+    try:
+        value = experiment.parameter(name).parse(parse_value(text))
+    except ValueError as error:
+        problems.append(f"--at {error}")
+        return None
+    if value not in axes[name]:
+        problems.append(f"--at {name} = {shown(value)}: not on the axis, which has {_listed(axes[name])}")
+    return value
+
+
+def _indices(study: Study, place: Mapping[str, Any]) -> dict[str, int]:
+    """Return where along each dimension a point stands."""
+    return {
+        dimension: list(zip(*(study.axes[name] for name in axes), strict=True)).index(tuple(place[n] for n in axes))
+        for dimension, axes in Grid(study).dimensions.items()
+    }
+
+
+def _same_bits(stored: Any, again: Any) -> bool:
+    if stored.dtype.kind == "f":
+        return bool(np.array_equal(stored, again, equal_nan=True))
+    return bool(np.array_equal(stored, again))
+
+
+def _listed(values: Any) -> str:
+    first = [str(value) for value in values][:MAX_NAMED]
+    return ", ".join(first) + (", ..." if len(values) > MAX_NAMED else "")

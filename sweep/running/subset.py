@@ -1,0 +1,75 @@
+"""Whether a store holds a larger study already, and which of its points a smaller one asks for."""
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.contract import Named, SweepError, Value
+from sweep.planning.accumulator import DONE
+from sweep.planning.grid import Grid
+from sweep.stores.location import Where
+from sweep.stores.store import open_dataset
+from sweep.tablefile import content_digest
+
+
+def part_of_larger(store: Where, grid: Grid) -> xr.Dataset | None:
+    """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, an axis
+    more, more realisations or catalogues.  None where something is missing there, or there is nothing more.
+    """
+    study = grid.study
+    try:
+        dataset = open_dataset(store)
+    except SweepError:
+        return None
+    if study.excluded or "sample" in dataset.dims or not _enough_realisations(dataset.attrs, grid):
+        return None
+    part = dataset
+    for name, coordinate in dataset.coords.items():
+        if name in study.experiment.defaults() and name not in study.axes and coordinate.ndim:
+            value = dict(study.fixed).get(str(name), study.experiment.defaults()[str(name)])
+            places = np.flatnonzero(coordinate.values == _as_stored(dataset, str(name), value))
+            if len(places) != 1 or coordinate.dims[0] not in part.dims:
+                return None
+            part = part.isel({coordinate.dims[0]: places[0]})
+    for dimension, axes in grid.dimensions.items():
+        places_of = _places(part, dimension, axes, grid)
+        if places_of is None:
+            return None
+        part = part.isel({dimension: places_of})
+    if not bool((part["status"] == DONE).all()) or set(part["status"].dims) != set(grid.dimensions):
+        return None
+    fewer = part["status"].size < dataset["status"].size
+    less = any(dataset.attrs[key] > getattr(study.sampling, key) for key in ("n_sim", "n_cat"))
+    less |= dataset.attrs.get("precision") != study.sampling.precision
+    return part.transpose(*grid.dimensions, ...) if fewer or less else None
+
+
+def _enough_realisations(attributes: dict[str, Any], grid: Grid) -> bool:
+    sampling = grid.study.sampling
+    stored = attributes.get("precision")
+    if stored is not None or sampling.precision is not None:  # by how much a point was realised depends on all of these
+        fine_enough = stored is not None and sampling.precision is not None and stored <= sampling.precision
+        return fine_enough and all(attributes[key] == getattr(sampling, key) for key in ("n_sim", "n_cat"))
+    return bool(attributes["n_sim"] >= sampling.n_sim and attributes["n_cat"] >= sampling.n_cat)
+
+
+def _places(dataset: xr.Dataset, dimension: str, axes: tuple[str, ...], grid: Grid) -> list[int] | None:
+    """Return where along a dimension of the dataset the values of a study's axes stand, or None where one does not."""
+    if any(name not in dataset.coords or dataset[name].dims != (dimension,) for name in axes):
+        return None
+    stored = list(zip(*(dataset[name].values.tolist() for name in axes), strict=True))
+    wanted = zip(*([_as_stored(dataset, name, v) for v in grid.study.axes[name]] for name in axes), strict=True)
+    try:
+        return [stored.index(values) for values in wanted]
+    except ValueError:
+        return None
+
+
+def _as_stored(dataset: xr.Dataset, parameter: str, value: Value) -> Value:
+    """Return a value as the coordinate has it; None for one that the study defines otherwise than the store's did."""
+    if not isinstance(value, Named):
+        return value
+    defined = json.loads(dataset.attrs.get("defined", "{}")).get(parameter, {})
+    return next((name for name, digest in defined.items() if digest == content_digest(value)), None)

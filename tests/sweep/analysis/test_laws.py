@@ -1,0 +1,496 @@
+"""Fits, ratios and crossings of datasets: against closed forms and the plain functions, and the commands."""
+
+import contextlib
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sweep.analysis.conditions import Limit, parse_limit, parse_places, parse_range
+from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
+from sweep.analysis.fits import power_law
+from sweep.analysis.law_tables import as_json, rows
+from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+from sweep.analysis.lines import lines
+from sweep.analysis.quantity import main_quantity, quantities, require_axis, standard_error
+from sweep.analysis.selection import between, select
+from sweep.cli import main
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.running.run import run_study
+from sweep.studies.reader import study_from_dict
+
+N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
+V = np.arange(14.0, 20.1, 0.5)
+
+
+def grid(value, error=None, x=N, name="n", unit="", status=None, **more):
+    """A dataset as a run leaves it: ``width`` in mas over model x one axis of numbers."""
+    axes = ("model", name)
+    value = np.broadcast_to(value, (2, len(x))).astype(float)
+    variables = {
+        "width": (axes, value, {"units": "mas", "headline": 1}),
+        "status": (axes, np.full(value.shape, DONE, np.int8) if status is None else status),
+    }
+    if error is not None:
+        variables["width_mc_error"] = (axes, np.broadcast_to(error, value.shape).astype(float), {"units": "mas"})
+    coordinates = {"model": np.array(["old", "new"], dtype=object), name: (name, x, {"units": unit})}
+    return xr.Dataset(variables, coordinates, {"title": "Widths"}).assign(more)
+
+
+# What is fitted
+
+
+def test_the_quantities_of_a_link_are_its_results_without_what_stands_beside_them(dataset_of):
+    dataset = dataset_of("quasars")
+    assert set(quantities(dataset)) >= {"sigma", "sigma_spin", "sigma_orientation", "bias", "chi2", "n_obj"}
+    assert not any(name.endswith(("error", "predicted", "published", "rounding")) for name in quantities(dataset))
+    assert main_quantity(dataset) == "sigma_spin"
+
+
+def test_the_error_of_a_quantity_is_the_sum_of_squares(dataset_of):
+    one = dataset_of("quasars").isel(model=0, v_max=0)
+    expected = np.hypot(one["sigma_spin_mc_error"], one["sigma_spin_catalogue_error"])
+    assert standard_error(one, "sigma_spin").item() == pytest.approx(expected.item(), rel=1e-12)
+    assert standard_error(one, "chi2") is None
+
+
+def test_lines_have_the_values_errors_and_places_of_the_grid(dataset_of):
+    dataset = dataset_of("grid")
+    found = lines(dataset, "sigma", "n_obj")
+    assert found.value.shape == (2 * 2 * 4 * 6, 5)
+    for line in (0, 7, 50, 95):
+        place = found.place(line)
+        one = select(dataset, {k: v for k, v in place.items() if k != "component_unit"})
+        assert np.array_equal(found.value[line], one["sigma"].values)
+        assert np.array_equal(found.error[line], standard_error(one, "sigma").values)
+        assert found.unit[line] == one["component_unit"].item()
+
+
+def test_an_axis_out_of_order_is_put_in_order():
+    order = [3, 0, 4, 1, 2]
+    found = lines(grid(1.0 / N, 0.1 / N).isel(n=order), "width", "n")
+    assert np.array_equal(found.x, N)
+    assert np.array_equal(found.value[0], 1.0 / N)
+
+
+def test_zipped_axes_can_be_fitted_by_either_name():
+    dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_coords(square=("n", N**2))
+    assert fit_power_law(dataset, "width", "n")["exponent"].values == pytest.approx(-0.5)
+    assert fit_power_law(dataset, "width", "square")["exponent"].values == pytest.approx(-0.25)
+    assert require_axis(dataset, "width", None) == "n"
+
+
+# Power laws
+
+
+def test_every_line_has_the_fit_of_its_points(dataset_of):
+    dataset = dataset_of("grid")
+    result = fit_power_law(dataset, "sigma_spin", "n_obj")
+    assert result["exponent"].dims == ("model", "v_max", "error_scale")
+    for index in np.ndindex(2, 2, 4):
+        one = dataset.isel(dict(zip(("model", "v_max", "error_scale"), index, strict=True)))
+        law = power_law(N_OBJ(one), one["sigma_spin"].values, standard_error(one, "sigma_spin").values)
+        for name in ("exponent", "exponent_error", "amplitude", "pivot", "chi2"):
+            assert result[name].values[index] == getattr(law, name)
+    assert result["amplitude"].attrs["units"] == "mas / yr"
+    assert "expected" not in result
+
+
+def N_OBJ(one):  # noqa: N802
+    return one["n_obj"].values.astype(float)
+
+
+def test_the_laws_of_the_paper_come_out(dataset_of):
+    root = fit_power_law(dataset_of("sqrt-n"), "sigma_spin", "n_obj")
+    assert root["expected"].item() == -0.5  # the claim of the study
+    assert abs(root["deviation"].item()) < 4.0
+    length = fit_power_law(dataset_of("mission-length"), "sigma_spin", "mission_length", expected=-1.5)
+    assert np.all(np.abs(length["deviation"]) < 4.0)
+
+
+def test_the_expected_exponent_of_a_claim_is_that_of_its_lines_only(dataset_of):
+    result = fit_power_law(dataset_of("mission-length"), "sigma_spin", "mission_length")
+    stated = result["expected"].sel(model="gaia", n_obj=90).item()
+    assert stated == -1.5
+    assert np.isfinite(result["expected"]).sum() == 1
+
+
+def test_a_covariance_in_the_dataset_is_honoured():
+    error = 0.02 * N**-0.5
+    covariance = np.outer(error, error) * (0.8 + 0.2 * np.eye(5))
+    shared = grid(N**-0.5, error, width_mc_covariance_n=(("n", "n_other"), covariance))
+    law = power_law(N, N**-0.5, covariance)
+    for dataset, argument in ((shared, None), (grid(N**-0.5, error), shared["width_mc_covariance_n"])):
+        result = fit_power_law(dataset, "width", "n", covariance=argument)
+        assert result["exponent_error"].values == pytest.approx(law.exponent_error, rel=1e-12)
+        assert result.attrs["errors"] == "covariance between points"
+    turned = shared.isel(n=[2, 0, 1, 4, 3], n_other=[2, 0, 1, 4, 3])
+    assert fit_power_law(turned, "width", "n")["chi2"].values == pytest.approx(0.0, abs=1e-12)
+    assert fit_power_law(turned, "width", "n")["exponent_error"].values == pytest.approx(law.exponent_error, rel=1e-12)
+
+
+def test_a_part_of_points_that_move_together_keeps_their_covariance():
+    error = 0.02 * N**-0.5
+    covariance = np.outer(error, error) * (0.8 + 0.2 * np.eye(5))
+    shared = grid(N**-0.5, error, width_mc_covariance_n=(("n", "n_other"), covariance))
+    law = power_law(N[1:], N[1:] ** -0.5, covariance[1:, 1:])
+    result = fit_power_law(between(shared, "n", 20.0, 1e9), "width", "n")
+    assert result["exponent_error"].values == pytest.approx(law.exponent_error, rel=1e-12)
+    assert quantities(select(shared, {"n": 20.0})) == ["width"]
+
+
+def test_common_random_numbers_without_a_covariance_are_told():
+    dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_attrs(common_random_numbers=1)
+    assert "their covariance is not known" in fit_power_law(dataset, "width", "n").attrs["errors"]
+
+
+def test_a_covariance_that_has_no_inverse_names_the_line():
+    dataset = grid(N**-0.5, width_mc_covariance_n=(("model", "n", "n_other"), np.stack([np.eye(5), np.ones((5, 5))])))
+    with pytest.raises(SweepError, match="not positive definite: width over n at model=new"):
+        fit_power_law(dataset, "width", "n")
+
+
+def test_excluded_points_do_not_belong_to_a_line():
+    status = np.array([[DONE, DONE, DONE, DONE, EXCLUDED], [EXCLUDED] * 5], dtype=np.int8)
+    value = np.where(status == DONE, N**-0.5, np.nan)
+    result = fit_power_law(grid(value, 0.1, status=status), "width", "n", expected=-0.5)
+    assert result["points"].values.tolist() == [4.0, 0.0]
+    assert result["exponent"].values[0] == pytest.approx(-0.5)
+    assert np.isnan(result["exponent"].values[1])
+    assert [json.loads(as_json(result))["rows"][i]["conclusion"] for i in (0, 1)] == [
+        "as expected",
+        "excluded by the study",
+    ]
+
+
+# Levelling
+
+
+def test_amex_levels_off_and_gaia_does_not(dataset_of):
+    result = fit_levelling(dataset_of("quasars"), "sigma_spin", "v_max")
+    amex, gaia = (result.sel(model=model) for model in ("amex", "gaia"))
+    assert 14.5 < amex["limit"].item() < 17.0
+    assert amex["plateau"].item() == pytest.approx(0.557, abs=max(4.0 * amex["plateau_error"].item(), 0.01))
+    assert gaia["limit"].item() > 19.0
+    assert gaia["end_fall"].item() > 0.03
+
+
+def test_levelling_needs_a_fraction_and_four_points():
+    with pytest.raises(SweepError, match="fall = 5: must be above 0 and below 1"):
+        fit_levelling(grid(1.0 / N), "width", "n", fall=5.0)
+    with pytest.raises(SweepError, match="at least 4 points are needed along n; there are 3 at model=old"):
+        fit_levelling(grid(1.0 / N).isel(n=[0, 1, 2]), "width", "n")
+
+
+# Ratios and interpolation
+
+
+def test_a_ratio_and_its_error():
+    result = ratio(grid(np.stack([3.0 / N, 2.0 / N]), np.stack([0.3 / N, 0.1 / N])), "width", "model", "old", "new")
+    assert result["ratio"].values == pytest.approx(1.5)
+    assert result["ratio_error"].values == pytest.approx(1.5 * np.hypot(0.1, 0.05))
+
+
+def test_the_ratio_of_points_that_move_together_is_better_known():
+    covariance = np.array([[0.04, 0.018], [0.018, 0.01]])
+    dataset = grid(np.array([2.0, 1.0]), np.array([0.2, 0.1]), x=N[:2])
+    shared = dataset.assign(width_mc_covariance_n=(("n", "n_other"), covariance))
+    alone, together = (ratio(d, "width", "n", 10.0, 20.0)["ratio_error"].values for d in (dataset, shared))
+    assert alone == pytest.approx(2.0 * np.hypot(0.1, 0.1))
+    jacobian = np.array([1.0, -2.0])
+    assert together == pytest.approx(np.sqrt(jacobian @ covariance @ jacobian))
+
+
+def test_a_ratio_without_errors_has_none():
+    assert set(ratio(grid(1.0 / N), "width", "n", 10.0, "20").data_vars) == {"ratio"}
+
+
+@given(at=st.floats(10.0, 300.0), power=st.floats(-3.0, 3.0))
+def test_interpolation_is_exact_for_power_laws(at, power):
+    y = 3.0 * N**power
+    result = interpolate(grid(y, 0.01 * y), "width", "n", at)
+    assert result["width"].values == pytest.approx(3.0 * at**power, rel=1e-9)
+    assert np.all(result["width_mc_error"] <= 0.01 * result["width"] * (1 + 1e-9))
+    assert result["n"].item() == at
+
+
+def test_interpolation_is_exact_for_exponentials_of_a_magnitude():
+    result = interpolate(grid(np.exp(-0.3 * V), x=V, name="v", unit="mag"), "width", "v", 17.2)
+    assert result["width"].values == pytest.approx(np.exp(-0.3 * 17.2), rel=1e-12)
+
+
+def test_interpolation_at_a_point_has_its_error_and_between_two_less():
+    dataset = grid(np.ones(5), 0.1)
+    assert interpolate(dataset, "width", "n", 50.0)["width_mc_error"].values == pytest.approx(0.1)
+    assert interpolate(dataset, "width", "n", np.sqrt(1000.0))["width_mc_error"].values == pytest.approx(
+        0.1 / np.sqrt(2)
+    )
+    with pytest.raises(SweepError, match="n = 301 is beyond the points, which go from 10 to 300"):
+        interpolate(dataset, "width", "n", 301.0)
+
+
+# Crossings
+
+
+@given(threshold=st.floats(0.06, 0.31))
+def test_the_crossing_of_a_power_law_is_exact(threshold):
+    y = N**-0.5
+    result = find(grid(y, 0.01 * y), Limit("width", "<", threshold), "n")
+    assert result["met"].values.tolist() == [FROM, FROM]
+    assert result["first"].values == pytest.approx(threshold**-2.0, rel=1e-9)
+    assert result["last"].values == pytest.approx(threshold**-2.0, rel=1e-9)
+
+
+def test_the_error_of_a_crossing_is_its_scatter():
+    rng = np.random.default_rng(31)
+    y = N**-0.5
+    draws = [
+        find(grid(y * (1 + 0.01 * rng.standard_normal((2, 5))), 0.01 * y), Limit("width", "<", 0.12), "n")
+        for _ in range(300)
+    ]
+    places = np.concatenate([draw["first"].values for draw in draws])
+    stated = find(grid(y, 0.01 * y), Limit("width", "<", 0.12), "n")["first_error"].values[0]
+    assert places.std() == pytest.approx(stated, rel=4.0 / np.sqrt(2 * 600))
+
+
+def test_a_crossing_between_points_that_move_together():
+    y, error = N**-0.5, 0.01 * N**-0.5
+    shared = grid(y, width_mc_covariance_n=(("n", "n_other"), np.outer(error, error) * (0.999999 + 1e-6 * np.eye(5))))
+    result = find(shared, Limit("width", "<", 0.12), "n")
+    # y moves up by a factor as a whole, and the crossing of N^-1/2 by its square
+    assert result["first_error"].values == pytest.approx(0.12**-2.0 * 2.0 * 0.01, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sign", "threshold", "met", "nearest"),
+    [
+        ("<", 0.05, NEVER, 300.0**-0.5),
+        ("<", 0.5, ALWAYS, 10.0**-0.5),
+        (">", 0.5, NEVER, 10.0**-0.5),
+        (">=", 0.05, ALWAYS, 300.0**-0.5),
+        ("<", -1.0, NEVER, 300.0**-0.5),
+    ],
+)
+def test_what_is_never_or_always_met_names_the_nearest(sign, threshold, met, nearest):
+    result = find(grid(N**-0.5, 0.01), Limit("width", sign, threshold), "n")
+    assert result["met"].values.tolist() == [met, met]
+    assert result["nearest"].values == pytest.approx(nearest)
+    assert np.all(np.isnan(result["first"]))
+
+
+def test_up_to_several_times_and_a_value_on_the_limit():
+    assert find(grid(N**-0.5), Limit("width", ">", 0.1), "n")["met"].values.tolist() == [UP_TO, UP_TO]
+    assert find(grid(N**-0.5), Limit("width", ">", 0.1), "n")["first"].values == pytest.approx(100.0)
+    waves = find(grid([1.0, 3.0, 1.0, 3.0, 1.0]), Limit("width", "<", 2.0), "n")
+    assert waves["met"].values.tolist() == [SEVERAL, SEVERAL]
+    assert waves["crossings"].values.tolist() == [4.0, 4.0]
+    assert np.all(waves["first"] < waves["last"])
+    through_zero = find(grid([-2.0, -1.0, 1.0, 2.0, 3.0], x=np.arange(5.0)), Limit("width", ">", 0.0), "n")
+    assert through_zero["first"].values == pytest.approx(1.5)
+
+
+def test_units_are_converted_and_lines_of_another_kind_left_out(dataset_of):
+    dataset = dataset_of("quasars")
+    in_uas = find(dataset, parse_limit("sigma_spin < 1 uas/yr"), "v_max")
+    in_mas = find(dataset, parse_limit("sigma_spin < 0.001"), "v_max")
+    assert in_uas["first"].values == pytest.approx(in_mas["first"].values, rel=1e-12, nan_ok=True)
+    assert in_uas["met"].values.tolist() == [NEVER, FROM]
+    assert 15.0 < in_uas["first"].sel(model="gaia").item() < 17.0
+    each = find(dataset, parse_limit("sigma < 1 uas/yr"), "v_max")
+    assert np.all(each["met"].sel(component=["epsilon_x", "epsilon_y"]) == LEFT_OUT)
+    with pytest.raises(SweepError, match="sigma_spin is in mas / yr, not convertible to mag"):
+        find(dataset, parse_limit("sigma_spin < 1 mag"), "v_max")
+
+
+@pytest.mark.parametrize(
+    ("text", "limit"),
+    [
+        ("sigma<0.001", Limit("sigma", "<", 0.001)),
+        (" sigma_spin  >=  1e-3 mas / yr ", Limit("sigma_spin", ">=", 1e-3, "mas / yr")),
+        ("share > -.5", Limit("share", ">", -0.5)),
+        ("chi2 <= +2", Limit("chi2", "<=", 2.0)),
+    ],
+)
+def test_conditions(text, limit):
+    assert parse_limit(text) == limit
+
+
+@pytest.mark.parametrize("text", ["", "sigma sigma", "sigma < ", "sigma = 1", "sigma < one", "1 < sigma", "sigma < 1e"])
+@pytest.mark.parametrize("more", ["", " nonsense", "; b", " < 2"])
+def test_conditions_that_are_none(text, more):
+    with pytest.raises(SweepError):
+        parse_limit(text + more)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sigma < inf", "a condition is VARIABLE"),
+        ("sigma < 1e999", "the number must be finite"),
+        ("sigma < 1 nonsense", "'nonsense' is not a unit that astropy knows"),
+        ("sigma < 1.2.3", "'1.2.3' is not a number"),
+        ("__import__('os') < 1", "a condition is VARIABLE"),
+    ],
+)
+def test_what_is_wrong_with_a_condition_is_told(text, message):
+    with pytest.raises(SweepError, match=message):
+        parse_limit(text)
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_a_condition_or_a_clear_error(text):
+    for parse in (parse_limit, parse_range, lambda t: parse_places([t])):
+        with contextlib.suppress(SweepError):  # any other exception fails
+            parse(text)
+
+
+def test_places_and_ranges():
+    assert parse_places(["model=gaia,v_max=16", "n=1"]) == {"model": "gaia", "v_max": "16", "n": "1"}
+    with pytest.raises(SweepError, match="n is given twice, as 1 and 2"):
+        parse_places(["n=1,n=2"])
+    assert parse_range("50:") == (50.0, np.inf)
+    assert parse_range(":3e2") == (-np.inf, 300.0)
+    assert between(grid(N), "n", 20.0, 100.0)["n"].values.tolist() == [20.0, 50.0, 100.0]
+    with pytest.raises(SweepError, match="n has no value from 1 to 2; it goes from 10 to 300"):
+        between(grid(N), "n", 1.0, 2.0)
+
+
+def test_selecting_names_everything_that_is_wrong():
+    dataset = grid(N).assign_coords(square=("n", N**2))
+    assert select(dataset, {"n": "20", "model": "new"})["square"].item() == 400.0
+    with pytest.raises(SweepError) as caught:
+        select(dataset, {"model": "gone", "depth": 3, "n": "eleven"})
+    assert caught.value.problems == [
+        "model = gone is not in the grid, which has old, new",
+        "'depth' is not an axis; known are model, n, square",
+        "n = eleven is not in the grid, which has 10.0, 20.0, 50.0, 100.0, 300.0",
+    ]
+    with pytest.raises(SweepError, match="square = 100 is at no point with the other values that are given along n"):
+        select(dataset, {"n": "20", "square": "100"})
+
+
+# What cannot be analysed
+
+BAD_STATUS = np.full((2, 5), DONE, np.int8)
+BAD_STATUS[0, :3] = MISSING, FAILED, FAILED
+
+
+@pytest.mark.parametrize(
+    ("dataset", "variable", "over", "message"),
+    [
+        (grid(N), "height", "n", "no quantity 'height'; known are width"),
+        (grid(N), "widht", "n", "no quantity 'widht'; did you mean 'width'"),
+        (grid(N), "status", "n", "no quantity 'status'"),
+        (grid(N), "width", "model", "'model' is no axis with several numbers of width; there are n"),
+        (grid(N), "width", "m", "'m' is no axis with several numbers of width; there are n"),
+        (grid(N[:1], x=N[:1]), "width", "n", "'n' is no axis with several numbers of width; there are none"),
+        (grid(-N), "width", "n", "width must be above 0; it is -10 at model=old, n=10"),
+        (grid(0.0 * N), "width", "n", "width must be above 0; it is 0 at model=old, n=10"),
+        (grid(N, x=N - 10.0), "width", "n", "a power law needs n above 0; there is 0"),
+        (grid([1.0, np.nan, 1.0, 1.0, 1.0]), "width", "n", "width is not a finite number at model=old, n=20"),
+        (grid(N, status=BAD_STATUS), "width", "n", "is incomplete: 1 missing and 2 failed of 10 points here"),
+        (grid(N, status=np.full((2, 5), EXCLUDED)), "width", "n", "every point is excluded by the study"),
+    ],
+)
+def test_what_cannot_be_fitted(dataset, variable, over, message):
+    with pytest.raises(SweepError, match=message):
+        fit_power_law(dataset, variable, over)
+
+
+def test_a_complete_part_of_an_incomplete_store_can_be_fitted():
+    result = fit_power_law(select(grid(N, status=BAD_STATUS), {"model": "new"}), "width", "n")
+    assert result["exponent"].item() == pytest.approx(1.0)
+
+
+def test_rows_name_every_place():
+    found = rows(fit_power_law(grid(np.stack([N, N**2])), "width", "n"))
+    assert [(row["model"], round(row["exponent"], 9)) for row in found] == [("old", 1.0), ("new", 2.0)]
+
+
+# The commands
+
+
+def invoke(*arguments):
+    done = CliRunner().invoke(main, [*map(str, arguments)])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done
+
+
+@pytest.fixture
+def coin_store(coins, tmp_path):
+    run_study(study_from_dict(coins), tmp_path / "coins.zarr", Resources(pool="serial"))
+    return tmp_path / "coins.zarr"
+
+
+def test_fit_prints_exponent_expectation_and_law(store_of):
+    done = invoke("fit", store_of("sqrt-n"))
+    assert done.exit_code == 0
+    assert "as expected" in done.stdout
+    assert "sigma_spin = amplitude x (n_obj / pivot)^exponent; errors: Monte Carlo, independent points" in done.stdout
+    (row,) = json.loads(invoke("fit", store_of("sqrt-n"), "--json").stdout)["rows"]
+    assert row["expected"] == -0.5
+    assert row["conclusion"] == "as expected"
+    (row,) = json.loads(invoke("fit", store_of("sqrt-n"), "--expect", "-1", "--range", "100:", "--json").stdout)["rows"]
+    assert row["conclusion"] == "NOT as expected"
+    assert row["points"] == 6.0
+
+
+def test_fit_of_components_names_their_units(store_of):
+    done = invoke("fit", store_of("sqrt-n"), "--variable", "sigma")
+    assert [line.split()[:3] for line in done.stdout.splitlines() if "omega_x" in line] == [["omega_x", "mas", "/"]]
+
+
+def test_fit_levelling_says_where(store_of):
+    done = invoke("fit", store_of("quasars"), "--law", "levelling")
+    assert "falls by less from 15" in done.stdout
+    found = json.loads(invoke("fit", store_of("quasars"), "--law", "levelling", "--fall", "1", "--json").stdout)
+    assert found["fall"] == 0.01
+    assert [row["model"] for row in found["rows"]] == ["amex", "gaia"]
+
+
+def test_find_says_from_where(store_of):
+    done = invoke("find", store_of("quasars"), "--where", "sigma_spin < 1 uas/yr", "--along", "v_max")
+    assert "gaia  from 15." in done.stdout or "gaia  from 16." in done.stdout
+    assert "amex  never; 0.5" in done.stdout
+    found = json.loads(invoke("find", store_of("quasars"), "--where", "sigma_spin < 0.6", "--json").stdout)
+    assert found["condition"] == "sigma_spin < 0.6"
+    assert found["rows"][1]["first"] is None
+
+
+def test_an_experiment_without_errors_is_fitted_by_its_scatter(coin_store):
+    done = invoke("fit", coin_store, "--at", "metal=tin", "--json")
+    found = json.loads(done.stdout)
+    assert found["variable"] == "share"
+    assert found["errors"].startswith("none")
+    assert found["rows"][0]["chi2"] is None
+    assert abs(found["rows"][0]["exponent"]) < 0.1  # the share of heads does not depend on how many coins
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["fit", "STORE", "--over", "metal"], "'metal' is no axis with several numbers of share; there are coins"),
+        (["fit", "STORE", "--variable", "heads"], "no quantity 'heads'; known are share"),
+        (["fit", "STORE", "--law", "levelling"], "at least 4 points are needed along coins; there are 3"),
+        (["fit", "STORE", "--law", "levelling", "--expect", "1"], "--expect is an exponent and goes with --law power"),
+        (["fit", "STORE", "--fall", "1"], "--fall goes with --law levelling"),
+        (["fit", "STORE", "--range", "3"], "--range: '3': a range is LOW:HIGH"),
+        (["fit", "STORE", "--at", "coins=1"], "name the axis; share has none with several numbers"),
+        (["fit", "STORE", "--at", "coins"], "--at: 'coins': a place is AXIS=VALUE"),
+        (["find", "STORE", "--where", "share = 1"], "--where: 'share = 1': a condition is VARIABLE, one of < <= > >="),
+        (["find", "STORE", "--where", "heads < 1"], "no quantity 'heads'; known are share"),
+        (["find", "STORE", "--where", "share < 1 mas"], "share is in no unit, not convertible to mas"),
+        (["find", "nothing.zarr", "--where", "share < 1"], "nothing.zarr: no store there"),
+    ],
+)
+def test_bad_input_is_one_message(coin_store, arguments, message):
+    done = invoke(*(coin_store if a == "STORE" else a for a in arguments))
+    assert done.exit_code == 2
+    assert message in done.stderr
+    assert done.stdout == ""

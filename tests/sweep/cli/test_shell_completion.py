@@ -1,0 +1,91 @@
+"""Completion in a shell: a real bash with the script that click makes."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sweep.cli.shell_completion import SAMPLING
+from sweep.studies.study import Sampling
+
+BIN = Path(sys.executable).parent
+
+
+def offered(folder, *words):
+    """What bash offers for the last word, by the function that the script defines."""
+    line = " ".join(words)
+    array = " ".join(f"'{word}'" for word in words)
+    script = f"""
+eval "$(_SWEEP_COMPLETE=bash_source sweep)"
+compopt() {{ echo "option: $1 $2" >> options; }}
+COMP_WORDS=({array})
+COMP_CWORD={len(words) - 1}
+COMP_LINE='{line}'
+_sweep_completion sweep
+printf '%s\\n' "${{COMPREPLY[@]}}"
+cat options 2>/dev/null || true
+"""
+    done = subprocess.run(
+        ["bash", "-c", script],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PATH": f"{BIN}:/usr/bin:/bin"},
+    )
+    assert done.stderr == ""
+    return done.stdout.split("\n")
+
+
+def test_commands(tmp_path):
+    assert {"run", "plan", "status", "retry"} <= set(offered(tmp_path, "sweep", ""))
+    assert "reproduce" in offered(tmp_path, "sweep", "re")
+    assert "run" not in offered(tmp_path, "sweep", "st")
+
+
+@pytest.mark.parametrize("command", ["run", "plan"])
+def test_a_study_is_built_in_or_a_file(tmp_path, command):
+    (tmp_path / "quick.toml").touch()
+    assert [name for name in offered(tmp_path, "sweep", command, "qu") if name] == ["quasars", "quick.toml"]
+    assert "option: -o default" in offered(tmp_path, "sweep", command, "folder/qu")  # bash looks for files itself
+
+
+def test_a_store_is_a_directory(tmp_path):
+    assert "option: -o dirnames" in offered(tmp_path, "sweep", "show", "res")
+
+
+def test_keys_of_the_study_that_is_named_before(tmp_path):
+    assert {"v_max=", "model=", "catalogue=", "n_sim="} <= set(
+        offered(tmp_path, "sweep", "run", "quasars", "--set", "")
+    )
+    (tmp_path / "mine.toml").write_text("title = 'x'\n[axes]\nlength = [1]\nlimit = [2]\nwidth = [3]\n")
+    assert [o for o in offered(tmp_path, "sweep", "plan", "mine.toml", "--axis", "l") if o] == ["length=", "limit="]
+
+
+@pytest.mark.parametrize("content", [None, b"[", b"\xff", b"axes = 3", b"[[axes]]"])
+def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
+    if content is not None:
+        (tmp_path / "bad.toml").write_bytes(content)
+    assert "n_sim=" in offered(tmp_path, "sweep", "run", "bad.toml", "--set", "n")
+
+
+def test_options(tmp_path):
+    assert "--workers" in offered(tmp_path, "sweep", "run", "quasars", "--w")
+
+
+def test_it_knows_the_keys_of_the_sampling():
+    assert set(SAMPLING) == set(Sampling.model_fields)
+
+
+def test_nothing_heavy_is_imported():
+    code = (
+        "import os, sys; os.environ.update(_SWEEP_COMPLETE='bash_complete', COMP_WORDS='sweep run quasars --set ', "
+        "COMP_CWORD='4')\n"
+        "import sweep.cli\n"
+        "try: sweep.cli.main(prog_name='sweep')\n"
+        "except SystemExit: print(*{m.partition('.')[0] for m in sys.modules}, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "plain,v_max=" in done.stdout
+    assert not {"numpy", "xarray", "zarr", "dask", "distributed", "pydantic", "rich"} & set(done.stderr.split())

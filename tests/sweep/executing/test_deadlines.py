@@ -1,0 +1,65 @@
+"""Time limits inside a process; what ends a process is tested in `test_execute`."""
+
+import signal
+import threading
+import time
+
+import pytest
+
+from sweep.executing.deadlines import Deadlines, TimeLimitError
+
+
+def busy(seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pass
+
+
+def test_a_loop_is_ended_and_the_next_block_is_not_hit():
+    deadlines = Deadlines()
+    for _ in range(20):
+        with pytest.raises(TimeLimitError), deadlines.within(0.02):
+            busy(60)
+        with deadlines.within(60):
+            busy(0.01)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_a_block_that_ends_as_its_bell_rings_leaves_nothing_behind():
+    deadlines = Deadlines()
+    ended = 0
+    for _ in range(300):
+        try:
+            with deadlines.within(0.002):
+                busy(0.0018)
+        except TimeLimitError:
+            ended += 1
+        else:
+            busy(0.001)  # an exception that came late would leave the test here
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+    assert ended < 300
+
+
+def test_the_alarm_is_set_to_the_first_end_of_all_threads():
+    deadlines = Deadlines()
+    inside, leave = threading.Barrier(3), threading.Barrier(3)
+
+    def block(seconds):
+        with deadlines.within(seconds):
+            inside.wait(60)
+            leave.wait(60)
+
+    threads = [threading.Thread(target=block, args=(seconds,)) for seconds in (1000, 3000)]
+    for thread in threads:
+        thread.start()
+    inside.wait(60)
+    assert 900 < signal.getitimer(signal.ITIMER_REAL)[0] <= 1002
+    leave.wait(60)
+    for thread in threads:
+        thread.join(60)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_no_limit_sets_no_alarm():
+    with Deadlines().within(None):
+        assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

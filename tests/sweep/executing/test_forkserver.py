@@ -1,0 +1,123 @@
+"""Worker processes are forked from one that has imported what they need, and cannot tell."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+from multiprocessing import forkserver, resource_tracker
+
+import numpy as np
+import pytest
+import xarray as xr
+from distributed import LocalCluster
+
+from sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked
+from sweep.executing.local_cluster import own_cluster
+from tests.sweep.executing.test_faults import started_to_write
+from tests.sweep.outside import below, command_of, workers_below
+
+ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
+
+
+def servers_below(pid):
+    found = [child for child in below(pid) if "multiprocessing.forkserver" in command_of(child)]
+    return [child for child in found if child not in workers_below(pid)]
+
+
+def test_workers_have_the_environment_of_their_run(monkeypatch):
+    before = dict(os.environ)
+    for value in ("first", "second"):
+        monkeypatch.setenv("LINKSWEEP_TEST", value)
+        with own_cluster(LocalCluster, ONE) as cluster, cluster.get_client() as client:
+            [found] = client.run(lambda: dict(os.environ)).values()
+            assert len(servers_below(os.getpid())) == 1
+        assert found["LINKSWEEP_TEST"] == value
+        assert {name: found[name] for name in ENVIRONMENT} == ENVIRONMENT
+        assert not found[SAFE_PATH]
+        assert not servers_below(os.getpid())
+    ours = {"LINKSWEEP_TEST", *ENVIRONMENT, "__DASK_PARENT_PID"}  # Dask leaves the others here, as it always does
+    assert {k: v for k, v in os.environ.items() if k not in ours} == {k: v for k, v in before.items() if k not in ours}
+
+
+def test_two_clusters_share_what_they_are_forked_from():
+    with own_cluster(LocalCluster, ONE) as first, first.get_client() as client:
+        with own_cluster(LocalCluster, ONE):
+            assert len(servers_below(os.getpid())) == 1
+        assert client.submit(int, "7").result() == 7
+    assert not servers_below(os.getpid())
+
+
+def test_a_server_of_the_users_own_is_left_alone():
+    forkserver.ensure_running()
+    try:
+        own = servers_below(os.getpid())
+        with own_cluster(LocalCluster, ONE) as cluster:
+            [worker] = cluster.workers.values()
+            assert "spawn_main" in command_of(worker.pid)
+        assert servers_below(os.getpid()) == own
+    finally:
+        forkserver._forkserver._stop()
+
+
+def legacy_draw():
+    return float(np.random.random())  # noqa: NPY002
+
+
+def test_workers_draw_different_numbers_even_from_the_generator_they_must_not_use():
+    """They are forked with the same state of it, and Dask gives each a new one."""
+    with own_cluster(LocalCluster, ONE | {"n_workers": 2}) as cluster, cluster.get_client() as client:
+        assert len(set(client.run(legacy_draw).values())) == 2
+
+
+def test_modules_of_the_folder_are_not_taken_for_others(link_study, tmp_path, start_sweep):
+    (tmp_path / "sweep.py").write_text("raise SystemExit('the wrong sweep')")
+    (tmp_path / "calendar.py").write_text("raise ZeroDivisionError('the wrong calendar')")
+    command = [sys.executable, "-P", "-m", "sweep"]
+    process = start_sweep("run", link_study, "-o", "s.zarr", "--workers", 1, command=command, cwd=tmp_path)
+    _, err = process.communicate(timeout=120)
+    assert (process.returncode, "wrong" in err) == (0, False), err
+
+
+def test_what_cannot_be_started_is_told(monkeypatch):
+    def full():
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(resource_tracker, "ensure_running", full)
+    with pytest.raises(OSError, match="Too many"):
+        signals_blocked(int)
+
+
+def test_the_process_that_workers_are_forked_from_may_die(link_study, tmp_path, start_sweep, sweep):
+    more = ("--set", "n_sim=20000", "--set", "n_cat=6")
+    assert sweep("run", link_study, "-o", tmp_path / "a.zarr", "--pool", "serial", *more)[0] == 0
+    process = start_sweep("run", link_study, "-o", tmp_path / "b.zarr", "--workers", 2, *more)
+    started_to_write(tmp_path / "b.zarr", process)
+    for server in servers_below(process.pid):
+        os.kill(server, signal.SIGKILL)
+    _, err = process.communicate(timeout=120)
+    assert (process.returncode, "Traceback" in err) == (0, False), err
+    a, b = (xr.open_zarr(tmp_path / name).load().drop_attrs() for name in ("a.zarr", "b.zarr"))
+    xr.testing.assert_identical(a, b)
+
+
+def test_what_they_are_forked_from_has_no_threads():
+    """A lock that another thread holds while a process is forked would never be released in the child."""
+    look = f"import os, {', '.join(PRELOADED)}\nprint(len(os.listdir('/proc/self/task')))"
+    command = [sys.executable, "-c", look]
+    done = subprocess.run(command, env=os.environ | ENVIRONMENT, capture_output=True, text=True, check=True)
+    assert done.stdout == "1\n"
+
+
+def test_a_temporary_directory_with_a_long_name(link_study, tmp_path, start_sweep, sweep, monkeypatch):
+    """It cannot hold a socket, so workers are started anew."""
+    long = tmp_path / ("long" * 30)
+    long.mkdir()
+    assert sweep("run", link_study, "-o", tmp_path / "a.zarr", "--pool", "serial")[0] == 0
+    monkeypatch.setenv("TMPDIR", str(long))
+    process = start_sweep("run", link_study, "-o", tmp_path / "b.zarr", "--workers", 1)
+    _, err = process.communicate(timeout=120)
+    assert (process.returncode, "Traceback" in err) == (0, False), err
+    a, b = (xr.open_zarr(tmp_path / name).load().drop_attrs() for name in ("a.zarr", "b.zarr"))
+    xr.testing.assert_identical(a, b)
+    assert not list(long.iterdir())

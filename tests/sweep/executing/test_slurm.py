@@ -1,0 +1,70 @@
+"""A study on a real SLURM, through dask-jobqueue."""
+
+import pytest
+import xarray as xr
+
+from tests.sweep.executing.test_faults import LONG, quiet, reference, results, started_to_write
+from tests.sweep.outside import wait_until
+from tests.sweep.slurm import Slurm, why_not
+
+__all__ = ["reference"]
+
+pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not())
+
+
+@pytest.fixture(scope="module")
+def slurm(tmp_path_factory):
+    slurm = Slurm(tmp_path_factory.mktemp("slurm"))
+    yield slurm
+    slurm.close()
+
+
+@pytest.fixture(autouse=True)
+def found_by_commands(slurm, monkeypatch):
+    for name, value in slurm.environment.items():
+        monkeypatch.setenv(name, value)
+
+
+def cluster_file(folder, size):
+    path = folder / "slurm.toml"
+    path.write_text(f"""
+class = "dask_jobqueue.SLURMCluster"
+{size}
+[options]
+cores = 1
+memory = "1GB"
+walltime = "00:10:00"
+interface = "lo"
+log_directory = "{folder / "log"}"
+local_directory = "{folder / "scratch"}"
+""")
+    return path
+
+
+def jobs(slurm):
+    return slurm.run("squeue", "-h", "-t", "running", "-o", "%i").split()
+
+
+@pytest.mark.parametrize("size", ["scale = 2", "adapt = { minimum = 0, maximum = 2 }"])
+def test_a_study_runs_in_jobs(link_study, tmp_path, sweep, slurm, reference, size):
+    store = tmp_path / "s.zarr"
+    code, _, err = sweep("run", link_study, "-o", store, *LONG, "--cluster", cluster_file(tmp_path, size), cwd=tmp_path)
+    assert code == 0, err
+    assert "the SLURMCluster of" in err
+    assert quiet(err), err
+    xr.testing.assert_identical(results(store), reference)
+    wait_until(lambda: not jobs(slurm), "the end of the jobs")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["log", "s.zarr", "scratch", "slurm.toml", "small.toml"]
+
+
+@pytest.mark.parametrize("cancelled", [1, 2], ids=["one of two jobs", "all jobs"])
+def test_cancelled_jobs_cost_nothing_but_time(link_study, tmp_path, start_sweep, slurm, reference, cancelled):
+    store = tmp_path / "s.zarr"
+    process = start_sweep("run", link_study, "-o", store, *LONG, "--cluster", cluster_file(tmp_path, "scale = 2"))
+    started_to_write(store, process)
+    wait_until(lambda: len(jobs(slurm)) == 2, "two jobs")
+    slurm.run("scancel", *jobs(slurm)[:cancelled])
+    _, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err
+    assert quiet(err), err
+    xr.testing.assert_identical(results(store), reference)

@@ -1,0 +1,157 @@
+"""Blocks tile the realisations exactly once, and nothing but the point itself decides its numbers."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sweep.planning.accumulator import Accumulator
+from sweep.planning.grid import make_grid
+from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, TARGET, Plan, generators, ledger_key
+from sweep.planning.work_queue import Pending
+from sweep.studies.reader import load_study, study_from_dict
+from tests.conftest import COINS
+
+
+def plan_of(document, **sampling):
+    return Plan(make_grid(study_from_dict(document | {"sampling": document["sampling"] | sampling})))
+
+
+def work_of(plan):
+    """All work of a plan, in order."""
+    nothing = Accumulator(plan, {}, np.empty((0, 0)))
+    return [work for task in Pending(plan, nothing).take(10**6) for work in task]
+
+
+def keys_of(document):
+    return [key for work in work_of(plan_of(document)) for key in work.ledger_keys()]
+
+
+def one_point(n_sim, n_cat):
+    return plan_of({"title": "", "experiment": COINS, "sampling": {"n_sim": n_sim, "n_cat": n_cat}})
+
+
+@settings(max_examples=100, derandomize=True, deadline=None)
+@given(st.integers(1, 3000), st.integers(1, 60), st.floats(1.0, 1e9))
+def test_the_blocks_of_a_point_tile_its_realisations_exactly_once(n_sim, n_cat, cost):
+    plan = one_point(n_sim, n_cat)
+    covered = np.zeros((n_cat, n_sim), dtype=int)
+    sims = max(b.n_sim for b in plan.blocks(cost))
+    for block in plan.blocks(cost):
+        start = block.part * sims
+        covered[block.first_catalogue : block.first_catalogue + block.n_cat, start : start + block.n_sim] += 1
+    assert np.all(covered == 1)
+
+
+@settings(max_examples=60, derandomize=True, deadline=None)
+@given(st.integers(1, 2000), st.integers(1, 40), st.integers(0, 2000), st.integers(0, 40), st.floats(1.0, 1e8))
+def test_more_realisations_leave_whole_blocks_as_they_were(n_sim, n_cat, more_sim, more_cat, cost):
+    before = list(one_point(n_sim, n_cat).blocks(cost))
+    after = list(one_point(n_sim + more_sim, n_cat + more_cat).blocks(cost))
+    largest = max(after, key=lambda b: (b.n_sim, b.n_cat))
+    whole = {b for b in before if b.n_sim == largest.n_sim and b.n_cat == largest.n_cat}
+    assert whole <= set(after)
+
+
+def test_a_point_has_the_same_key_and_blocks_in_any_grid(coins):
+    alone = {**coins, "axes": {"metal": ["tin"]}, "fixed": {"coins": 5, "chance": 0.4}}
+    keys = [
+        work.ledger_keys()
+        for work in work_of(plan_of(coins))
+        if work.points[0].parameters["metal"] == "tin" and work.points[0].parameters["coins"] == 5
+    ]
+    assert [key for several in keys for key in several] == keys_of(alone)
+
+
+def test_a_default_that_is_written_out_is_the_same_point(coins):
+    implicit = {**coins, "axes": {"coins": [1]}}
+    explicit = {**implicit, "fixed": coins["fixed"] | {"metal": "gold"}}
+    assert keys_of(implicit) == keys_of(explicit)
+
+
+def test_an_integer_and_the_equal_float_are_the_same_point(coins):
+    whole = {**coins, "fixed": {"coins": 1, "chance": 0.5}, "axes": {}}
+    assert keys_of(whole | {"fixed": {"coins": 1.0}}) == keys_of(whole)
+
+
+def test_streams_of_different_points_catalogues_and_parts_differ():
+    first = [
+        generators(seed, digest, catalogue, part)[which].integers(0, 2**63)
+        for seed in (0, 1)
+        for digest in (bytes(16), b"\1" + bytes(15))
+        for catalogue in (0, 1)
+        for part, which in ((0, 0), (1, 0), (0, 1))
+    ]
+    assert len(set(first)) == len(first)
+
+
+def test_streams_of_neighbours_are_uncorrelated():
+    draws = np.stack([generators(3, bytes(16), c, p)[0].standard_normal(20_000) for c in range(8) for p in range(4)])
+    correlation = np.corrcoef(draws)[np.triu_indices(32, 1)]
+    assert np.abs(correlation).max() < 5 / np.sqrt(20_000)  # 496 pairs: 5 sigma
+
+
+def test_tasks_hold_all_work_in_order_and_no_more_than_the_target(coins):
+    plan = plan_of(coins, n_sim=300_000)
+    batches = Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(10**6)
+    expected = [
+        ledger_key(point.digest, block)
+        for point in plan.grid.points()
+        for block in plan.blocks(plan.cost(point.parameters))
+    ]
+    assert [key for batch in batches for work in batch for key in work.ledger_keys()] == expected
+    assert all(len(batch) == 1 or sum(w.cost for w in batch) <= TARGET for batch in batches)
+    assert len(batches) < sum(map(len, batches)) / 50  # blocks of coins are small: many go into one task
+
+
+def test_small_points_share_a_task(coins):
+    plan = plan_of(coins, n_sim=1, n_cat=1)
+    assert len(Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(10)) == 1
+
+
+def test_a_block_is_bounded(coins):
+    blocks = list(one_point(10**6, 100).blocks(cost=1.0))
+    assert max(b.n_sim for b in blocks) == MAX_SIMS
+    assert max(b.n_cat for b in blocks) == MAX_CATALOGUES
+    large = list(one_point(10**4, 10).blocks(cost=1e6))
+    assert all(b.n_cat == 1 and b.realisations * 1e6 <= LARGEST_BLOCK for b in large)
+    assert all(b.n_sim == b.n_cat == 1 for b in one_point(10, 10).blocks(cost=1e9))
+
+
+def test_the_survey_counts_what_is_pending(coins):
+    plan = plan_of(coins)
+    keys = keys_of(coins)
+    survey = Accumulator(plan, {key: row for row, key in enumerate(keys[:3])}, np.ones((3, 2))).survey
+    assert survey.total.points == 6
+    assert survey.total.realisations == 6 * 20_000
+    assert survey.total.blocks == len(keys)
+    assert survey.held.blocks == 3
+    assert survey.pending.blocks == len(keys) - 3
+    assert survey.total.cost == pytest.approx(6 * (20_000 + 20 * 2 * OVERHEAD))
+
+
+@pytest.mark.parametrize("common", [False, True])
+@pytest.mark.parametrize("held", [0, 3])
+def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held):
+    """By which the time left is estimated: points that share a draw cost less than each alone."""
+    study = load_study("quasars", ["n_cat=5", "n_sim=777", f"common_random_numbers={str(common).lower()}"])
+    plan = Plan(make_grid(study))
+    blocks = [(point, block) for point in plan.grid.points() for block in plan.blocks(plan.cost(point.parameters))]
+    keys = [ledger_key(point.digest, block) for point, block in blocks if block.group < held]
+    sums = np.ones((len(keys), study.experiment.sums_width))
+    accumulator = Accumulator(plan, {key: row for row, key in enumerate(keys)}, sums)
+    pending, given = Pending(plan, accumulator), 0.0
+    while tasks := pending.take(1):
+        given += sum(work.cost for work in tasks[0])
+    assert given > 0
+    assert accumulator.survey.pending.cost == pytest.approx(given)
+
+
+@pytest.mark.parametrize("seed", [0, 5, 2**32, 2**64 - 1])
+def test_streams_are_numpys_own_children_of_the_seed(seed):
+    name = bytes(range(100, 116))
+    words = [int.from_bytes(name[i : i + 4], "little") for i in range(0, 16, 4)]
+    for ours, place in zip(generators(seed, name, 70_000, 3), [(70_000, 1, 3), (70_000, 0)], strict=True):
+        child = np.random.SeedSequence(seed, spawn_key=(*words, *place))
+        theirs = np.random.Generator(np.random.SFC64(child))
+        assert ours.integers(0, 2**63, 4).tolist() == theirs.integers(0, 2**63, 4).tolist()

@@ -1,0 +1,515 @@
+"""Pictures of small real stores: what stands on their axes, and what is refused."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from astropy import units
+from astropy.coordinates import SkyCoord
+from click.testing import CliRunner
+from matplotlib.figure import Figure
+
+from sweep.analysis.laws import fit_power_law
+from sweep.analysis.quantity import standard_error
+from sweep.analysis.selection import select
+from sweep.cli import main
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.planning.accumulator import MISSING
+from sweep.plots import style
+from sweep.plots.figure import draw_figure, possible_kinds
+from sweep.plots.layout import arrange
+from sweep.plots.lines import draw_lines
+from sweep.plots.maps import draw_map
+from sweep.plots.scaling import draw_efficiency, draw_speed_up
+from sweep.plots.scatter import draw_scatter
+from sweep.plots.sky import add_sky, draw_sky
+from sweep.plots.standalone import accuracy_figure, sky_figure
+from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table, models_of
+from sweep.running.run import run_study
+from sweep.studies.reader import load_study, study_from_dict
+
+
+@pytest.fixture(autouse=True)
+def _style():
+    with style.settings():
+        yield
+
+
+def axes_of(figure):
+    """The panels of a figure, without colour bars."""
+    return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
+
+
+def texts(legend):
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def title(figure):
+    return figure.get_suptitle()
+
+
+# Which picture suits
+
+
+@pytest.mark.parametrize(
+    ("name", "panels", "along"),
+    [
+        ("quasars", 2, r"$V_\mathrm{max}$ [mag]"),
+        ("sqrt-n", 2, r"$N_\mathrm{obj}$"),
+        ("mission-length", 2, "$T$ [yr]"),
+        ("error-surface", 1, r"$\Delta_\mathrm{ref}$"),
+        ("algorithm", 6, r"$|\epsilon|$ [mas]"),
+        ("grid", 4, r"$N_\mathrm{obj}$"),
+        ("aberration", 4, r"$V_\mathrm{max}$ [mag]"),
+        ("radio-stars", 1, r"$N_\mathrm{obj}$"),
+        ("galaxies", 1, "model"),
+        ("scatter", 1, r"$\omega_{x}$ [mas/yr]"),
+    ],
+)
+def test_every_study_has_a_picture_without_options(dataset_of, tmp_path, name, panels, along):
+    dataset = dataset_of(name)
+    figure = draw_figure(dataset)
+    assert len(axes_of(figure)) == panels
+    assert axes_of(figure)[-1].get_xlabel() == along
+    assert title(figure).startswith(dataset.attrs["title"])
+    style.save(figure, tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+def test_missions_that_differ_by_orders_have_panels_of_their_own(dataset_of):
+    amex, gaia = axes_of(draw_figure(dataset_of("quasars")))
+    assert (amex.get_title(), gaia.get_title()) == ("amex", "gaia")
+    assert amex.get_ylim()[0] > 100.0 * gaia.get_ylim()[1]
+    assert amex.get_ylabel() == r"$\sigma(\omega)$ [mas/yr]"
+
+
+def test_layouts(dataset_of):
+    layout = arrange(dataset_of("mission-length"), "sigma_spin", ("mission_length",))
+    assert (layout.series, layout.columns, layout.rows, layout.far) == (("n_obj",), "model", None, True)
+    layout = arrange(dataset_of("radio-stars"), "sigma_spin", ("n_obj",))
+    assert (layout.series, layout.columns) == (("reference_error_scale",), None)
+    with pytest.raises(SweepError, match=r"\(6\).*are too many for one picture.*fix some with --at"):
+        arrange(dataset_of("aberration"), "sigma", ("v_max",))
+    with pytest.raises(SweepError, match="3 dimensions are left for panels"):
+        arrange(dataset_of("aberration"), "sigma_spin", ("v_max", "sky_contrast"), series=False)
+
+
+def test_incomplete_stores_say_so_in_the_title(dataset_of):
+    dataset = dataset_of("sqrt-n")
+    dataset["status"][2] = MISSING
+    dataset["sigma_spin"][2] = np.nan
+    assert "INCOMPLETE: 1 of 7 points are not done" in title(draw_figure(dataset, "lines"))
+
+
+def test_what_is_chosen_stands_in_the_title(dataset_of):
+    figure = draw_figure(select(dataset_of("grid"), {"model": "gaia", "error_scale": "2"}))
+    assert title(figure).splitlines()[1] == "gaia, error scale = 2"
+
+
+# Lines
+
+
+def test_lines_have_points_with_errors_prediction_and_published_values(dataset_of):
+    one = dataset_of("quasars").sel(model="gaia")
+    axes = draw_lines(Figure().add_subplot(), one, "sigma_spin", "v_max")
+    points, published = axes.containers
+    assert points.lines[0].get_ydata() == pytest.approx(one["sigma_spin"].values)
+    (bars,) = points.lines[2]
+    half = [(segment[1, 1] - segment[0, 1]) / 2.0 for segment in bars.get_segments()]
+    assert half == pytest.approx(standard_error(one, "sigma_spin").values, rel=1e-6)
+    assert published.lines[0].get_ydata() == pytest.approx(one["sigma_spin_published"].values)
+    drawn = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == one.sizes["v_max"]]
+    assert any(np.array_equal(ydata, one["sigma_spin_predicted"].values) for ydata in drawn)
+    assert texts(axes.get_legend()) == ["simulated", "predicted", "published"]
+    assert len(axes.collections) >= 2  # a band, and the error bars
+
+
+def test_series_have_names_with_symbol_value_and_unit(dataset_of):
+    axes = axes_of(draw_figure(dataset_of("radio-stars")))[0]
+    assert texts(axes.get_legend()) == [
+        r"$\Delta_\mathrm{ref}$ = 1",
+        r"$\Delta_\mathrm{ref}$ = 0.5",
+        "predicted",
+        "published",
+    ]
+    assert axes.get_xscale() == axes.get_yscale() == "log"
+    figure = draw_figure(dataset_of("aberration"))
+    (legend,) = figure.legends
+    assert texts(legend)[0] == "aberration: no, solve glide: no"
+    assert len(texts(legend)) == 4  # three that are not excluded, and the prediction
+
+
+def test_components_have_their_own_symbol_and_unit(dataset_of):
+    one = dataset_of("sqrt-n").sel(component="omega_x")
+    axes = draw_lines(Figure().add_subplot(), one, "sigma", "n_obj")
+    assert axes.get_ylabel() == r"$\sigma$($\omega_{x}$) [mas/yr]"
+
+
+def test_components_in_different_units_are_refused(dataset_of):
+    with pytest.raises(
+        SweepError, match="sigma has components in mas and mas / yr; choose one with --at component=epsilon_x"
+    ):
+        draw_figure(dataset_of("sqrt-n"), variables=["sigma"])
+
+
+def test_several_variables_are_columns(dataset_of):
+    dataset = dataset_of("algorithm").sel(n_obj=50, mean_pm=500.0)
+    figure = draw_figure(dataset, variables=["sigma_spin", "sigma_orientation"])
+    assert len(axes_of(figure)) == 4
+    assert [axes.get_ylabel() for axes in axes_of(figure)[:2]] == [
+        r"$\sigma(\omega)$ [mas/yr]",
+        r"$\sigma(\epsilon)$ [mas]",
+    ]
+
+
+# Laws
+
+
+def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
+    dataset = dataset_of("sqrt-n")
+    upper, lower = axes_of(draw_figure(dataset))
+    result = fit_power_law(dataset, "sigma_spin", "n_obj")
+    fit, guide = (line for line in upper.lines if len(line.get_xdata()) == 100)
+    slope = np.polyfit(np.log(fit.get_xdata()), np.log(fit.get_ydata()), 1)[0]
+    assert slope == pytest.approx(result["exponent"].item(), abs=1e-9)
+    slope = np.polyfit(np.log(guide.get_xdata()), np.log(guide.get_ydata()), 1)[0]
+    assert slope == pytest.approx(-0.5, abs=1e-9)
+    assert texts(upper.get_legend())[0] == "simulated"
+    assert r"$N_\mathrm{obj}^{-0.5}$" in texts(upper.get_legend())[2]
+    residuals = lower.containers[0].lines[0].get_ydata()
+    assert np.abs(residuals).max() < 20.0  # percent
+    assert lower.get_ylabel() == "over the fit [%]"
+
+
+def test_a_law_of_several_lines_needs_one_dimension(dataset_of):
+    assert len(axes_of(draw_figure(dataset_of("radio-stars"), "law"))) == 2
+    with pytest.raises(SweepError, match="a law is drawn for one further dimension at most"):
+        draw_figure(dataset_of("grid"), "law", over=["n_obj"])
+
+
+# Maps
+
+
+def test_a_map_shows_the_values_in_their_places(dataset_of):
+    dataset = dataset_of("error-surface")
+    figure = Figure()
+    axes = draw_map(figure.add_subplot(), dataset, "sigma_spin", "reference_error_scale", "satellite_error_scale")
+    mesh = axes.collections[0]
+    wanted = dataset["sigma_spin"].transpose("satellite_error_scale", "reference_error_scale").values
+    assert np.asarray(mesh.get_array()).reshape(wanted.shape) == pytest.approx(wanted)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (r"$\Delta_\mathrm{ref}$", r"$\Delta_\mathrm{sat}$")
+    assert axes.get_xlim() == pytest.approx((-0.5, 4.5))
+    assert figure.axes[1].get_ylabel() == r"$\sigma(\omega)$ [mas/yr]"
+
+
+def test_a_map_says_how_well_it_is_known(dataset_of):
+    dataset = dataset_of("error-surface")
+    inner = dataset.isel(reference_error_scale=slice(1, None))
+    figure = draw_figure(inner, "map")
+    worst = 100.0 * float((standard_error(inner, "sigma_spin") / inner["sigma_spin"]).max())
+    assert figure.get_supxlabel() == f"errors (1σ) at most {worst:.2g} %; dashed contours: predicted"
+
+
+def test_two_axes_of_any_study_make_maps(dataset_of):
+    figure = draw_figure(dataset_of("grid").sel(model="gaia"), over=["n_obj", "error_scale"])
+    assert [axes.get_title() for axes in axes_of(figure)] == [
+        r"$V_\mathrm{max}$ = 16 mag",
+        r"$V_\mathrm{max}$ = 17 mag",
+    ]
+    assert axes_of(figure)[0].get_xscale() == "log"
+
+
+@pytest.mark.parametrize(
+    ("places", "logarithm"), [([1.0, 2.0, 4.0], False), ([1.0, 10.0, 100.0], True), ([3.0], False)]
+)
+def test_cells_surround_their_places(places, logarithm):
+    borders = style.edges(np.array(places), logarithm)
+    assert len(borders) == len(places) + 1
+    assert np.all(borders[:-1] < places)
+    assert np.all(borders[1:] > places)
+    if logarithm:
+        assert borders == pytest.approx(10.0 ** np.array([-0.5, 0.5, 1.5, 2.5]))
+
+
+# Scatter
+
+
+def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
+    dataset = dataset_of("scatter").squeeze("model")
+    axes = draw_scatter(Figure().add_subplot(), dataset, "estimate", ("omega_x", "omega_y"))
+    x, y = (dataset["estimate"].sel(component=name).values for name in ("omega_x", "omega_y"))
+    assert np.array_equal(axes.lines[0].get_xdata(), x)
+    assert np.array_equal(axes.lines[0].get_ydata(), y)
+    truth = next(line for line in axes.lines if line.get_label() == "truth")
+    assert (truth.get_xdata()[0], truth.get_ydata()[0]) == pytest.approx((1.0, 1.0), abs=1e-9)  # of the study
+    inverse = np.linalg.inv(np.cov(x, y))
+    offset = np.stack([x - x.mean(), y - y.mean()])
+    distance = np.einsum("in,ij,jn->n", offset, inverse, offset)
+    for ellipse, share in zip(axes.patches, (0.683, 0.954), strict=True):
+        inside = ellipse.contains_points(axes.transData.transform(np.stack([x, y], axis=1)))
+        assert inside.mean() == pytest.approx(share, abs=4.0 * np.sqrt(share * (1 - share) / len(x)))
+        assert inside.sum() == pytest.approx((distance < -2.0 * np.log(1.0 - share)).sum(), abs=5)
+    assert axes.get_aspect() == 1.0
+
+
+def test_a_scatter_of_chosen_components(dataset_of):
+    axes = axes_of(draw_figure(dataset_of("scatter"), over=["epsilon_x", "omega_z"]))[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (r"$\epsilon_{x}$ [mas]", r"$\omega_{z}$ [mas/yr]")
+    assert axes.get_aspect() == "auto"
+    with pytest.raises(SweepError, match="'omega' is no component of estimate"):
+        draw_figure(dataset_of("scatter"), over=["omega", "omega_x"])
+    with pytest.raises(SweepError, match="a scatter is of kept samples, not of a variable"):
+        draw_figure(dataset_of("scatter"), "scatter", variables=["sigma_spin"])
+    with pytest.raises(SweepError, match="a scatter needs two components"):
+        draw_figure(dataset_of("scatter"), over=["omega_x"])
+
+
+def test_kept_samples_of_several_points_do_not_hide_the_results(dataset_of):
+    one = dataset_of("scatter")
+    two = xr.concat([one.assign_coords(model=[name]) for name in ("amex", "gaia")], "model", data_vars="minimal")
+    assert axes_of(draw_figure(two))[0].get_xlabel() == "model"
+    with pytest.raises(SweepError, match=r"a scatter is of one point; choose it with --at AXIS=VALUE: model \(2\)"):
+        draw_figure(two, "scatter")
+
+
+# Scaling
+
+
+def scaling_dataset():
+    workers = np.array([1, 2, 4, 8])
+    efficiency = np.array([[1.0, 0.95, 0.9, 0.7], [1.0, 0.98, 0.96, 0.92]])
+    variables = {
+        "efficiency": (("kind", "workers"), efficiency),
+        "efficiency_error": (("kind", "workers"), 0.02 * efficiency),
+        "seconds": (("kind", "workers"), np.array([8.0 / workers / efficiency[0], 8.0 / efficiency[1]])),
+    }
+    return xr.Dataset(variables, {"kind": ["strong", "weak"], "workers": workers}, {"title": "Scaling"})
+
+
+def test_scaling_is_drawn_beside_the_ideal():
+    left, right = axes_of(draw_figure(scaling_dataset()))
+    for axes, ideal in ((left, [1, 2, 4, 8]), (right, [1, 1, 1, 1])):
+        assert axes.lines[0].get_ydata().tolist() == ideal
+        assert texts(axes.get_legend()) == ["strong scaling", "weak scaling", "ideal"]
+        assert axes.get_xlabel() == "workers"
+    assert left.containers[0].lines[0].get_ydata() == pytest.approx([1.0, 1.9, 3.6, 5.6])
+    assert right.containers[1].lines[0].get_ydata() == pytest.approx([1.0, 0.98, 0.96, 0.92])
+    assert possible_kinds(scaling_dataset(), "efficiency") == ["scaling"]
+    with pytest.raises(SweepError, match="no map of this; possible is scaling"):
+        draw_figure(scaling_dataset(), "map")
+    for draw in (draw_speed_up, draw_efficiency):
+        with pytest.raises(SweepError, match="scaling needs the dimensions kind and workers"):
+            draw(Figure().add_subplot(), scaling_dataset().drop_vars("seconds"))
+
+
+# Sky
+
+
+def test_right_ascension_grows_to_the_left():
+    dataset = xr.Dataset({"ra": ("object", [170.0, 180.0, 190.0]), "dec": ("object", [0.0, 10.0, -20.0])})
+    axes = draw_sky(add_sky(Figure()), dataset)
+    x, y = np.asarray(axes.collections[0].get_offsets()).T
+    assert x == pytest.approx(np.deg2rad([10.0, 0.0, -10.0]))
+    assert y == pytest.approx(np.deg2rad([0.0, 10.0, -20.0]))
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["300°", "240°", "180°", "120°", "60°"]
+
+
+def test_the_galactic_plane_is_that_of_astropy():
+    axes = draw_sky(add_sky(Figure()), xr.Dataset({"ra": ("object", [0.0]), "dec": ("object", [0.0])}))
+    plane, centre = (
+        next(line for line in axes.lines if line.get_label() == f"Galactic {n}") for n in ("plane", "centre")
+    )
+    x, y = plane.get_xdata(), plane.get_ydata()
+    drawn = np.isfinite(y)
+    assert drawn.sum() >= len(y) - 2
+    sky = SkyCoord(ra=(180.0 - np.rad2deg(x[drawn])) * units.deg, dec=np.rad2deg(y[drawn]) * units.deg)
+    assert np.abs(sky.galactic.b.arcsec).max() < 0.1
+    middle = SkyCoord(l=0.0 * units.deg, b=0.0 * units.deg, frame="galactic").icrs
+    assert np.rad2deg(centre.get_ydata()[0]) == pytest.approx(middle.dec.deg, abs=1e-4)
+    assert 180.0 - np.rad2deg(centre.get_xdata()[0]) == pytest.approx(middle.ra.deg, abs=1e-4)
+
+
+def test_the_sky_of_a_point_is_its_catalogue(store_of):
+    dataset = catalogue_of_point(store_of("quasars"), ["model=gaia", "v_max=15"])
+    assert dataset.sizes["object"] == 88
+    assert dataset["v_mag"].max() <= 15.0
+    figure = sky_figure(dataset)
+    assert "the 88 objects of one catalogue, model=gaia, v_max=15" in title(figure)
+    assert figure.axes[1].get_xlabel() == "$V$ [mag]"
+    again = catalogue_of_point(store_of("quasars"), ["model=gaia,v_max=15"])
+    assert np.array_equal(again["ra"], dataset["ra"])
+
+
+def test_the_sky_of_a_table(tmp_path):
+    (tmp_path / "table.csv").write_text("ra,dec\n10.0,20.0\n200.0,-40.0\n")
+    dataset = catalogue_of_table(tmp_path / "table.csv")
+    assert dataset["ra"].values.tolist() == [10.0, 200.0]
+    (tmp_path / "table.csv").write_text("ra,dec\n10.0,91.0\n")
+    with pytest.raises(SweepError, match="column 'dec' has 91, beyond 90 deg"):
+        catalogue_of_table(tmp_path / "table.csv")
+
+
+# Accuracy
+
+
+def test_accuracy_curves_are_those_of_the_missions():
+    dataset = accuracy_curves(["amex", "gaia-2001"])
+    assert dataset["sigma_pm"].sel(model="amex", v=9.0).item() == pytest.approx(0.181, abs=0.001)  # docs/science.md
+    assert dataset["sigma_pm"].sel(model="gaia-2001", v=15.0).item() == pytest.approx(0.008)  # ESA's table
+    relative = (dataset["sigma_pm_error"] / dataset["sigma_pm"]).sel(model="amex")
+    assert 0.0 < relative.min() < 0.1  # docs/calibration.md: some percent where the numbers are
+    assert np.isnan(dataset["sigma_pm_error"].sel(model="gaia-2001")).all()
+    left, right = axes_of(accuracy_figure(dataset))
+    assert (left.get_ylabel(), right.get_ylabel()) == (r"$\sigma_\mu$ [mas/yr]", r"$\sigma_\mathrm{pos}$ [mas]")
+    assert left.get_yscale() == "log"
+    assert texts(left.get_legend()) == ["amex", "gaia-2001"]
+    assert len(left.collections) == 1  # the band of the calibrated one
+    with pytest.raises(SweepError, match="no model 'amax'; did you mean 'amex'"):
+        accuracy_curves(["amax"])
+
+
+MISSION = """
+title = "A mission of our own"
+[axes]
+model = ["gaia-2001", "mine", "broken"]
+v_max = [16.0]
+[define.model.mine]
+nominal_length = 4.0
+sigma_pm = [[9.0, 0.1], [17.0, 3.2]]
+position_ratio = 0.5
+[define.model.broken]
+nominal_length = 4.0
+sigma_pm = "curves.py:broken"
+position_ratio = 0.5
+[fixed]
+n_obj = 20
+"""
+
+
+def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "curves.py").write_text("def broken(v):\n    return v - 12.0\n")
+    (tmp_path / "mine.toml").write_text(MISSION)
+    study = load_study("mine.toml")
+    dataset = accuracy_curves(models_of(study, ["mine", "gaia-2001"]))
+    assert dataset["model"].values.tolist() == ["gaia-2001", "mine"]
+    np.testing.assert_allclose(dataset["sigma_pm"].sel(model="mine", v=[9.0, 13.0]), [0.1, 0.32**0.5], rtol=1e-12)
+    np.testing.assert_allclose(dataset["sigma_pos"].sel(model="mine", v=[9.0]), [0.05], rtol=1e-12)
+    assert np.isnan(dataset["sigma_pm"].sel(model="mine", v=17.1))
+    with pytest.raises(SweepError, match="'gaia' is no mission of this study"):
+        models_of(study, ["gaia"])
+    done = invoke("mine.toml", "--kind", "accuracy", "--out", "a.png")
+    assert (done.exit_code, "the function 'broken' returns -3 at V = 9 mag" in done.stderr) == (2, True)
+    assert invoke("mine.toml", "--kind", "accuracy", "--model", "mine", "--out", "a.png").exit_code == 0
+    (tmp_path / "mine.toml").write_text(MISSION.replace(', "broken"', ""))
+    run_study(load_study("mine.toml"), "mine.zarr", Resources(pool="serial"))
+    assert invoke("mine.zarr", "--kind", "accuracy", "--out", "b.png").exit_code == 0
+    assert (tmp_path / "b.png").stat().st_size > 10_000
+
+
+# Style
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("omega_x", r"$\omega_{x}$"),
+        ("sigma_spin", r"$\sigma_{\mathrm{spin}}$"),
+        ("chi2", r"$\chi^2$"),
+        ("n_obj", r"$n_{\mathrm{obj}}$"),
+        ("share", "share"),
+        ("mean_pm", "mean pm"),
+        ("gaia-dr3", "gaia-dr3"),
+    ],
+)
+def test_symbols(name, shown):
+    assert style.symbol(name) == shown
+
+
+def test_ticks_below_two_decades_all_have_numbers():
+    axes = Figure().add_subplot()
+    axes.plot([1, 2], [1.4e-5, 9e-5])
+    style.logarithmic(axes, "y", [1.4e-5, 9e-5])
+    labels = [axes.yaxis.get_major_formatter()(tick, 0) for tick in (1e-5, 2e-5, 5e-5)]
+    assert labels == ["$10^{-5}$", r"$2\times10^{-5}$", r"$5\times10^{-5}$"]
+    assert axes.yaxis.get_major_formatter()(0.005, 0) == "0.005"
+
+
+@pytest.mark.parametrize("ending", ["svg", "pdf", "png"])
+def test_the_same_picture_is_the_same_file(dataset_of, tmp_path, ending):
+    for name in ("a", "b"):
+        style.save(draw_figure(dataset_of("sqrt-n")), tmp_path / f"{name}.{ending}")
+    assert (tmp_path / f"a.{ending}").read_bytes() == (tmp_path / f"b.{ending}").read_bytes()
+
+
+# The command
+
+
+def invoke(*arguments):
+    done = CliRunner().invoke(main, ["plot", *map(str, arguments)])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done
+
+
+@pytest.fixture
+def coin_store(coins, tmp_path):
+    run_study(study_from_dict(coins), tmp_path / "coins.zarr", Resources(pool="serial"))
+    return tmp_path / "coins.zarr"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["STORE"],
+        ["STORE", "--kind", "law"],
+        ["STORE", "--over", "metal"],
+        ["STORE", "--at", "metal=tin"],
+        ["STORE", "--at", "metal=tin,coins=5"],
+    ],
+)
+def test_any_experiment_can_be_drawn(coin_store, tmp_path, arguments):
+    done = invoke(*(coin_store if a == "STORE" else a for a in arguments), "--out", tmp_path / "coins.svg")
+    if arguments[-1].endswith("=5"):
+        assert (done.exit_code, "possible are none" in done.stderr) == (2, True)
+    else:
+        assert done.exit_code == 0, done.stderr
+        assert (tmp_path / "coins.svg").read_text().startswith("<?xml")
+
+
+def test_plot_without_options_draws_what_suits(store_of, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert invoke(store_of("error-surface")).exit_code == 0
+    assert (tmp_path / "error-surface.png").stat().st_size > 10_000
+    assert invoke(store_of("quasars"), "--kind", "sky", "--at", "model=gaia,v_max=16").exit_code == 0
+    assert invoke("--kind", "accuracy", "--model", "gaia-2001", "--out", "a.pdf").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["STORE", "--kind", "map"], "no map of share here; possible are lines, law"),
+        (["STORE", "--kind", "scatter"], "no scatter of share here; possible are lines, law"),
+        (["STORE", "--kind", "scaling"], "no scaling of share here; possible are lines, law"),
+        (["STORE", "--variable", "heads"], "no quantity 'heads'; known are share"),
+        (["STORE", "--over", "length"], "length is not one axis to draw along; there are"),
+        (["STORE", "--over", "metal", "--over", "coins"], "no map of share here"),
+        (["STORE", "--kind", "law", "--over", "metal"], "'metal' is no axis with several numbers of share"),
+        (["STORE", "--at", "metal=lead"], "metal = lead is not in the grid, which has gold, tin"),
+        (["STORE", "--out", "coins.bmp"], "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
+        (["STORE", "--out", "nowhere/coins.png"], "cannot draw there: No such file or directory"),
+        (["STORE", "--kind", "sky"], "only the link has a sky; this is the experiment coins"),
+        (["STORE", "--kind", "accuracy"], "only the link has missions; this is the experiment coins"),
+        (["STORE", "--model", "gaia"], "--model goes with --kind accuracy"),
+        (["STORE", "--kind", "sky", "--over", "coins"], "--variable and --over do not go with --kind sky"),
+        ([], "name the store to draw"),
+        (["nothing.zarr"], "no store there"),
+        (["--kind", "accuracy", "--model", "hipparcos"], "no model 'hipparcos'"),
+        (["none.toml", "--kind", "accuracy"], "no study 'none.toml'"),
+    ],
+)
+def test_bad_combinations_are_one_message(coin_store, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    done = invoke(*(coin_store if a == "STORE" else a for a in arguments))
+    assert done.exit_code == 2
+    assert message in done.stderr
+    assert list(tmp_path.glob("*.png")) == []

@@ -1,0 +1,338 @@
+"""The page: its answers against plain arithmetic, its policy, its files and its command."""
+
+import base64
+import hashlib
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from sweep.cli import main
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.report.answer import answers, completeness
+from sweep.report.cite import citations
+from sweep.report.explorer import explorer
+from sweep.report.figures import pictures
+from sweep.report.page import MARK, check_output, report_of, report_page, write_report
+from sweep.report.section import MOST_ROWS
+from sweep.running.run import run_study
+from sweep.stores.store import open_dataset
+from sweep.studies.reader import load_study, study_from_dict
+from sweep.studies.source import built_in_studies
+
+SERIAL = Resources(pool="serial")
+
+
+def grid(value, status=None, **others):
+    """A dataset of axes kind (2) and size (3), as results are."""
+    shape = np.shape(value)
+    variables = {"share": value, **{f"share_{suffix}": part for suffix, part in others.items()}}
+    dataset = xr.Dataset(
+        {name: (("kind", "size"), np.array(part, dtype=float), {"units": "mas"}) for name, part in variables.items()},
+        {"kind": np.array(["one", "two"], dtype=object), "size": [1.0, 2.0, 4.0]},
+        {"title": "A title", "complete": 1, "study": "the study's text"},
+    )
+    dataset["share"].attrs |= {"headline": 1, "long_name": "share of heads"}
+    status = np.full(shape, DONE, dtype=np.int8) if status is None else np.array(status, dtype=np.int8)
+    return dataset.assign(status=(("kind", "size"), status))
+
+
+def sentences(dataset):
+    (answer,) = answers(dataset)
+    return " ".join(answer.sentences)
+
+
+VALUES = [[8.0, 4.0, 2.0], [80.0, 20.0, 10.0]]
+
+
+def test_the_answer_names_range_places_and_what_changes_it():
+    text = sentences(grid(VALUES))
+    assert "Over 6 points it goes from 2 mas, at kind=one, size=4, to 80 mas, at kind=two, size=1." in text
+    # 80 / 8 = 10 across kinds; 80 / 10 = 8 across sizes
+    assert (
+        "What changes it: kind by a factor of up to 10, size by a factor of up to 8.00, all else being equal." in text
+    )
+
+
+def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_prediction():
+    error = 0.03 * np.array(VALUES)
+    predicted = np.array(VALUES) * [[1.0, 1.1, 1.0], [1.0, 1.0, 1.25]]  # off by 1 / 1.1 and 1 / 1.25
+    text = sentences(grid(VALUES, mc_error=error, catalogue_error=4.0 / 3.0 * error, predicted=predicted))
+    assert "Its one-sigma error, from Monte Carlo and the choice of catalogues, is 5 % of it." in text
+    # in errors of 5 %: 0.1 / 0.05 = 2.0 and 0.25 / 0.05 = 5.0
+    assert "5 of 6 values are within 3 of their errors of the prediction; the largest difference is 5 errors" in text
+    assert "up to 20 %" in text
+
+
+def test_an_axis_that_does_not_matter_is_not_said_to():
+    text = sentences(grid([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]))
+    assert "What changes it: size by a factor of up to 3.00" in text
+    assert "kind by" not in text
+
+
+def test_what_is_missing_is_said_and_does_not_count():
+    status = [[DONE, FAILED, MISSING], [DONE, DONE, EXCLUDED]]
+    dataset = grid([[8.0, np.nan, np.nan], [7.0, 5.0, np.nan]], status)
+    assert "Over 3 points it goes from 5 mas, at kind=two, size=2, to 8 mas, at kind=one, size=1." in sentences(dataset)
+    assert completeness(dataset) == [
+        "Incomplete: 3 of 5 points are done, 1 missing and 1 failed. What follows is about those that are done."
+    ]
+    assert completeness(grid(VALUES)) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "phrase"),
+    [
+        (np.full((2, 3), np.nan), "No point has a value yet."),
+        (np.full((2, 3), 7.0), "It is 7 mas at all 6 points."),
+        ([[np.nan, np.nan, 3.0], [np.nan] * 3], "One point has a value: 3 mas at kind=one, size=4."),
+        ([[1.0, -1.0, 0.0], [0.0] * 3], "it goes from -1 mas, at kind=one, size=2, to 1 mas"),
+        ([[1.0, np.inf, 2.0], [1.0] * 3], "At 1 point that is done it is not a finite number."),
+    ],
+)
+def test_answers_of_odd_grids(value, phrase):
+    assert phrase in sentences(grid(value))
+    report_page([("odd.zarr", grid(value))])
+
+
+def test_each_component_has_its_own_answer_and_unit():
+    dataset = grid(VALUES)
+    parts = np.stack([np.array(VALUES), 1000.0 * np.array(VALUES)], axis=-1)
+    attributes = {"units": "mas, uas", "long_name": "parts", "headline": 1}
+    dataset = dataset.drop_vars("share").assign(part=(("kind", "size", "side"), parts, attributes))
+    dataset = dataset.assign_coords(side=["left", "right"], side_unit=("side", ["mas", "uas"]))
+    left, right = answers(dataset)
+    assert (left.name, right.name) == ("part (left)", "part (right)")
+    assert "from 2 mas, at kind=one, size=4" in left.sentences[0]
+    assert "from 2000 uas, at kind=one, size=4" in right.sentences[0]
+
+
+def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):
+    dataset = dataset_of("quasars")
+    found, used, left_out = explorer(dataset, ["sigma_spin"], 10**6)
+    assert left_out == []
+    quantity = found["quantities"][0]
+    lengths = {axis["name"]: len(axis["values"]) for axis in found["axes"]}
+    models, magnitudes = dataset["model"].values.tolist(), dataset["v_max"].values.tolist()
+    for i, model in enumerate(models):
+        for k, v in enumerate(magnitudes):
+            flat = i * lengths["v_max"] + k
+            point = dataset.sel(model=model, v_max=v)
+            mc, catalogue = point["sigma_spin_mc_error"].item(), point["sigma_spin_catalogue_error"].item()
+            assert quantity["value"][flat] == pytest.approx(point["sigma_spin"].item(), rel=1e-6)  # seven digits
+            assert quantity["error"][flat] == pytest.approx(np.hypot(mc, catalogue), rel=1e-6)
+            published = point["sigma_spin_published"].item()
+            assert quantity["published"][flat] == (None if np.isnan(published) else pytest.approx(published, rel=1e-6))
+    parts = ("value", "error", "predicted", "published", "published_rounding")
+    assert used == sum(len(q[part]) for q in found["quantities"] for part in parts if part in q)
+
+
+def test_a_view_without_room_says_what_it_leaves_out():
+    dataset = grid(VALUES).assign(other=(("kind", "size"), np.array(VALUES)))
+    found, used, left_out = explorer(dataset, ["share"], 6)
+    assert ([q["name"] for q in found["quantities"]], used, left_out) == (["share"], 6, ["other"])
+    assert explorer(dataset, ["share"], 5)[2] == ["share", "other"]
+
+
+def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
+    quasars = dataset_of("quasars")
+    found = [*pictures(quasars, ["sigma_spin", "n_obj"], 0), *pictures(quasars, ["sigma_spin"], 1)]
+    roots = [ET.fromstring(one.svg) for one in found]
+    identifiers = [[e.get("id") for e in root.iter() if e.get("id")] for root in roots]
+    assert len({name for names in identifiers for name in names}) == sum(map(len, identifiers))
+    for root in roots:
+        assert not [e for e in root.iter() if e.tag.endswith("}style")]  # it would apply to the whole page
+        colours = {
+            c for e in root.iter() for c in re.findall(r"(?:fill|stroke): (\S+?)[;,(]", e.get("style", "") + ";")
+        }
+        assert colours <= {"none", "light-dark", "currentColor"}
+        assert "predicted" in "".join(root.itertext()) or root is roots[1]  # text is text
+
+
+def test_letters_that_the_fonts_here_have_not_stay_text():
+    dataset = grid(VALUES).assign_coords(kind=["\u661f\u7cfb", "two"])
+    assert "\u661f\u7cfb" in pictures(dataset, ["share"], 0)[0].svg
+
+
+def test_kept_samples_are_one_image_and_not_thousands_of_marks(store_of):
+    samples, *_ = pictures(open_dataset(store_of("scatter")), ["sigma_spin"], 0)
+    assert samples.name == "kept samples"
+    assert len(samples.svg) < 200_000
+
+
+def test_what_cannot_be_drawn_says_why():
+    dataset = grid(VALUES).assign_coords(kind=["$x^$", "$\\nothing$"])
+    (one,) = pictures(dataset, ["share"], 0)
+    assert one.svg == ""
+    assert one.problem
+    page = report_page([("odd.zarr", dataset)])
+    assert "No figure of share" in page
+
+
+@pytest.fixture(scope="session")
+def evil_store(tmp_path_factory):
+    """A store whose title, question, axis values, meanings and failures are hostile."""
+    from tests.sweep.evil import BREAK, METALS
+
+    path = tmp_path_factory.mktemp("evil") / "evil.zarr"
+    document = {
+        "title": f"<script>window.owned = true</script>{BREAK}",
+        "question": "<img src=x onerror='window.owned = true'>?",
+        "experiment": str(Path(__file__).parents[1] / "evil.py") + ":experiment",
+        "axes": {"metal": list(METALS), "coins": [1, 5, 20]},
+        "sampling": {"n_sim": 20, "n_cat": 2, "seed": 3},
+    }
+    run_study(study_from_dict(document), path, SERIAL)
+    return path
+
+
+def test_every_text_of_a_store_is_escaped(evil_store):
+    page = report_of([evil_store])
+    assert "&lt;script&gt;window.owned = true&lt;/script&gt;" in page
+    assert "<script>window" not in page
+    assert "<img" not in page
+    assert re.findall(r"<[a-z][^>]*\son\w+=", page.partition("<script>")[0]) == []
+    assert "is what failed" in page
+
+
+def test_the_policy_names_the_scripts_of_the_page_and_nothing_else(store_of):
+    page = report_of([store_of("quasars")])
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)[1].replace("&#39;", "'")
+    scripts = re.findall(r"<script>(.*?)</script>", page, flags=re.DOTALL)
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    rules = dict(rule.strip().partition(" ")[::2] for rule in policy.split(";"))
+    assert rules["default-src"] == "'none'"
+    assert rules["script-src"].split() == [f"'sha256-{digest}'" for digest in digests]
+    assert "unsafe-eval" not in policy
+    assert len(scripts) == 3
+    body = re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
+    assert re.findall(r'(?:src|href)="(?!#)[^"]*"', body) == []
+
+
+def test_the_same_store_gives_the_same_bytes_in_another_process(store_of, tmp_path, sweep):
+    pages = [tmp_path / "one.html", tmp_path / "two.html"]
+    for page in pages:
+        status, out, err = sweep("report", store_of("quasars"), store_of("scatter"), "-o", page)
+        assert (status, out) == (0, ""), err
+        assert f"wrote {page}" in err
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+
+
+def test_a_page_of_several_stores_counts_all_verdicts(store_of):
+    from sweep.analysis.compare import compare
+    from sweep.analysis.compare_tables import summary_line
+
+    stores = [store_of("quasars"), store_of("sqrt-n")]
+    page = report_of(stores)
+    together = [c for store in stores for c in compare(open_dataset(store))]
+    assert f"Published numbers and claims: {summary_line(together)}." in page
+    assert page.count('<article id="study-') == 2
+    assert page.count("Bokeh Contributors") == report_of(stores[:1]).count("Bokeh Contributors")
+
+
+def test_a_page_has_the_question_the_study_and_how_to_cite(store_of):
+    page = report_of([store_of("quasars")])
+    assert "<h1>How well do quasars alone tie a mission&#39;s proper motions to the extragalactic frame?</h1>" in page
+    assert "tolerance_reason = &#34;the mission curves are not in the paper" in page
+    assert "Changed on the command line: <code>--set n_sim=20 --set n_cat=10</code>" in page
+    assert "Astronomy &amp; Astrophysics 413, 771" in page
+
+
+def test_built_in_studies_ask_a_question():
+    for name in set(built_in_studies()) - {"gaia-releases"}:  # needs a package that may not be there
+        assert load_study(name).question.endswith("?"), name
+
+
+def test_a_large_table_is_cut_and_says_so():
+    size = MOST_ROWS + 7
+    status = ("size", np.full(size, DONE, dtype=np.int8))
+    share = ("size", np.arange(1.0, size + 1), {"units": "", "headline": 1})
+    attributes = {"title": "Large", "complete": 1, "study": ""}
+    large = xr.Dataset({"share": share, "status": status}, {"size": np.arange(float(size))}, attributes)
+    page = report_page([("large.zarr", large.assign_attrs(study_document="{}"))])
+    assert "7 more rows are left out" in page
+    assert page.count("<tr>") == 1 + MOST_ROWS
+
+
+def test_citations_name_people_and_version():
+    paper, software = citations("1.2.3")
+    assert paper.startswith("Metz, M. & Geffert, M. (2004). Formalism and quality")
+    assert software == "The linksweep developers. linksweep, version 1.2.3. BSD-3-Clause"
+
+
+def test_an_earlier_report_is_replaced_and_nothing_else(tmp_path):
+    page = tmp_path / "page.html"
+    write_report(f"{MARK}one", page)
+    write_report(f"{MARK}two", page)
+    assert page.read_text() == f"{MARK}two"
+    page.write_text("<!doctype html>\nmy own")
+    for bad, phrase in (
+        (page, "no report of linksweep"),
+        (tmp_path, "is a directory"),
+        (tmp_path / "a" / "b", "exist"),
+    ):
+        with pytest.raises(SweepError, match=phrase):
+            check_output(bad)
+    assert page.read_text() == "<!doctype html>\nmy own"
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "phrase"),
+    [
+        (("report",), "name stores, or give --all"),
+        (("report", "s.zarr", "--all"), "name stores, or give --all"),
+        (("report", "s.zarr", "--workers", "2"), "go with --all"),
+        (("report", "none.zarr"), "no store there"),
+        (("report", "s.zarr", "none.zarr"), "no store there"),
+        (("report", "s.zarr", "-o", "no/such/page.html"), "its directory does not exist"),
+        (("report", "s.zarr", "-o", "mine.html"), "no report of linksweep"),
+        (("report", "gs://b/s.zarr"), "gs:// is not known"),
+    ],
+)
+def test_bad_input_is_exit_code_2_and_nothing_is_written(coins, tmp_path, monkeypatch, arguments, phrase):
+    monkeypatch.chdir(tmp_path)
+    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
+    (tmp_path / "mine.html").write_text("mine")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    outcome = CliRunner().invoke(main, arguments)
+    assert (outcome.exit_code, outcome.stdout) == (2, "")
+    assert phrase in outcome.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert (tmp_path / "mine.html").read_text() == "mine"
+
+
+@pytest.mark.parametrize("package", ["bokeh", "jinja2"])
+def test_a_missing_package_is_named_with_what_to_do(tmp_path, package):
+    (tmp_path / package).mkdir()
+    (tmp_path / package / "__init__.py").write_text(f"raise ImportError('no {package} here')")
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-m", "sweep", "report", "s.zarr"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
+    assert run.returncode == 2
+    assert "pip install 'linksweep[report]'" in run.stderr
+    assert f"no {package} here" in run.stderr
+
+
+def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coins):
+    monkeypatch.chdir(tmp_path)
+    claim = 'text = "Fair"\nsource = "A paper"\npublished = "0.4"\ntolerance = 0.5\ntolerance_reason = "an example"\n'
+    study = f'title = "Coins"\nexperiment = "{coins["experiment"]}"\n[axes]\ncoins = [1, 5]\n[fixed]\nchance = 0.4\n'
+    study += f"[sampling]\nn_sim = 1000\nn_cat = 20\nseed = 7\n[[claim]]\n{claim}value = {{ variable = 'share' }}\n"
+    (tmp_path / "coins.toml").write_text(study)
+    path = tmp_path / "coins.toml"
+    monkeypatch.setattr("sweep.paper.published_stores.built_in_studies", lambda: {str(path): path})
+    outcome = CliRunner().invoke(main, ["report", "--all", "--results", "all", "--pool", "serial"])
+    assert outcome.exit_code == 0, outcome.output
+    page = (tmp_path / "paper-report.html").read_text()
+    assert "2 reproduced" in page or "within tolerance" in page
+    assert (tmp_path / "all" / "coins.zarr").exists()

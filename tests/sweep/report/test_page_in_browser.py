@@ -1,0 +1,284 @@
+"""The page in a real browser: nothing fetched, nothing complained of, controls that change the plot, hostile texts."""
+
+import json
+import re
+import shutil
+import time
+
+import pytest
+
+from sweep.report.page import report_of
+from sweep.stores.store import open_dataset
+from tests.sweep.report.test_page import evil_store
+
+__all__ = ["evil_store"]
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+pytestmark = pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="needs chromium and chromedriver")
+
+OPTIONS = [
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+]
+PATIENCE_S = 60  # a hang, not a speed limit
+
+# Elements in all shadow roots too, where BokehJS puts its own.
+EVERYTHING = """
+  const everything = (root) =>
+    [...root.querySelectorAll("*")].flatMap((e) => [e, ...(e.shadowRoot ? everything(e.shadowRoot) : [])]);
+"""
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    for option in (*OPTIONS, f"--user-data-dir={tmp_path_factory.mktemp('chromium')}"):
+        options.add_argument(option)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service(DRIVER))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture
+def show(chromium, tmp_path):
+    """A function that opens the page about stores at a width and in a theme, and waits until all is drawn."""
+
+    def open_page(stores, width=1200, theme="light"):
+        path = tmp_path / "page.html"
+        path.write_text(report_of(stores), encoding="utf-8")
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+        chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        scheme = [{"name": "prefers-color-scheme", "value": theme}]
+        chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": scheme})
+        chromium.get("about:blank")
+        for log in ("browser", "performance"):
+            chromium.get_log(log)  # what was before this page
+        chromium.get(path.as_uri())
+        wait_for_turn(chromium, 1)
+        return chromium
+
+    return open_page
+
+
+def wait_for_turn(driver, turn):
+    """Wait until every view has drawn what was asked of it."""
+    views = "[...document.querySelectorAll('[data-explorer]')]"
+    script = f"return {views}.every((view) => Number(view.dataset.turn) >= arguments[0])"
+    deadline = time.monotonic() + PATIENCE_S
+    while not driver.execute_script(script, turn):
+        assert time.monotonic() < deadline, driver.get_log("browser")
+        time.sleep(0.05)
+
+
+def requests(driver):
+    messages = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    sent = [m["params"]["request"]["url"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+    sockets = [m["params"]["url"] for m in messages if m["method"] == "Network.webSocketCreated"]
+    return sent + sockets
+
+
+def complaints(driver):
+    return [entry for entry in driver.get_log("browser") if entry["level"] not in ("INFO", "DEBUG")]
+
+
+def choose(driver, name, value):
+    """Choose an option of a control as a user does, and wait for the plot."""
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.support.ui import Select
+
+    view = driver.find_element(By.CSS_SELECTOR, "[data-explorer]")
+    turn = int(view.get_attribute("data-turn"))
+    control = Select(view.find_element(By.NAME, name))
+    if control.first_selected_option.get_attribute("value") != value:
+        control.select_by_value(value)
+        wait_for_turn(driver, turn + 1)
+
+
+def drawn(driver):
+    """Return what Bokeh draws in the only view: labels of axes, names in the legend, scale, and places of points."""
+    script = """
+      const plots = [...Bokeh.index.roots].map((view) => view.model).filter((model) => model.type === "Figure");
+      const [plot] = plots;
+      const points = plot.renderers.filter((r) => r.glyph.type === "Scatter" && "value" in r.data_source.data);
+      const legend = plot.below.find((part) => part.type === "Legend");
+      return {
+        x: plot.below.find((part) => part.type.endsWith("Axis")).axis_label,
+        y: plot.left.find((part) => part.type.endsWith("Axis")).axis_label,
+        scale: plot.y_scale.type,
+        legend: legend ? legend.items.map((item) => item.label.value) : [],
+        series: points.map((r) => [Array.from(r.data_source.data.x), Array.from(r.data_source.data.y)]),
+        kept: [plots.length, Bokeh.documents.length],
+      };
+    """
+    return driver.execute_script(script)
+
+
+def pixels(driver):
+    canvases = "everything(document.querySelector('.plot')).filter((e) => e.tagName === 'CANVAS')"
+    return driver.execute_script(f"{EVERYTHING} return {canvases}.map((canvas) => canvas.toDataURL())")
+
+
+@pytest.mark.parametrize(("width", "theme"), [(1200, "light"), (375, "dark")])
+def test_it_opens_from_a_file_without_network_and_complaint(show, store_of, width, theme):
+    driver = show([store_of("quasars"), store_of("scatter")], width, theme)
+    assert [url for url in requests(driver) if not url.startswith(("file://", "data:"))] == []
+    assert complaints(driver) == []
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= width
+    background = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
+    brightness = sum(map(int, re.findall(r"\d+", background)[:3]))
+    assert brightness > 600 if theme == "light" else brightness < 150
+
+
+def test_the_policy_stops_what_is_not_of_the_page(show, store_of):
+    """A script that got into the page in spite of all does not run, and nothing can be fetched."""
+    driver = show([store_of("quasars")])
+    driver.execute_script("""
+      const script = document.createElement("script");
+      script.textContent = "window.owned = true";
+      document.body.append(script);
+    """)
+    assert driver.execute_script("return window.owned") is None
+    fetched = driver.execute_async_script(
+        "const done = arguments[0]; fetch('http://127.0.0.1:9/').then(() => done('fetched'), () => done('refused'))"
+    )
+    assert fetched == "refused"
+    assert any("Content Security Policy" in entry["message"] for entry in complaints(driver))
+
+
+def test_controls_change_the_plot(show, store_of):
+    dataset = open_dataset(store_of("quasars"))
+    driver = show([store_of("quasars")])
+    first, picture = drawn(driver), pixels(driver)
+    assert (first["x"], first["y"], first["scale"]) == ("v_max [mag]", "sigma_spin [mas / yr]", "LogScale")
+    assert first["legend"] == ["model = amex", "model = gaia"]
+    for (x, y), model in zip(first["series"], ("amex", "gaia"), strict=True):
+        assert x == dataset["v_max"].values.tolist()
+        assert y == pytest.approx(dataset["sigma_spin"].sel(model=model).values.tolist(), rel=1e-6)
+
+    choose(driver, "x", "model")
+    assert drawn(driver)["x"] == "model"
+    assert pixels(driver) != picture
+    choose(driver, "x", "v_max")
+    choose(driver, "series", "")
+    choose(driver, "fixed-model", "1")
+    second = drawn(driver)
+    assert second["series"][0][1] == pytest.approx(dataset["sigma_spin"].sel(model="gaia").values.tolist(), rel=1e-6)
+    assert second["kept"] == [1, 1]  # those before are gone
+    choose(driver, "scale", "linear")
+    assert drawn(driver)["scale"] == "LinearScale"
+    number = next(
+        option.get_attribute("value")
+        for option in driver.find_elements("css selector", "select[name=quantity] option")
+        if option.text.startswith("sigma [")
+    )
+    choose(driver, "quantity", number)
+    choose(driver, "fixed-component", "5")
+    third = drawn(driver)
+    last = dataset["sigma"].isel(component=5).sel(model="gaia")
+    assert third["series"][0][1] == pytest.approx(last.values.tolist(), rel=1e-6)
+    assert complaints(driver) == []
+
+
+def test_hover_reads_values(show, store_of):
+    from selenium.webdriver import ActionChains
+
+    driver = show([store_of("scatter")], width=1000)  # one point, in the middle of the plot
+    plot = driver.find_element("css selector", ".plot")
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+    tooltip = f"""
+      {EVERYTHING}
+      return everything(document).filter((e) => e.className === "bk-tooltip-content").map((e) => e.textContent).join();
+    """
+    place = driver.execute_script("""
+      const view = [...Bokeh.index.roots].find((v) => v.model.type === "Figure");
+      const point = view.model.renderers.find((r) => "value" in r.data_source.data);
+      const frame = view.frame, box = view.canvas_view.el.getBoundingClientRect();
+      const x = point.data_source.data.x[0], y = point.data_source.data.y[0];
+      return [box.x + frame.x_scale.compute(x), box.y + frame.y_scale.compute(y)].map(Math.round);
+    """)
+    actions = ActionChains(driver)
+    actions.w3c_actions.pointer_action.move_to_location(*place)
+    actions.w3c_actions.pointer_action.move_to_location(place[0] + 1, place[1])
+    actions.perform()
+    deadline = time.monotonic() + PATIENCE_S
+    value = open_dataset(store_of("scatter"))["sigma_spin"].item()
+    while f"sigma_spin: {value:.6g}" not in (text := driver.execute_script(tooltip)):
+        assert time.monotonic() < deadline, text
+        time.sleep(0.05)
+
+
+def test_the_button_changes_the_theme_of_page_figures_and_view(show, store_of):
+    driver = show([store_of("quasars")])
+    style = "getComputedStyle(document.querySelector(s))"
+    colours = f"return ['body', 'figure svg text', '.plot'].map((s) => {style}[s.endsWith('text') ? 'fill' : 'color'])"
+    light, picture = driver.execute_script(colours), pixels(driver)
+    driver.find_element("id", "theme").click()
+    wait_for_turn(driver, 2)
+    dark = driver.execute_script(colours)
+    assert all(one != other for one, other in zip(light, dark, strict=True))
+    assert pixels(driver) != picture
+    driver.find_element("id", "theme").click()
+    wait_for_turn(driver, 3)
+    assert driver.execute_script(colours) == light
+
+
+def test_a_heading_sorts_by_value(show, store_of):
+    driver = show([store_of("quasars")])
+    heading = driver.find_element("xpath", "//table[1]//th[button[starts-with(., 'sigma_spin')]]")
+    column = driver.execute_script("return arguments[0].cellIndex", heading)
+    rows = "[...arguments[0].closest('table').tBodies[0].rows]"
+    read = f"return {rows}.map((row) => Number(row.cells[arguments[1]].dataset.value))"
+    for order in (sorted, lambda values: sorted(values, reverse=True)):
+        heading.find_element("tag name", "button").click()
+        values = driver.execute_script(read, heading, column)
+        assert len(values) == 26
+        assert values == order(values)
+    assert heading.get_attribute("aria-sort") == "descending"
+
+
+def test_hostile_texts_are_shown_as_text(show, evil_store):
+    driver = show([evil_store], 375)
+    assert driver.execute_script("return window.owned") is None
+    assert driver.title.startswith("<script>window.owned = true</script>")
+    text = driver.find_element("tag name", "body").text
+    assert "<img src=x onerror='window.owned = true'>?" in text
+    assert "</script><script>window.owned = true</script> is what failed" in text
+    assert "Incomplete: 8 of 9 points are done, 1 failed." in text
+    choose(driver, "series", "metal")
+    choose(driver, "series", "")
+    choose(driver, "x", "metal")
+    assert drawn(driver)["x"] == "metal"
+    assert driver.execute_script("return document.images.length") == 0
+    assert driver.execute_script("return window.owned") is None
+    assert complaints(driver) == []
+    assert [url for url in requests(driver) if not url.startswith(("file://", "data:"))] == []
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= 375
+
+
+def test_missing_points_are_not_drawn(show, evil_store):
+    driver = show([evil_store])
+    choose(driver, "x", "coins")
+    choose(driver, "series", "metal")
+    assert [len(x) for x, _ in drawn(driver)["series"]] == [3, 3, 2]
+    assert "1 of 9 values are missing and not drawn." in driver.find_element("css selector", ".status").text
+
+
+def test_paper_has_everything_unfolded_and_no_controls(show, store_of):
+    driver = show([store_of("quasars")])
+    driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    shown = "return [...document.querySelectorAll(arguments[0])].some((e) => e.checkVisibility())"
+    assert not driver.execute_script(shown, "header button, .controls, select")
+    assert driver.execute_script(shown, "dl.provenance dd")
+    assert driver.execute_script(shown, "details pre")
+    boxes = "[...document.querySelectorAll('.scroll, pre')]"
+    overflows = driver.execute_script(f"return {boxes}.map((box) => getComputedStyle(box).overflowX)")
+    assert set(overflows) == {"visible"}  # nothing is cut
+    driver.execute_script("window.dispatchEvent(new Event('afterprint'))")
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert not driver.execute_script(shown, "details pre")

@@ -1,0 +1,191 @@
+"""The platform with a small experiment that is not astronomical."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.executing.choose import Resources
+from sweep.planning.accumulator import Accumulator
+from sweep.planning.grid import make_grid
+from sweep.planning.plan import Plan, generators
+from sweep.planning.work_queue import Pending
+from sweep.running.run import plan_study, run_study
+from sweep.studies.reader import study_from_dict
+
+SERIAL = Resources(pool="serial")
+
+
+def run(document, path, resources=SERIAL):
+    return run_study(study_from_dict(document), path, resources)
+
+
+def test_results_are_what_a_plain_loop_over_the_streams_gives(coins, tmp_path):
+    dataset, failures = run(coins, tmp_path / "s.zarr")
+    study = study_from_dict(coins)
+    point = next(p for p in make_grid(study).points() if p.parameters["metal"] == "tin" and p.parameters["coins"] == 5)
+    heads = 0
+    for catalogue in range(20):
+        for part, n_sim in enumerate((512, 488)):
+            rng, catalogue_rng = generators(7, point.digest, catalogue, part)
+            bias = 0.1 * catalogue_rng.uniform(-1, 1)
+            heads += rng.binomial(5, 0.4 + bias, size=n_sim).sum()
+    assert dataset["share"].sel(metal="tin", coins=5).item() == heads / (5 * 20_000)
+    assert not failures
+
+
+def test_the_store_opens_with_xarray_alone(coins, tmp_path):
+    returned, _ = run(coins, tmp_path / "s.zarr")
+    dataset = xr.open_zarr(tmp_path / "s.zarr").load()
+    assert dict(dataset.sizes) == {"metal": 2, "coins": 3}
+    assert dataset["share"].dims == ("metal", "coins")
+    assert dataset["n_sim_done"].values.tolist() == [[20_000] * 3] * 2
+    assert dataset["status"].values.tolist() == [[1] * 3] * 2
+    xr.testing.assert_identical(dataset.drop_attrs(), returned.drop_attrs())
+    assert dataset.attrs["complete"] == 1
+    assert dataset.attrs["seed"] == 7
+
+
+def test_an_experiment_sees_its_parameters_and_nothing_is_lost_in_float64(coins, tmp_path):
+    dataset, _ = run(coins, tmp_path / "s.zarr")
+    assert dataset["share"].dtype == np.float64
+    assert abs(dataset["share"] - 0.4).max() < 0.1 / np.sqrt(3 * 20) * 5  # scatter of 20 biases, uniform in +-0.1
+
+
+def test_a_point_that_raises_is_recorded_and_the_rest_goes_on(coins, tmp_path, monkeypatch):
+    study = study_from_dict(coins)
+
+    def fail(points, n_sim, rng, catalogue_rng):
+        if points[0]["coins"] == 5 and points[0]["metal"] == "tin":
+            raise ZeroDivisionError("no coins left")
+        return toss(points, n_sim, rng, catalogue_rng)
+
+    toss = study.experiment.evaluate
+    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference: broken)
+    broken = replace(study.experiment, evaluate=fail)
+    dataset, failures = run(coins, tmp_path / "s.zarr")
+    assert failures == {"metal=tin,coins=5": "ZeroDivisionError: no coins left"}
+    assert dataset["status"].sel(metal="tin", coins=5).item() == 2
+    assert np.isnan(dataset["share"].sel(metal="tin", coins=5))
+    assert int((dataset["status"] == 1).sum()) == 5
+    assert dataset.attrs["complete"] == 0
+    assert "metal=tin,coins=5" in dataset.attrs["failures"]
+
+    monkeypatch.undo()
+    _, survey = plan_study(study, tmp_path / "s.zarr")
+    assert survey.pending.points == 0
+    _, failures = run(coins, tmp_path / "s.zarr")
+    assert list(failures) == ["metal=tin,coins=5"]
+    dataset, failures = run_study(study, tmp_path / "s.zarr", SERIAL, retry=True)
+    assert not failures
+    assert dataset.attrs["complete"] == 1
+
+
+def test_excluded_points_are_labelled_and_not_computed(coins, tmp_path):
+    dataset, _ = run(coins | {"exclude": [{"metal": "tin", "coins": {"above": 1}}]}, tmp_path / "s.zarr")
+    assert dataset["status"].sel(metal="tin").values.tolist() == [1, 3, 3]
+    assert np.isnan(dataset["share"].sel(metal="tin", coins=20))
+    assert dataset.attrs["complete"] == 1
+    assert dataset.attrs["points"] == 4
+
+
+def test_zipped_axes_share_a_dimension(coins, tmp_path):
+    zipped = coins | {
+        "axes": {"coins": [1, 5], "chance": [0.3, 0.6]},
+        "fixed": {},
+        "grid": {"zip": [["coins", "chance"]]},
+    }
+    dataset, _ = run(zipped, tmp_path / "s.zarr")
+    assert dataset["share"].dims == ("coins",)
+    assert dataset["chance"].dims == ("coins",)
+    crossed, _ = run(zipped | {"grid": {}}, tmp_path / "crossed.zarr")
+    assert dataset["share"].sel(coins=5).item() == crossed["share"].sel(coins=5, chance=0.6).item()
+
+
+def test_a_study_without_axes_is_one_point(coins, tmp_path):
+    dataset, _ = run(coins | {"axes": {}}, tmp_path / "s.zarr")
+    assert dataset["share"].dims == ()
+
+
+def test_a_larger_study_keeps_the_numbers_of_the_smaller_one(coins, tmp_path):
+    small = coins | {"axes": {"coins": [1, 5]}, "sampling": coins["sampling"] | {"n_cat": 16, "n_sim": 512}}
+    run(small, tmp_path / "s.zarr")
+    _, survey = plan_study(study_from_dict(coins), tmp_path / "s.zarr")
+    assert survey.pending.blocks < survey.total.blocks
+    grown, _ = run(coins, tmp_path / "s.zarr")
+    fresh, _ = run(coins, tmp_path / "fresh.zarr")
+    xr.testing.assert_identical(grown.drop_attrs(), fresh.drop_attrs())
+
+
+def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
+    first, _ = run(coins, tmp_path / "s.zarr")
+    monkeypatch.setattr("sweep.executing.worker.run_block", None)  # would raise
+    again, failures = run(coins, tmp_path / "s.zarr")
+    assert not failures
+    xr.testing.assert_identical(first.drop_attrs(), again.drop_attrs())
+
+
+def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
+    """A grid of any size makes no large graph: batches are drawn only a few tasks ahead of the results."""
+    from sweep.executing import clusters, dask_executor
+
+    study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
+    monkeypatch.setattr("sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
+    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1.0)  # one block a task
+    plan = Plan(make_grid(study))
+    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    drawn = 0
+
+    def take(count):
+        nonlocal drawn
+        tasks = pending.take(count)
+        drawn += len(tasks)
+        return tasks
+
+    with clusters.dask_local(study, 2, "threads", print) as (_, executor):
+        ahead = [drawn - received for received, _ in enumerate(executor(take))]
+    assert len(ahead) == 6 * 8
+    assert max(ahead) <= 2 * dask_executor.TASKS_IN_FLIGHT
+
+
+@pytest.mark.parametrize("pool", ["threads", "processes"])
+def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
+    serial, _ = run(coins, tmp_path / "serial.zarr")
+    parallel, _ = run(coins, tmp_path / "dask.zarr", Resources(workers=2, pool=pool))
+    xr.testing.assert_identical(serial.drop_attrs(), parallel.drop_attrs())
+
+
+def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.executing.worker.run_block", lambda *arguments: (np.full((1, 2), np.nan), None))
+    dataset, failures = run(coins, tmp_path / "s.zarr")
+    assert set(failures.values()) == {"share: not a number"}
+    assert (dataset["status"] == 2).all()
+
+
+def test_a_title_is_shown_as_it_is_written(coins, tmp_path):
+    """Square brackets are markup to the library that draws the table."""
+    from rich.console import Console
+
+    from sweep.analysis.tables import as_text
+
+    dataset, _ = run(coins | {"title": "Coins [/mas] [bold]x"}, tmp_path / "s.zarr")
+    console = Console(file=io.StringIO(), width=200)
+    console.print(as_text(dataset))
+    assert "Coins [/mas] [bold]x" in " ".join(console.file.getvalue().split())
+
+
+def test_a_table_for_reading_says_what_it_leaves_out(coins, tmp_path, capsys):
+    from sweep.analysis.tables import MOST_ROWS
+    from sweep.cli.output import print_table
+
+    axes = {"coins": {"start": 1, "stop": MOST_ROWS + 7, "step": 1}}
+    sampling = {"n_sim": 1, "n_cat": 1, "seed": 1}
+    dataset, _ = run(coins | {"axes": axes, "sampling": sampling}, tmp_path / "s.zarr")
+    print_table(dataset, "text")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2].split()[0] == str(MOST_ROWS)
+    assert lines[-1] == "7 more points: `sweep show STORE --format csv` has all of them"
+    print_table(dataset, "csv")
+    assert len(capsys.readouterr().out.splitlines()) > MOST_ROWS + 7

@@ -1,0 +1,398 @@
+"""Whoever stops a run gets a clean end at once, with everything finished kept; with real signals."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+from sweep.executing.choose import Resources
+from sweep.interrupt import LOST_S, RunInterruptedError, watched
+from sweep.running.run import run_study
+from sweep.stores.store import Store
+from sweep.studies.reader import study_from_dict
+
+GENEROUS_S = 10.0
+"""What a busy machine may take to end; benchmarks/interrupt.py prints how long it takes."""
+
+SLEEPERS = str(Path(__file__).parents[1] / "sleepers.py") + ":experiment"
+SERIAL = Resources(pool="serial")
+
+
+def sleepers(seconds, sheep=20):
+    return f"""
+title = "Sleepers"
+experiment = "{SLEEPERS}"
+[axes]
+sheep = {{ start = 1, stop = {sheep}, step = 1 }}
+[fixed]
+seconds = {seconds}
+[sampling]
+n_sim = 2
+"""
+
+
+def test_a_signal_leaves_the_block_as_a_run_interrupted():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(RunInterruptedError, match="SIGTERM") as stop, watched():
+        signal.raise_signal(signal.SIGTERM)
+    assert stop.value.signal == signal.SIGTERM
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def ended_as(body):
+    """Run a body that is given the interruptions, and return what ended it."""
+    try:
+        with watched() as interruptions:
+            body(interruptions)
+    except RunInterruptedError as stop:
+        return stop.signal
+    return None
+
+
+def test_a_held_signal_waits_for_the_end_of_the_block():
+    steps = []
+
+    def body(interruptions):
+        with interruptions.held():
+            signal.raise_signal(signal.SIGINT)
+            steps.append("written")
+        steps.append("not reached")
+
+    assert ended_as(body) == signal.SIGINT
+    assert steps == ["written"]
+
+
+def test_a_held_signal_is_raised_once():
+    """So that what is written after an interruption is written."""
+    steps = []
+
+    def body(interruptions):
+        try:
+            with interruptions.held():
+                signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            with interruptions.held():
+                steps.append("written")
+            steps.append("after it")
+            raise
+
+    assert ended_as(body) == signal.SIGINT
+    assert steps == ["written", "after it"]
+
+
+def test_a_signal_in_a_class_body_is_the_same():
+    """Python makes a RuntimeError of what `__set_name__` raises, as it does in an import that is interrupted."""
+
+    class Field:
+        def __set_name__(self, owner, name):
+            signal.raise_signal(signal.SIGINT)
+
+    def body(interruptions):
+        class Owner:
+            field = Field()
+
+    assert ended_as(body) == signal.SIGINT
+
+
+def test_another_error_after_a_signal_stays_what_it_is():
+    def body(interruptions):
+        raise RuntimeError("of its own")
+
+    with pytest.raises(RuntimeError, match="of its own"):
+        ended_as(body)
+
+
+def test_a_signal_in_executed_text_leaves_the_exit_code_alone(tmp_path):
+    """As the body of a dataclass is, which is imported; with -m Python ends by the signal else."""
+    (tmp_path / "script.py").write_text(
+        "import signal, sys; from sweep.interrupt import RunInterruptedError, watched\n"
+        "try:\n"
+        "    with watched():\n"
+        "        exec('signal.raise_signal(signal.SIGINT)')\n"
+        "except RunInterruptedError:\n"
+        "    sys.exit(130)"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[3])])}
+    command = [sys.executable, "-m", "script"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+@pytest.mark.parametrize(
+    ("module", "code", "said"),
+    [("sweep.cli.group", -signal.SIGINT, ""), ("sweep.contract", 130, "interrupted\n")],
+    ids=["of the commands", "of a command"],
+)
+def test_interrupted_while_modules_are_imported(start_sweep, module, code, said):
+    script = (
+        "import builtins, signal, sweep.__main__ as command\n"
+        "def interrupted(name, *others, imported=builtins.__import__):\n"
+        f"    if name == {module!r}:\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
+        "    return imported(name, *others)\n"
+        "builtins.__import__ = interrupted\n"
+        "command.main()"
+    )
+    process = start_sweep(command=[sys.executable, "-c", script, "list"])
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (code, "", said)
+
+
+def test_the_second_signal_is_answered_as_before():
+    seen = []
+    counts = []
+
+    def body(interruptions):
+        with interruptions.held():
+            for _ in range(2):
+                signal.raise_signal(signal.SIGTERM)
+                counts.append(len(seen))
+
+    before = signal.signal(signal.SIGTERM, lambda number, frame: seen.append(number))
+    try:
+        assert ended_as(body) == signal.SIGTERM
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert counts == [0, 1]
+
+
+def test_what_a_finaliser_swallows_comes_again():
+    class Swallower:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    def body(interruptions):
+        Swallower()
+        threading.Event().wait(30)
+
+    begun = time.monotonic()
+    assert ended_as(body) == signal.SIGINT
+    assert time.monotonic() - begun < GENEROUS_S
+
+
+def test_what_a_library_swallows_comes_again():
+    def body(interruptions):
+        with suppress(BaseException):
+            signal.raise_signal(signal.SIGINT)
+        threading.Event().wait(30)
+
+    begun = time.monotonic()
+    assert ended_as(body) == signal.SIGINT
+    assert time.monotonic() - begun < GENEROUS_S
+
+
+@pytest.mark.parametrize("where", ["finally", "except", "with"])
+def test_cleaning_up_takes_its_time(where):
+    """What is on its way out is not interrupted again."""
+    steps = []
+
+    @contextmanager
+    def cleaning():
+        try:
+            yield
+        finally:
+            for _ in range(8):
+                time.sleep(LOST_S / 2)
+            steps.append("clean")
+
+    def body(interruptions):
+        if where == "with":
+            with cleaning():
+                signal.raise_signal(signal.SIGINT)
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            if where == "except":
+                with cleaning():
+                    raise
+            raise
+        finally:
+            if where == "finally":
+                with cleaning():
+                    pass
+
+    assert ended_as(body) == signal.SIGINT
+    assert steps == ["clean"]
+
+
+def test_an_ignored_signal_stays_ignored():
+    """Under nohup a run goes on when the terminal is closed."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with watched():
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_outside_the_main_thread_nothing_is_watched():
+    failures = []
+
+    def run():
+        try:
+            with watched():
+                pass
+        except Exception as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert not failures
+
+
+@pytest.mark.parametrize("long_write", [False, True], ids=["short write", "long write"])
+def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_write):
+    """A short write is finished, a long one given up; either way the run goes on to the same numbers."""
+    write = Store.write
+    written = []
+
+    def interrupted(self, dataset):
+        if dataset.attrs["complete"] and not any(written):
+            signal.raise_signal(signal.SIGINT)
+        write(self, dataset)
+        written.append(dataset.attrs["complete"])
+
+    monkeypatch.setattr("sweep.running.writer.LONG_WRITE_BYTES", 0 if long_write else 2**30)
+    monkeypatch.setattr(Store, "write", interrupted)
+    study = study_from_dict(coins)
+    with pytest.raises(RunInterruptedError):
+        run_study(study, tmp_path / "s.zarr", SERIAL)
+    assert written == ([0] if long_write else [0, 1, 1])
+    monkeypatch.undo()
+
+    resumed, _ = run_study(study, tmp_path / "s.zarr", SERIAL)
+    whole, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
+    xr.testing.assert_identical(resumed.drop_attrs(), whole.drop_attrs())
+
+
+def group_of(pid):
+    """Processes of a group that are not zombies."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, group = (entry / "stat").read_text().rsplit(")", 1)[1].split()[:3]
+        except OSError:
+            continue
+        if int(group) == pid and state != "Z":
+            found.append((entry / "cmdline").read_text())
+    return found
+
+
+def check_nobody_left(pid):
+    deadline = time.monotonic() + GENEROUS_S
+    while (left := group_of(pid)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not left
+
+
+def stopped(process, number):
+    """Send a signal to a whole process group, as a terminal does, and return exit code, stderr and seconds."""
+    begun = time.monotonic()
+    os.killpg(process.pid, number)
+    _, err = process.communicate(timeout=60)
+    seconds = time.monotonic() - begun
+    check_nobody_left(process.pid)
+    return process.returncode, err, seconds
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + 60
+    while not condition() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert condition()
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "words"),
+    [
+        (signal.SIGINT, 130, "interrupted"),
+        (signal.SIGTERM, 143, "stopped by SIGTERM"),
+        (signal.SIGHUP, 129, "stopped by SIGHUP"),
+    ],
+)
+@pytest.mark.parametrize(
+    "pool", [("--workers", 2), ("--pool", "threads", "--workers", 2), ("--pool", "serial")], ids=str
+)
+def test_blocks_of_half_a_minute_are_not_waited_for(tmp_path, start_sweep, number, code, words, pool):
+    (tmp_path / "study.toml").write_text(sleepers(30.0))
+    store = tmp_path / "s.zarr"
+    process = start_sweep("run", tmp_path / "study.toml", "-o", store, *pool, start_new_session=True)
+    assert "20 points" in process.stderr.readline()
+    time.sleep(0.5)
+    returned, err, seconds = stopped(process, number)
+    assert returned == code
+    said = f"{words}; 0 realisations of this run are kept in {store}; the same command goes on from there"
+    assert err.splitlines()[-1] == said
+    assert len(err.splitlines()) <= 2  # the other is the address of the dashboard
+    assert seconds < GENEROUS_S
+    assert xr.open_zarr(store).attrs["complete"] == 0
+
+
+def answers_sigterm(pid):
+    """Whether a process has a handler of its own: from then on the command answers for itself."""
+    caught = re.search(r"SigCgt:\s*([0-9a-f]+)", Path(f"/proc/{pid}/status").read_text())
+    return bool(int(caught[1], 16) & 1 << signal.SIGTERM - 1)
+
+
+@pytest.mark.parametrize("moment", [0.0, 0.4, 0.7, 1.0, 1.3])
+def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
+    (tmp_path / "study.toml").write_text(sleepers(30.0))
+    process = start_sweep(
+        "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr", "--workers", 2, start_new_session=True
+    )
+    wait_for(lambda: answers_sigterm(process.pid))
+    time.sleep(moment)
+    returned, err, seconds = stopped(process, signal.SIGINT)
+    assert returned == 130
+    assert "interrupted" in err
+    assert "Traceback" not in err
+    assert seconds < GENEROUS_S
+
+
+def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
+    """Where the end itself hangs, here in a write, another Ctrl-C helps."""
+    (tmp_path / "study.toml").write_text(sleepers(0.0, sheep=3))
+    slow = (
+        "import time, sweep.stores.store, sweep.cli\n"
+        "def slow(self, dataset):\n"
+        "    print('writing', flush=True)\n"
+        "    time.sleep(30)\n"
+        "sweep.stores.store.Store.write = slow\n"
+        "sweep.cli.main()"
+    )
+    command = [sys.executable, "-c", slow, "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr"]
+    process = start_sweep(command=command, start_new_session=True)
+    assert process.stdout.readline() == "writing\n"
+    os.killpg(process.pid, signal.SIGINT)
+    time.sleep(0.3)
+    assert process.poll() is None  # a short write is waited for
+    returned, err, seconds = stopped(process, signal.SIGINT)
+    assert returned == 130
+    assert err.endswith("stopped at once\n")
+    assert "Traceback" not in err
+    assert seconds < GENEROUS_S
+
+
+def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep):
+    (tmp_path / "study.toml").write_text(sleepers(0.3, sheep=8))
+    store = tmp_path / "s.zarr"
+    process = start_sweep("run", tmp_path / "study.toml", "-o", store, "--pool", "serial", start_new_session=True)
+    wait_for((store / "blocks" / "index" / "c").exists)
+    returned, err, _ = stopped(process, signal.SIGTERM)
+    assert returned == 143, err
+    assert int(xr.open_zarr(store)["n_sim_done"].sum()) > 0
+    code, _, err = sweep("run", tmp_path / "study.toml", "-o", store)
+    assert code == 0, err
+    assert "of them in the store already" in err
+    sweep("run", tmp_path / "study.toml", "-o", tmp_path / "whole.zarr")
+    whole, resumed = (xr.open_zarr(path).load().drop_attrs() for path in (tmp_path / "whole.zarr", store))
+    xr.testing.assert_identical(resumed, whole)

@@ -1,0 +1,233 @@
+"""What a person sees of a run, and what the log file keeps."""
+
+import logging
+import re
+import sys
+import time
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from sweep.cli import main
+from sweep.executing.worker import Failure, TaskResult
+from sweep.planning.accumulator import Survey
+from sweep.planning.grid import make_grid
+from sweep.planning.plan import Block, PlanSize, Work
+from sweep.running.progress import SENTENCES, TerminalProgress
+from sweep.running.run_summary import RunSummary
+from sweep.running.writer import Taken
+from sweep.studies.reader import study_from_dict
+
+FAULTY = """
+import logging
+from tests.sweep import coins
+from dataclasses import replace
+
+def toss(points, n_sim, rng, catalogue_rng):
+    if points[0]["coins"] == 5:
+        raise ZeroDivisionError("no coins left")
+    return coins.toss(points, n_sim, rng, catalogue_rng)
+
+experiment = replace(coins.experiment, evaluate=toss)
+"""
+
+STUDY = """
+title = "Coins"
+experiment = "faulty.py:experiment"
+[axes]
+metal = ["gold", "tin"]
+coins = [1, 5]
+[sampling]
+n_sim = 10
+"""
+
+
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "faulty.py").write_text(FAULTY)
+    (tmp_path / "study.toml").write_text(STUDY)
+    return "study.toml"
+
+
+def run(*options):
+    return CliRunner().invoke(main, ["run", "study.toml", "--pool", "serial", *options])
+
+
+def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
+    done = run()
+    assert done.exit_code == 1
+    first, summary, slowest, wrote, failed = done.stderr.splitlines()
+    assert first == "4 points; 40 realisations to do on this process"
+    assert re.fullmatch(
+        r"4 points and 40 realisations in [\d.e-]+ s: [\d,]+ realisations/s, [\d.]+ s of work by all workers together, "
+        r"worth 8e\+04 random numbers",
+        summary,
+    )
+    assert re.fullmatch(r"slowest: (metal=\w+,coins=\d [\d.e-]+ s(; )?){4}", slowest)
+    assert wrote == "wrote results/study.zarr"
+    assert failed == (
+        "2 points failed (2 exception); `sweep status results/study.zarr` names them and says why, "
+        "`sweep retry results/study.zarr` tries them again, "
+        "`sweep reproduce results/study.zarr --at ...` runs one here"
+    )
+    assert "metal" in done.stdout
+
+
+def test_a_finished_study_has_nothing_to_say_but_its_table(study):
+    run("--set", "coins=1")
+    again = run("--set", "coins=1")
+    assert again.exit_code == 0
+    assert again.stderr.splitlines() == [
+        "2 points, 2 of them in the store already; 0 realisations to do on this process",
+        "wrote results/study.zarr",
+    ]
+
+
+def test_quiet_prints_the_table_and_errors(study):
+    good = run("--quiet", "--set", "coins=1", "-o", "good.zarr")
+    assert good.exit_code == 0
+    assert good.stderr == ""
+    assert "tin" in good.stdout
+    bad = run("-q")
+    assert bad.exit_code == 1
+    assert len(bad.stderr.splitlines()) == 1
+    assert bad.stderr.startswith("2 points failed")
+
+
+def test_verbose_tells_each_point(study):
+    told = run("--verbose").stderr.splitlines()
+    assert [line for line in told if line.startswith("metal=")] == [
+        "metal=gold,coins=1: done",
+        "metal=gold,coins=5: failed (exception)",
+        "metal=tin,coins=1: done",
+        "metal=tin,coins=5: failed (exception)",
+    ]
+
+
+def test_quiet_and_verbose_contradict_each_other(study, tmp_path):
+    refused = run("-q", "-v")
+    assert refused.exit_code == 2
+    assert "--quiet and --verbose contradict" in refused.stderr
+    assert not (tmp_path / "results").exists()
+
+
+def test_the_log_has_everything_with_times_and_tracebacks_and_grows(study, tmp_path):
+    assert run("--quiet", "--log", "run.log").exit_code == 1
+    first = (tmp_path / "run.log").read_text()
+    assert re.search(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} INFO 4 points; 40 realisations", first, re.MULTILINE)
+    assert "DEBUG metal=gold,coins=1: done" in first
+    assert "ERROR metal=tin,coins=5: failed (exception): ZeroDivisionError: no coins left" in first
+    assert first.count("Traceback (most recent call last)") == 2
+    assert 'raise ZeroDivisionError("no coins left")' in first
+    assert "slowest" in first
+    run("--log", "run.log")
+    assert (tmp_path / "run.log").read_text().startswith(first)
+
+
+def test_the_log_has_what_ended_a_run(study, tmp_path):
+    run()
+    assert run("--log", "run.log", "--set", "seed=5").exit_code == 2
+    assert "ERROR results/study.zarr: holds results of a different study" in (tmp_path / "run.log").read_text()
+
+
+def test_the_log_has_what_dask_says(study, tmp_path):
+    done = CliRunner().invoke(main, ["run", "study.toml", "--workers", "1", "--log", "run.log", "--set", "coins=1"])
+    assert done.exit_code == 0, done.output
+    assert "Register worker addr" in (tmp_path / "run.log").read_text()
+    assert "Register worker" not in done.stderr
+
+
+@pytest.mark.parametrize("place", ["no/such/folder/run.log", "results", "/proc/run.log", "a\0b"])
+def test_a_log_that_cannot_be_written_ends_it_before_anything_is_computed(study, tmp_path, place):
+    (tmp_path / "results").mkdir()
+    refused = run("--log", place)
+    assert refused.exit_code == 2
+    assert f"{place!r} cannot be written" in refused.stderr
+    assert not list((tmp_path / "results").iterdir())
+
+
+@pytest.fixture
+def told():
+    """What a progress says."""
+    lines = []
+
+    class Keep(logging.Handler):
+        def emit(self, record):
+            lines.append(record.getMessage())
+
+    handler = Keep()
+    level = SENTENCES.level
+    SENTENCES.addHandler(handler)
+    SENTENCES.setLevel(logging.INFO)
+    yield lines
+    SENTENCES.removeHandler(handler)
+    SENTENCES.setLevel(level)
+
+
+def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeypatch):
+    """A simulated run of a day, a task a second."""
+    clock = 0.0
+    monkeypatch.setattr("sweep.running.progress.time.monotonic", lambda: clock)
+    study = study_from_dict(coins)
+    point = next(iter(make_grid(study).points()))
+    seconds = 86_400
+    size = PlanSize(6, seconds, seconds, float(seconds))
+    progress = TerminalProgress(study)
+    progress.start(Survey(size, PlanSize(0, 0, 0, 0.0), size), "this process", 1)
+    work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
+    taken = Taken(PlanSize(0, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), ())
+    spoken = []
+    for second in range(1, seconds + 1):
+        clock = float(second)
+        before = len(told)
+        progress.advance([work], TaskResult(np.zeros((1, 2)), np.ones(1)), taken)
+        if len(told) > before:
+            spoken.append(second)
+    gaps = np.diff(spoken)
+    assert spoken[0] == 6
+    assert np.all(np.diff(gaps) >= -1)
+    assert gaps[0] >= 5
+    assert gaps[-1] in (600, 601)
+    assert len(spoken) < 200
+    assert told[1] == "0/6 points, 1 realisations/s, about 23 h 59 min left"
+
+
+def test_the_account_names_the_slowest_of_many_points(coins):
+    document = coins | {"axes": {"coins": {"start": 1, "stop": 500, "step": 1}}, "fixed": {}}
+    study = study_from_dict(document)
+    account = RunSummary(study)
+    seconds = np.random.default_rng(5).permutation(500) + 1.0
+    for point in make_grid(study).points():
+        work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
+        for _ in range(2):  # two blocks a point
+            result = TaskResult(np.zeros((1, 2)), np.array([seconds[point.index] / 2]))
+            account.take([work], result, PlanSize(0, 1, 1, 1.0))
+    slowest = account.summary(100.0)[1]
+    expected = [f"coins={int(i) + 1} {seconds[i]:.2g} s" for i in np.argsort(-seconds)[:5]]
+    assert slowest == f"slowest: {'; '.join(expected)}"
+    assert f"{seconds.sum():,.1f} s of work" in account.summary(100.0)[0]
+
+
+def test_the_account_counts_failed_points_by_kind(coins):
+    study = study_from_dict(coins)
+    account = RunSummary(study)
+    for point, kind in zip(make_grid(study).points(), ("killed", "exception", "killed"), strict=False):
+        work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
+        for _ in range(2):
+            result = TaskResult(np.zeros((1, 2)), np.zeros(1), {0: Failure(kind, "")})
+            account.take([work], result, PlanSize(0, 1, 1, 1.0))
+    assert account.kinds() == "1 exception, 2 killed"
+
+
+def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_sweep):
+    """The bar is drawn again and again; what stays are the sentences."""
+    inner = f"{sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=100000 --workers 1"
+    process = start_sweep(command=["script", "-qec", inner, "/dev/null"])
+    begun = time.monotonic()
+    shown, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, shown
+    assert "━" in shown
+    assert "realisations/s about" in re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown), time.monotonic() - begun
+    assert "wrote" in shown

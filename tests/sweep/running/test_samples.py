@@ -1,0 +1,87 @@
+"""Samples that a study keeps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.contract import Output, SweepError
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
+from sweep.stores.store import Store
+from sweep.studies.reader import study_from_dict
+
+SERIAL = Resources(pool="serial")
+LINK = {
+    "title": "Samples",
+    "axes": {"model": ["amex", "gaia"], "n_obj": [20, 30]},
+    "fixed": {"catalogue": "quasars", "v_max": 15.0},
+    "sampling": {"n_sim": 700, "n_cat": 20, "seed": 5, "keep_samples": True},  # two parts, two groups
+}
+
+
+@pytest.fixture
+def kept(tmp_path):
+    dataset, failures = run_study(study_from_dict(LINK), tmp_path / "s.zarr", SERIAL)
+    assert not failures
+    return dataset
+
+
+def test_samples_are_the_realisations_behind_the_results(kept):
+    estimate = kept["estimate"]
+    assert estimate.dims == ("model", "n_obj", "sample", "component")
+    assert estimate.sizes["sample"] == 14_000
+    error = estimate - 1.0  # the truth is 1 in every component
+    xr.testing.assert_allclose(np.sqrt((error**2).mean("sample")), kept["sigma"], rtol=1e-9)
+    xr.testing.assert_allclose(error.mean("sample"), kept["bias"], rtol=1e-6)
+    assert len(np.unique(estimate.isel(model=0, n_obj=0, component=0))) == 14_000
+
+
+def test_keeping_samples_changes_no_other_number(kept, tmp_path):
+    without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
+    dataset, _ = run_study(study_from_dict(without), tmp_path / "without.zarr", SERIAL)
+    xr.testing.assert_identical(kept.drop_vars("estimate").drop_attrs(), dataset.drop_attrs())
+
+
+def test_samples_are_the_same_in_any_order_and_after_a_kill(kept, tmp_path):
+    study = study_from_dict(LINK)
+    store = tmp_path / "other.zarr"
+    write = Store.write
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sweep.running.writer.WRITE_EVERY_S", -1.0)
+        patch.setattr("sweep.running.writer.WRITE_SHARE", 1e9)
+        patch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+        patch.setattr("sweep.planning.work_queue.TARGET", 1.0)  # one block a task
+        calls = []
+
+        def killed(self, dataset):
+            calls.append(dataset)
+            if len(calls) == 3:
+                raise SystemExit("killed")
+            write(self, dataset)
+
+        patch.setattr(Store, "write", killed)
+        with pytest.raises(SystemExit):
+            run_study(study, store, SERIAL)
+    again, _ = run_study(study, store, Resources(workers=2, pool="threads"))
+    xr.testing.assert_identical(again.drop_attrs(), kept.drop_attrs())
+
+
+def test_an_experiment_without_samples_cannot_keep_them(coins):
+    with pytest.raises(SweepError, match="has no samples to keep"):
+        study_from_dict(coins | {"sampling": {"keep_samples": True}})
+
+
+def test_keeping_samples_is_part_of_what_a_store_means(kept, tmp_path):
+    without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
+    with pytest.raises(SweepError, match="keep_samples"):
+        run_study(study_from_dict(without), tmp_path / "s.zarr", SERIAL)
+
+
+def test_the_sample_outputs_are_declared():
+    from core.experiment import link
+
+    assert link.samples_width == 6
+    assert isinstance(link.sample_outputs[0], Output)
+    assert replace(link, sample_outputs=()).samples_width == 0

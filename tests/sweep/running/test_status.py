@@ -1,0 +1,204 @@
+"""How far a run is, along each axis: counted against plain sums over the dataset."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sweep.executing.choose import Resources
+from sweep.interrupt import RunInterruptedError
+from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.running.axis_progress import MOST_LINES, AxisSegment, as_lines, by_axis, folded
+from sweep.running.run import Silent, run_study
+from sweep.running.status import plan_report, status_report
+from sweep.stores.store import open_dataset
+from sweep.studies.reader import study_from_dict
+
+SERIAL = Resources(pool="serial")
+
+
+class Impatient(Silent):
+    """Interrupts a run after some results."""
+
+    def __init__(self, results):
+        self.left = results
+
+    def advance(self, works, result, taken):
+        self.left -= 1
+        if not self.left:
+            raise KeyboardInterrupt
+
+
+@pytest.fixture
+def stopped(coins, tmp_path, monkeypatch):
+    """A store of 6 points x 4 blocks after 14 blocks: three points and a half."""
+    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1.0)  # one block a task
+    study = study_from_dict(coins | {"exclude": [{"metal": "tin", "coins": 5}]})
+    with pytest.raises(RunInterruptedError):
+        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(14))
+    return tmp_path / "s.zarr"
+
+
+def test_each_axis_counts_points_and_realisations(stopped):
+    report = status_report(stopped)
+    dataset = open_dataset(stopped)
+    assert report["points"] == {"missing": 2, "done": 3, "failed": 0, "excluded": 1}
+    assert not report["complete"]
+    for dimension, segments in report["axes"].items():
+        other = "coins" if dimension == "metal" else "metal"
+        for segment in segments:
+            part = dataset.sel(segment.first)
+            assert segment.done == int((part["status"] == DONE).sum())
+            assert segment.excluded == int((part["status"] == EXCLUDED).sum())
+            assert segment.points == dataset.sizes[other] - segment.excluded
+            assert segment.realisations_done == int(part["n_sim_done"].sum())
+            assert segment.realisations == 20_000 * segment.points
+    tin = report["axes"]["metal"][1]
+    assert 0 < tin.realisations_done < 20_000  # a point that is done in part counts in part
+    assert tin.done == 0
+
+
+def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1.0)
+    monkeypatch.setattr("sweep.running.writer.LONG_WRITE_BYTES", 0)  # so that an interruption leaves the first dataset
+    with pytest.raises(RunInterruptedError):
+        run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL, Impatient(8))
+    assert int(open_dataset(tmp_path / "s.zarr")["n_sim_done"].sum()) == 0
+    report = status_report(tmp_path / "s.zarr")
+    assert report["realisations done"] == 40_000
+    assert [segment.done for segment in report["axes"]["metal"]] == [2, 0]
+
+
+def test_without_the_experiment_the_dataset_is_asked(coins, tmp_path):
+    file = tmp_path / "mine.py"
+    file.write_text(Path(coins["experiment"].rpartition(":")[0]).read_text())
+    document = coins | {"experiment": f"{file}:experiment"}
+    run_study(study_from_dict(document), tmp_path / "s.zarr", SERIAL)
+    whole = status_report(tmp_path / "s.zarr")
+    file.unlink()
+    del sys.modules[str(file.resolve())]
+    assert status_report(tmp_path / "s.zarr") == whole
+
+
+def test_zipped_axes_are_counted_together(coins, tmp_path):
+    document = coins | {
+        "axes": {"coins": [1, 5], "chance": [0.3, 0.6]},
+        "fixed": {},
+        "grid": {"zip": [["coins", "chance"]]},
+    }
+    run_study(study_from_dict(document), tmp_path / "s.zarr", SERIAL)
+    report = status_report(tmp_path / "s.zarr")
+    assert list(report["axes"]) == ["coins"]
+    assert [segment.first for segment in report["axes"]["coins"]] == [
+        {"coins": 1, "chance": 0.3},
+        {"coins": 5, "chance": 0.6},
+    ]
+
+
+def test_one_point_has_no_axes(coins, tmp_path):
+    run_study(study_from_dict(coins | {"axes": {}}), tmp_path / "s.zarr", SERIAL)
+    assert status_report(tmp_path / "s.zarr")["axes"] == {}
+
+
+def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
+    code, out, err = sweep("status", stopped)
+    assert code == 0, err
+    lines = out.splitlines()
+    start = lines.index("metal   points done  realisations  excluded")
+    assert lines[start : start + 7] == [
+        "metal   points done  realisations  excluded",
+        "  gold          3/3         100 %",
+        "  tin           0/2          40 %         1",
+        "coins   points done  realisations  excluded",
+        "  1             1/2          90 %",
+        "  5             1/1         100 %         1",
+        "  20            1/2          50 %",
+    ]
+    assert "running: no" in lines
+    assert any(line.startswith("last written: 20") for line in lines)
+    code, out, _ = sweep("status", stopped, "--json")
+    document = json.loads(out)
+    assert [row["at"] for row in document["axes"]["coins"]] == [{"coins": 1}, {"coins": 5}, {"coins": 20}]
+    assert document["axes"]["metal"][0] == {
+        **{"at": {"metal": "gold"}, "points": 3, "done": 3, "failed": 0, "excluded": 0},
+        **{"realisations_done": 60_000, "realisations": 60_000},
+    }
+
+
+@settings(max_examples=200, derandomize=True, deadline=None)
+@given(
+    st.lists(st.tuples(st.sampled_from([MISSING, DONE, FAILED, EXCLUDED]), st.integers(0, 9)), min_size=1), st.data()
+)
+def test_folding_keeps_every_count_and_the_order(points, data):
+    status = np.array([code for code, _ in points], dtype=np.int8)
+    realisations = np.array([10 if code == DONE else n * (code != EXCLUDED) for code, n in points])
+    axes = {"x": [{"x": i} for i in range(len(points))]}
+    whole = by_axis(axes, status, realisations, 10)["x"]
+    most = data.draw(st.integers(1, 20))
+    short = folded(whole, most)
+    assert len(short) <= max(most, 1)
+    assert len(whole) > most or short == whole
+    for name in ("values", "points", "done", "failed", "excluded", "realisations_done", "realisations"):
+        assert sum(getattr(s, name) for s in short) == sum(getattr(s, name) for s in whole)
+    assert [s.first["x"] for s in short] == [0, *(s.last["x"] + 1 for s in short[:-1])]
+    for segment in whole:
+        assert (segment.percent == 100) == (segment.realisations_done == segment.realisations)
+
+
+def test_a_long_axis_is_folded_where_nothing_happens():
+    """A run that is in the middle of a thousand values."""
+    status = np.array([DONE] * 400 + [MISSING] * 600, dtype=np.int8)
+    realisations = np.array([10] * 400 + [7] + [0] * 599)
+    segments = by_axis({"x": [{"x": 0.5 * i} for i in range(1000)]}, status, realisations, 10)
+    assert as_lines(segments, {"x": "mag"}) == [
+        "x [mag]                         points done  realisations",
+        "  0.0 ... 199.5 (400 values)        400/400         100 %",
+        "  200.0                                 0/1          70 %",
+        "  200.5 ... 499.5 (599 values)        0/599           0 %",
+    ]
+    mixed = by_axis(
+        {"x": [{"x": i} for i in range(1000)]}, np.tile([DONE, MISSING], 500).astype(np.int8), realisations, 1
+    )
+    assert len(folded(mixed["x"])) == MOST_LINES
+
+
+def test_a_hundred_percent_is_said_only_of_what_is_whole():
+    nearly = AxisSegment({"x": 1}, {"x": 1}, 1, 1, 0, 0, 0, 999_999, 1_000_000)
+    assert nearly.percent == 99
+
+
+def test_a_plan_is_told_in_words_with_units(sweep, coins, tmp_path):
+    text = f"""
+title = "Coins"
+experiment = "{coins["experiment"]}"
+axes.coins = [1, 5]
+sampling = {{ n_sim = 1000, n_cat = 20 }}
+"""
+    (tmp_path / "study.toml").write_text(text)
+    sweep("run", "study.toml", "--set", "coins=1", cwd=tmp_path)
+    code, out, err = sweep("plan", "study.toml", cwd=tmp_path)
+    assert code == 0, err
+    lines = dict(line.split(maxsplit=1) for line in out.splitlines())
+    assert lines["study"] == "Coins"
+    assert lines["grid"] == "coins 2"
+    assert lines["points"] == "2, 1 of them done"
+    assert lines["realisations"] == "40,000, 20,000 of them done"
+    assert lines["work"] == "4 blocks in about 1 tasks"
+    assert lines["time"] == "at least 0 s on 1 core of this machine: its random numbers alone"
+    assert lines["store"] == "results/study.zarr"
+
+
+def test_the_time_of_a_plan_is_for_the_cores_that_there_are(coins, tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.running.status.available_cores", lambda: 4)
+    monkeypatch.setattr("sweep.running.status._normals_per_second", lambda: 1e8)
+    study = study_from_dict(coins | {"sampling": {"n_sim": 10**6, "n_cat": 20}})
+    whole = plan_report(study, tmp_path / "s.zarr", 1)
+    assert whole["cores"] == 1
+    for workers, cores in ((2, 2), (None, 4), (400, 4)):
+        report = plan_report(study, tmp_path / "s.zarr", workers)
+        assert report["cores"] == cores
+        assert report["seconds"] == pytest.approx(whole["seconds"] / cores, rel=0.01)

@@ -1,0 +1,145 @@
+"""Disks that are full, and stores that can only be read.  Small file systems are mounted for that, which needs root."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
+from sweep.stores.folder import Folder
+from sweep.stores.repair import check, repair
+from sweep.stores.store import existing_store, open_dataset
+from sweep.studies.reader import study_from_dict
+
+SERIAL = Resources(pool="serial")
+
+
+@pytest.fixture
+def mount(tmp_path):
+    """A function that mounts a file system on a new folder, and returns that."""
+    mounted = []
+
+    def make(*options):
+        folder = tmp_path / f"disk{len(mounted)}"
+        folder.mkdir()
+        done = subprocess.run(["mount", *options, str(folder)], capture_output=True, text=True, check=False)
+        if done.returncode:
+            pytest.skip(f"a file system cannot be mounted here: {done.stderr.strip()}")
+        mounted.append(folder)
+        return folder
+
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("mounting a file system needs root")
+    yield make
+    for folder in reversed(mounted):
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def remount(folder, options):
+    subprocess.run(["mount", "-o", f"remount,{options}", str(folder)], check=True)
+
+
+def same(dataset, wanted):
+    xr.testing.assert_identical(dataset.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+
+
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins | {"sampling": {"n_sim": 8_000, "n_cat": 20, "seed": 7}})
+
+
+def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch):
+    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1)  # one block a task
+    wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
+    disk = mount("-t", "tmpfs", "-o", "size=1m", "tmpfs")
+    store = disk / "s.zarr"
+    free = 150_000  # for the first writing of the dataset and some flushes of the ledger
+    (disk / "ballast").write_bytes(bytes(2**20 - free))
+    flushes = []
+    put = Folder.put
+
+    def fill(folder, key, content):
+        flushes.append(key)
+        if len(flushes) == 60:
+            (disk / "more").write_bytes(bytes(shutil.disk_usage(disk).free))
+        put(folder, key, content)
+
+    monkeypatch.setattr(Folder, "put", fill)
+    with pytest.raises(
+        SweepError, match="cannot be written: No space left on device; what was finished before is kept"
+    ):
+        run_study(study, store, SERIAL)
+    monkeypatch.setattr(Folder, "put", put)
+    assert not list(disk.rglob("*.partial"))
+    held = len(existing_store(store, study).rows)
+    assert 0 < held < len(existing_store(tmp_path / "wanted.zarr", study).rows)
+    assert int((open_dataset(store)["status"] == 1).sum()) < 6  # readable, and says that it is incomplete
+    with pytest.raises(SweepError, match="cannot be written: No space left on device"):  # still full
+        run_study(study, store, SERIAL)
+    (disk / "more").unlink()
+    (disk / "ballast").unlink()
+    dataset, _ = run_study(study, store, SERIAL)
+    same(dataset, wanted)
+    assert not check(store)
+
+
+def test_a_full_disk_is_said_in_a_sentence(mount, link_study, sweep):
+    disk = mount("-t", "tmpfs", "-o", "size=16k", "tmpfs")
+    code, out, err = sweep("run", link_study, "-o", disk / "s.zarr", "--pool", "serial")
+    assert (code, out) == (2, "")
+    assert f"error: {disk}/s.zarr: cannot be written: No space left on device" in err
+    assert "Traceback" not in err
+
+
+def test_a_store_that_can_only_be_read(mount, study, link_study, sweep, tmp_path):
+    disk = mount("-t", "tmpfs", "-o", "size=8m", "tmpfs")
+    store = disk / "s.zarr"
+    assert sweep("run", link_study, "-o", store, "--set", "n_sim=20")[0] == 0
+    remount(disk, "ro")
+    for command in (
+        ("show", store),
+        ("status", store),
+        ("check", store),
+        ("plan", link_study, "-o", store),
+        ("plot", store, "--out", tmp_path / "p.png"),
+    ):
+        code, _, err = sweep(*command)
+        assert code == 0, (command, err)
+    for command in (("run", link_study, "-o", store), ("repair", store), ("run", link_study, "-o", disk / "new.zarr")):
+        code, out, err = sweep(*command)
+        assert (code, out) == (2, ""), command
+        assert "Read-only file system" in err or "is not a directory that can be written" in err
+        assert "Traceback" not in err
+    remount(disk, "rw")
+    assert sweep("run", link_study, "-o", store)[0] == 0
+
+
+def test_a_store_that_is_read_only_in_a_folder_that_is_not(mount, tmp_path, study, coins):
+    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
+    outer = mount("-t", "tmpfs", "tmpfs")
+    (outer / "s.zarr").mkdir()
+    subprocess.run(["mount", "--bind", str(tmp_path / "s.zarr"), str(outer / "s.zarr")], check=True)
+    try:
+        subprocess.run(["mount", "-o", "remount,bind,ro", str(outer / "s.zarr")], check=True)
+        assert open_dataset(outer / "s.zarr").attrs["complete"] == 1
+        larger = study_from_dict(coins | {"axes": {**coins["axes"], "coins": [1, 5, 20, 30]}})
+        with pytest.raises(SweepError, match="cannot be written: Read-only file system"):
+            run_study(larger, outer / "s.zarr", SERIAL)
+        assert not (outer / "s.zarr.lock").exists()
+        assert repair(outer / "s.zarr") == []
+    finally:
+        subprocess.run(["umount", str(outer / "s.zarr")], check=True)
+
+
+def test_a_folder_that_others_own(tmp_path, coins):
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    (tmp_path / "theirs").mkdir(mode=0o500)
+    with pytest.raises(SweepError, match="is not a directory that can be written"):
+        run_study(study_from_dict(coins), Path(tmp_path / "theirs" / "s.zarr"), SERIAL)

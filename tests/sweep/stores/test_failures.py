@@ -1,0 +1,85 @@
+"""The record of failed points in a store."""
+
+import json
+
+import pytest
+import zarr
+
+from sweep.contract import SweepError
+from sweep.stores.checksums import sealed
+from sweep.stores.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
+from sweep.stores.store import create_or_resume
+from sweep.studies.provenance import provenance
+from sweep.studies.reader import study_from_dict
+
+
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins)
+
+
+def open_store(path, study):
+    return create_or_resume(path, study, provenance(study))
+
+
+def record(number, traceback="Traceback ..."):
+    return {
+        "place": f"coins={number}",
+        "kind": "exception",
+        "message": f"ValueError: {number} is odd",
+        "traceback": traceback,
+        "host": "here",
+        "when": "2026-01-01T00:00:00+00:00",
+    }
+
+
+def digest(number):
+    return number.to_bytes(16, "little")
+
+
+def test_failures_are_durable_after_a_flush_and_can_be_forgiven(tmp_path, study):
+    store = open_store(tmp_path / "s.zarr", study)
+    assert store.failures == {}
+    store.fail(digest(1), record(1))
+    store.fail(digest(2), record(2))
+    assert open_store(tmp_path / "s.zarr", study).failures == {}  # not flushed: a killed process
+    store.flush()
+    again = open_store(tmp_path / "s.zarr", study)
+    assert again.failures == {digest(1): record(1), digest(2): record(2)}
+    again.clear_failures([digest(1), digest(3)])
+    again.flush()
+    assert open_store(tmp_path / "s.zarr", study).failures == {digest(2): record(2)}
+
+
+def test_the_ends_of_so_many_tracebacks_are_kept_and_every_message(tmp_path, study):
+    store = open_store(tmp_path / "s.zarr", study)
+    long = "é" * TRACEBACK_BYTES + "the end"
+    for number in range(MAX_TRACEBACKS + 5):
+        store.fail(digest(number), record(number, long))
+    store.flush()
+    kept = open_store(tmp_path / "s.zarr", study).failures
+    assert [r["message"] for r in kept.values()] == [record(n)["message"] for n in range(MAX_TRACEBACKS + 5)]
+    texts = [r["traceback"] for r in kept.values()]
+    assert sum(map(bool, texts)) == MAX_TRACEBACKS
+    assert texts[0].endswith("éthe end")
+    assert TRACEBACK_BYTES - 2 < len(texts[0].encode()) <= TRACEBACK_BYTES
+
+
+def test_the_record_is_plain_json_in_a_group(tmp_path, study):
+    store = open_store(tmp_path / "s.zarr", study)
+    store.fail(digest(1), record(1))
+    store.flush()
+    assert dict(zarr.open_group(tmp_path / "s.zarr", path="failures").attrs["failures"]) == {digest(1).hex(): record(1)}
+
+
+@pytest.mark.parametrize("failures", [{"xy": {}}, {"00": {}}, {digest(1).hex(): "text"}, ["list"]])
+def test_a_damaged_record_is_named(tmp_path, study, failures):
+    store = open_store(tmp_path / "s.zarr", study)
+    store.fail(digest(1), record(1))
+    store.flush()
+    file = tmp_path / "s.zarr" / "failures" / "zarr.json"
+    document = json.loads(file.read_text())
+    document["attributes"]["failures"] = failures
+    file.write_bytes(sealed(document))
+    with pytest.raises(SweepError, match=r"failures/zarr.json is damaged \(it is no record of failed points"):
+        open_store(tmp_path / "s.zarr", study)

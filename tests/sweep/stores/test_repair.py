@@ -1,0 +1,229 @@
+"""Damage of every kind to every file of a store: it is named, and set right to the same bits; never wrong numbers."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
+from sweep.stores import ledger
+from sweep.stores.folder import Folder
+from sweep.stores.location import located
+from sweep.stores.lock import locked
+from sweep.stores.repair import check, repair
+from sweep.stores.store import create_or_resume, existing_store, open_dataset
+from sweep.studies.reader import study_from_dict
+
+SERIAL = Resources(pool="serial")
+SAMPLES = {
+    "title": "Samples",
+    "axes": {"n_obj": [20, 30]},
+    "fixed": {"catalogue": "quasars", "v_max": 15.0},
+    "sampling": {"n_sim": 600, "n_cat": 20, "seed": 5, "keep_samples": True},
+}
+
+
+def flip(content):
+    middle = len(content) // 2
+    return content[:middle] + bytes([content[middle] ^ 4]) + content[middle + 1 :]
+
+
+def cut(content):
+    return content[: len(content) // 2]
+
+
+DAMAGE = {"a bit flipped": flip, "cut": cut, "lost": None}
+
+
+@pytest.fixture(params=["coins", "samples"])
+def whole(request, tmp_path, coins, monkeypatch):
+    """A study and a store of it, with several chunks of each array of the ledger, and a failure."""
+    monkeypatch.setattr(ledger, "FEWEST_ROWS", 8 if request.param == "coins" else 3)
+    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**19})
+    study = study_from_dict(coins if request.param == "coins" else SAMPLES)
+    run_study(study, tmp_path / "whole.zarr", SERIAL)
+    store = existing_store(tmp_path / "whole.zarr", study)
+    store.fail(b"another point ..", {"message": "it failed"})
+    store.flush()
+    return study, tmp_path / "whole.zarr"
+
+
+def files_of(store):
+    return sorted(p.relative_to(store).as_posix() for p in store.rglob("*") if p.is_file())
+
+
+def damaged(place, change):
+    if change is None:
+        place.unlink()
+    else:
+        place.write_bytes(change(place.read_bytes()))
+
+
+@pytest.mark.parametrize("change", DAMAGE.values(), ids=DAMAGE)
+def test_every_file_may_be_damaged(whole, tmp_path, change):
+    study, store = whole
+    wanted = open_dataset(store)
+    assert not check(store)
+    named = 0
+    files = [file for file in files_of(store) if study.title == "Coins" or file.startswith(("zarr.json", "blocks/"))]
+    assert sum(file.startswith("blocks/sums/c/") for file in files) > 2
+    for file in files:
+        copy = tmp_path / "copy.zarr"
+        shutil.rmtree(copy, ignore_errors=True)
+        shutil.rmtree(tmp_path / "copy.zarr.damaged", ignore_errors=True)
+        shutil.copytree(store, copy)
+        damaged(copy / file, change)
+        report = check(copy)
+        found = {**report.identity, **report.ledger, **report.results}
+        assert set(found) <= {file}, file
+        named += bool(found)
+        refused = False
+        try:  # whoever reads it gets what was written or a message
+            xr.testing.assert_identical(open_dataset(copy), wanted)
+        except SweepError:
+            refused = True
+        assert found or not refused, file
+        if report.identity or report.ledger:
+            if change is not None:
+                with pytest.raises(SweepError, match=r"damaged .*`sweep repair") as told:
+                    run_study(study, copy, SERIAL)
+                assert any(file in problem for problem in told.value.problems), file
+            assert repair(copy)
+            if change is not None:
+                assert (tmp_path / "copy.zarr.damaged" / file).read_bytes() == change((store / file).read_bytes())
+            after = check(copy)
+            assert not after.identity, file
+            assert not after.ledger, file
+        dataset, _ = run_study(study, copy, SERIAL)
+        xr.testing.assert_identical(dataset.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+        xr.testing.assert_identical(open_dataset(copy).drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+        xr.testing.assert_identical(xr.open_zarr(copy).load().drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+        assert not check(copy), file
+    assert named > len(files) // 2
+
+
+@pytest.mark.parametrize("document", ["coins", "samples"])
+def test_killed_before_any_writing_of_a_file_it_goes_on(document, tmp_path, coins, monkeypatch):
+    """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
+    monkeypatch.setattr(ledger, "FEWEST_ROWS", 2)
+    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**19})
+    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1)  # one block a task
+    study = study_from_dict(coins if document == "coins" else SAMPLES)
+    written = []
+    write = Folder._write
+    monkeypatch.setattr(Folder, "_write", lambda *a, **k: (written.append(a), write(*a, **k))[1])
+    wanted, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
+    total = len(written)
+    assert total > 30
+    for last in range(1, total, 1 + total // 12):
+        store = tmp_path / f"{last}.zarr"
+
+        def killed(*arguments, **options):
+            written.append(arguments)
+            if len(written) > last:  # noqa: B023 -- used up within the turn
+                raise SystemExit("killed")
+            return write(*arguments, **options)
+
+        written.clear()
+        monkeypatch.setattr(Folder, "_write", killed)
+        with pytest.raises(SystemExit):
+            run_study(study, store, SERIAL)
+        monkeypatch.setattr(Folder, "_write", write)
+        assert not check(store).ledger, last
+        again, _ = run_study(study, store, SERIAL)
+        xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+        assert not check(store), last
+
+
+def test_only_what_was_lost_is_computed_again(whole, monkeypatch):
+    study, store = whole
+    rows = len(existing_store(store, study).rows)
+    (store / "blocks" / "sums" / "c" / "1" / "0").write_bytes(b"")
+    repair(store)
+    held = existing_store(store, study).rows
+    assert rows - json.loads(existing_store(store, study).attributes["ledger"])["sums"][0] == len(held)
+
+
+def test_a_store_whose_two_documents_are_damaged_says_what_to_do(whole):
+    study, store = whole
+    for file in ("zarr.json", "blocks/zarr.json"):
+        (store / file).write_bytes(cut((store / file).read_bytes()))
+    for action in (check, repair, open_dataset, lambda store: run_study(study, store, SERIAL)):
+        with pytest.raises(
+            SweepError, match="both damaged, so that nothing tells what the numbers mean; bring one back"
+        ):
+            action(store)
+
+
+def test_a_store_that_is_written_to_is_neither_checked_nor_repaired(whole):
+    _, store = whole
+    with locked(store):
+        for action in (check, repair):
+            with pytest.raises(SweepError, match="is being written by process"):
+                action(store)
+
+
+@pytest.mark.parametrize("action", [check, repair])
+def test_what_is_no_store_is_left_alone(tmp_path, action):
+    with pytest.raises(SweepError, match="no store there"):
+        action(tmp_path / "none.zarr")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    with pytest.raises(SweepError, match="is not a store of linksweep"):
+        action(tmp_path / "mine")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["mine", "notes.txt"]
+
+
+def test_a_store_in_a_bucket_is_repaired_too(bucket, coins):
+    study = study_from_dict(coins)
+    wanted, _ = run_study(study, f"{bucket}/s.zarr", SERIAL)
+    place = located(f"{bucket}/s.zarr")
+    place.put("blocks/sums/c/0/0", flip(place.get("blocks/sums/c/0/0")))
+    assert set(check(place).ledger) == {"blocks/sums/c/0/0"}
+    repair(place)
+    assert not check(place)
+    assert existing_store(place, study).rows == {}
+    again, _ = run_study(study, place, SERIAL)
+    xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+
+
+def test_the_commands(tmp_path, link_study, sweep):
+    store = tmp_path / "s.zarr"
+    quick = ("run", link_study, "-o", store, "--set", "n_sim=20", "--pool", "serial")
+    assert sweep(*quick)[0] == 0
+    assert sweep("check", store)[:2] == (0, "every file is as it was written\n")
+    assert sweep("repair", store)[:2] == (0, "every file is as it was written\n")
+    chunk = store / "blocks" / "sums" / "c" / "0" / "0"
+    chunk.write_bytes(flip(chunk.read_bytes()))
+    code, out, err = sweep("check", store)
+    assert (code, "blocks/sums/c/0/0: " in out, "sweep repair" in err) == (1, True, True)
+    code, out, _ = sweep("check", store, "--json")
+    assert (code, set(json.loads(out)["ledger"])) == (1, {"blocks/sums/c/0/0"})
+    code, _, err = sweep(*quick)
+    assert code == 2
+    assert "blocks/sums/c/0/0 is damaged" in err
+    assert "sweep repair" in err
+    code, out, err = sweep("repair", store)
+    assert code == 0, err
+    assert "blocks/sums/c/0/0: the next `sweep run` computes again" in out
+    assert sweep(*quick)[0] == 0
+    assert sweep("check", store)[0] == 0
+
+
+def test_an_unchanged_value_of_samples_survives_a_lost_index(tmp_path, monkeypatch):
+    """Rows after a lost chunk of the index still speak of their own samples."""
+    monkeypatch.setattr(ledger, "FEWEST_ROWS", 2)
+    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**17})
+    study = study_from_dict(SAMPLES)
+    run_study(study, tmp_path / "s.zarr", SERIAL)
+    before = existing_store(tmp_path / "s.zarr", study)
+    samples = {key: before.samples(key) for key in before.rows}
+    (tmp_path / "s.zarr" / "blocks" / "index" / "c" / "0" / "0").unlink()
+    after = create_or_resume(tmp_path / "s.zarr", study, {})
+    assert 0 < len(after.rows) < len(samples)
+    assert all(np.array_equal(after.samples(key), samples[key]) for key in after.rows)

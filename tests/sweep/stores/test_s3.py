@@ -1,0 +1,277 @@
+"""Stores in a bucket, with a real server on this machine and faults on the way to it."""
+
+import random
+import socket
+import threading
+import time
+from contextlib import contextmanager
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+import xarray as xr
+from zarr.storage import ObjectStore
+
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
+from sweep.stores import bucket as bucket_module
+from sweep.stores.location import located
+from sweep.stores.store import existing_store, open_dataset
+from sweep.studies.reader import study_from_dict
+from tests.documents import run_commands
+from tests.sweep.conftest import make_bucket
+
+SERIAL = Resources(pool="serial")
+
+
+class Proxy:
+    """Passes connections on to a server; what ``fault`` says happens to a request instead.
+
+    ``fault`` is called with the number of the request and returns None, "reset" (the connection breaks before the
+    server hears of it), "lost" (the server does it, but its answer never comes) or "503".
+    """
+
+    def __init__(self, server, fault=lambda number: None):
+        self._server = (urlsplit(server).hostname, urlsplit(server).port)
+        self.requests, self.faults, self._fault = [], 0, fault
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self):
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, client):
+        with client, socket.create_connection(self._server) as server, client.makefile("rb") as requests:
+            answers = server.makefile("rb")
+            while True:
+                try:
+                    head, body = read_message(requests)
+                except OSError:
+                    return
+                if not head:
+                    return
+                self.requests.append(head.split(b"\r\n")[0].decode())
+                fault = self._fault(len(self.requests))
+                self.faults += fault is not None
+                if fault == "reset":
+                    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+                    return
+                if fault == "503":
+                    client.sendall(b"HTTP/1.1 503 Slow Down\r\nContent-Length: 0\r\n\r\n")
+                    continue
+                server.sendall(head + body)
+                answer = b"".join(read_message(answers, to_head=head.startswith(b"HEAD")))
+                if fault == "lost":
+                    return
+                client.sendall(answer)
+
+    def close(self):
+        self._listener.close()
+
+
+def read_message(stream, to_head=False):
+    """Return head and body of an HTTP message."""
+    head = b""
+    while not head.endswith(b"\r\n\r\n"):
+        line = stream.readline()
+        if not line:
+            return b"", b""
+        head += line
+    fields = dict(line.lower().split(b": ", 1) for line in head.split(b"\r\n")[1:] if b": " in line)
+    if b"chunked" in fields.get(b"transfer-encoding", b""):
+        body = b""
+        while (line := stream.readline()) != b"0\r\n":
+            body += line + stream.read(int(line, 16) + 2)
+        return head, body + line + stream.readline()
+    return head, b"" if to_head else stream.read(int(fields.get(b"content-length", 0)))
+
+
+@pytest.fixture
+def through(s3_endpoint, bucket, monkeypatch):
+    """A function that puts a proxy with faults before the server of the bucket."""
+    proxies = []
+
+    def make(fault=lambda number: None):
+        proxies.append(Proxy(s3_endpoint, fault))
+        monkeypatch.setenv("AWS_ENDPOINT_URL", proxies[-1].endpoint)
+        return proxies[-1]
+
+    yield make
+    for proxy in proxies:
+        proxy.close()
+
+
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins)
+
+
+@pytest.fixture
+def wanted(study, tmp_path):
+    dataset, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
+    return dataset
+
+
+def same(dataset, wanted):
+    xr.testing.assert_identical(dataset.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+
+
+def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, study, wanted, tmp_path):
+    dataset, _ = run_study(study, f"{bucket}/results/s.zarr", SERIAL)
+    same(dataset, wanted)
+    same(open_dataset(f"{bucket}/results/s.zarr"), wanted)
+    names = located(f"{bucket}/results/s.zarr").keys()
+    assert names == located(tmp_path / "wanted.zarr").keys()
+    assert located(f"{bucket}/results").keys() == [f"s.zarr/{name}" for name in names]  # no lock is left
+
+
+def test_the_commands_of_the_document_run(bucket, s3_endpoint, sweep, tmp_path):
+    make_bucket(s3_endpoint, "my-bucket")
+    run_commands("stores.md", sweep, tmp_path)
+    same(open_dataset("s3://my-bucket/results/quasars.zarr"), open_dataset(tmp_path / "results" / "quasars.zarr"))
+
+
+def test_plain_xarray_opens_it(bucket, study, wanted):
+    run_study(study, f"{bucket}/s.zarr", SERIAL)
+    objects = located(f"{bucket}/s.zarr").objects
+    same(xr.open_zarr(ObjectStore(objects, read_only=True)).load(), wanted)
+
+
+def test_it_is_resumed_and_extended(bucket, coins, study, wanted):
+    smaller = study_from_dict(coins | {"axes": {"metal": ["tin"], "coins": [5, 20]}})
+    run_study(smaller, f"{bucket}/s.zarr", SERIAL)
+    held = existing_store(f"{bucket}/s.zarr", study).rows
+    assert len(held) == 2 * 4
+    dataset, _ = run_study(study, f"{bucket}/s.zarr", SERIAL)
+    same(dataset, wanted)
+    assert set(held) < set(existing_store(f"{bucket}/s.zarr", study).rows)
+
+
+def test_a_small_run_needs_few_requests(bucket, study, through):
+    proxy = through()
+    run_study(study, f"{bucket}/s.zarr", SERIAL)
+    arrays = len(open_dataset(f"{bucket}/s.zarr").variables)
+    before = len(proxy.requests)
+    assert before < 45 + 4 * arrays  # each array's chunk and document are written at the start and at the end
+    open_dataset(f"{bucket}/s.zarr")
+    assert len(proxy.requests) - before <= 2 + arrays
+    methods = {line.split()[0] for line in proxy.requests}
+    assert methods == {"GET", "PUT", "POST"}  # POST: deletion of the lock
+
+
+@pytest.mark.parametrize("kind", ["reset", "lost", "503"])
+def test_requests_that_fail_are_repeated(bucket, study, wanted, through, kind):
+    chance = random.Random(11)
+    proxy = through(lambda number: kind if chance.random() < 0.15 else None)
+    dataset, _ = run_study(study, f"{bucket}/s.zarr", SERIAL)
+    same(dataset, wanted)
+    assert proxy.faults > 5
+    through()
+    same(open_dataset(f"{bucket}/s.zarr"), wanted)
+    assert located(bucket + "/x").parent.get("s.zarr.lock") is None
+
+
+def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, study, wanted, through, monkeypatch):
+    monkeypatch.setattr(bucket_module, "TIMEOUT", bucket_module.TIMEOUT / 10)
+    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1)  # one block a task
+    proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
+    with pytest.raises(SweepError, match=r"cannot be written: .* does not answer as it should"):
+        run_study(study, f"{bucket}/s.zarr", SERIAL)
+    through()
+    held = existing_store(f"{bucket}/s.zarr", study).rows
+    assert 0 < len(held) < 6 * 4
+    with pytest.raises(SweepError, match="is being written by process"):  # by us, who could not remove the lock
+        run_study(study, f"{bucket}/s.zarr", SERIAL)
+    dataset, _ = run_study(study, f"{bucket}/s.zarr", SERIAL, break_lock=True)
+    same(dataset, wanted)
+
+
+def test_two_runs_on_one_bucket(bucket, link_study, start_sweep, sweep):
+    store = f"{bucket}/s.zarr"
+    long = ("--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")
+    first = start_sweep("run", link_study, "-o", store, *long)
+    deadline = time.monotonic() + 60
+    while located(store).get("zarr.json") is None:
+        assert time.monotonic() < deadline, "the first run writes nothing"
+        time.sleep(0.05)
+    code, _, err = sweep("run", link_study, "-o", store, *long)
+    assert code == 2
+    assert f"{store}: is being written by process {first.pid} on " in err
+
+
+def test_the_commands_take_a_bucket(bucket, link_study, sweep, tmp_path):
+    store = f"{bucket}/s.zarr"
+    quick = ("run", link_study, "-o", store, "--set", "n_sim=20")
+    assert sweep("plan", *quick[1:])[0] == 0
+    code, out, err = sweep(*quick)
+    assert (code, f"wrote {store}" in err) == (0, True), err
+    assert sweep("show", store)[1] == out
+    code, out, err = sweep("status", store)
+    assert (code, "complete: True" in out) == (0, True), err
+    assert sweep("check", store)[:2] == (0, "every file is as it was written\n")
+    assert sweep("plot", store, "--out", tmp_path / "p.svg")[0] == 0
+    code, out, err = sweep("compare", store)
+    assert "Traceback" not in err
+    assert store in out + err
+    assert list(tmp_path.glob("s3*")) == []
+
+
+@contextmanager
+def seconds_at_most(limit):
+    begun = time.monotonic()
+    yield
+    assert time.monotonic() - begun < limit
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"AWS_ENDPOINT_URL": "http://127.0.0.1:9"}, "http://127.0.0.1:9 does not answer as it should"),
+        ({"AWS_ENDPOINT_URL": "http://192.0.2.1"}, "not encrypted; AWS_ALLOW_HTTP=true"),
+        ({"bucket": "s3://there-is-none"}, "there is no bucket 'there-is-none'"),
+        ({"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None}, "there are no credentials; set AWS_ACCESS_KEY_ID"),
+        ({"bucket": "s3://ab"}, "its address must be s3://BUCKET/NAME"),
+    ],
+    ids=["no server", "not encrypted", "no bucket", "no credentials", "no address"],
+)
+def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, monkeypatch, change, words):
+    store = change.pop("bucket", bucket) + "/s.zarr"
+    monkeypatch.setenv("AWS_METADATA_ENDPOINT", "http://127.0.0.1:9")  # no credentials from this machine either
+    for name, value in change.items():
+        monkeypatch.delenv(name) if value is None else monkeypatch.setenv(name, value)
+    with seconds_at_most(60):  # 15 s of trying again, on a busy machine
+        code, out, err = sweep("run", link_study, "-o", store)
+    assert (code, out) == (2, ""), err
+    assert err.startswith("error: ")
+    assert words in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_obstore_is_an_extra(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "obstore", None)
+    with pytest.raises(SweepError, match=r"pip install 'linksweep\[s3\]'"):
+        located("s3://abc/x")
+
+
+def test_values_survive_the_journey(bucket, study):
+    """Honest NaNs, infinities, strings beyond ASCII and numbers to the last bit."""
+    store = f"{bucket}/s.zarr"
+    run_study(study, store, SERIAL)
+    opened = existing_store(store, study)
+    values = np.array([np.nan, np.inf, -0.0, 5e-324, np.nextafter(1.0, 2.0)])
+    dataset = xr.Dataset(
+        {"status": ("x", np.ones(5, np.int8)), "value": ("x", values), "name": ("x", np.array(list("aäµ✓𝛚"), object))},
+        attrs={"study_digest": ""},
+    )
+    opened.write(dataset)
+    back = open_dataset(store)
+    assert np.array_equal(back["value"].values.view("u8"), values.view("u8"))
+    assert back["name"].values.tolist() == list("aäµ✓𝛚")
