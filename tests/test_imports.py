@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 # From the ground up, rooms and the modules in each: a module may import only what stands before it.
-GROUND = ["sweep.interrupt", "sweep.contract", "sweep.load", "sweep.tablefile"]
+GROUND = ["sweep.interrupt", "sweep.contract", "sweep.load", "sweep.tablefile", "sweep.formatting"]
 HOUSE = {
     "core": [
         *("constants", "frames", "sky_pairs", "galaxy_merge", "galaxy_classes", "crossmatch"),

@@ -1,8 +1,7 @@
-"""What the options --where and --at say: a limit on a quantity with a unit, values of axes; parsed, never evaluated."""
+"""What the options --where and --range say: a limit on a quantity with a unit, a range; parsed, never evaluated."""
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -64,24 +63,6 @@ def parse_range(text: str) -> tuple[float, float]:
     if not colon or not ends[0] <= ends[1]:
         raise SweepError(f"{shown(text)}: a range is LOW:HIGH, two numbers of which one may be left out", "--range")
     return ends
-
-
-def parse_places(texts: Sequence[str]) -> dict[str, str]:
-    """Return values of axes by name, from texts like "model=gaia,v_max=16".
-
-    Raises SweepError that lists what is wrong.
-    """
-    places: dict[str, str] = {}
-    problems = []
-    for part in (part for text in texts for part in text.split(",")):
-        name, equals, value = (piece.strip() for piece in part.partition("="))
-        if not (name and equals and value):
-            problems.append(f"{shown(part)}: a place is AXIS=VALUE, several with commas between them")
-        elif places.setdefault(name, value) != value:
-            problems.append(f"{name} is given twice, as {places[name]} and {value}")
-    if problems:
-        raise SweepError(problems, "--at")
-    return places
 
 
 def _unit(text: str, whole: str) -> str:

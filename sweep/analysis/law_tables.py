@@ -1,6 +1,5 @@
 """Fits and crossings as tables: for reading, and for a script (JSON)."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
-from sweep.analysis.tables import with_error
+from sweep.formatting import fixed, plain, to_json, with_error
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -33,12 +32,9 @@ def rows(result: xr.Dataset) -> list[dict[str, Any]]:
 
 def as_json(result: xr.Dataset) -> str:
     """Return the result with its attributes, units and conclusions; a number that is not finite is null."""
-    described = []
-    for row in rows(result):
-        plain = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
-        described.append(plain | {"conclusion": conclusion(result, row)})
+    described = [row | {"conclusion": conclusion(result, row)} for row in rows(result)]
     units = {str(n): v.attrs["units"] for n, v in result.variables.items() if v.attrs.get("units")}
-    return json.dumps({**result.attrs, "units": units, "rows": described}, indent=1)
+    return to_json({**result.attrs, "units": units, "rows": described})
 
 
 def as_text(result: xr.Dataset) -> "Table":
@@ -54,7 +50,7 @@ def as_text(result: xr.Dataset) -> "Table":
     places = [str(n) for n, c in result.coords.items() if c.dims]
     dims = _dims(result)
     places.sort(key=lambda name: (dims.index(str(result[name].dims[0])), name not in dims, name))
-    columns = {_heading(name, result): [_plain(row[name]) for row in everything] for name in places}
+    columns = {_heading(name, result): [plain(row[name]) for row in everything] for name in places}
     columns |= _columns(result, everything)
     for heading in columns:
         table.add_column(Text(heading), justify="left" if heading == "conclusion" else "right", no_wrap=True)
@@ -100,20 +96,20 @@ def _columns(result: xr.Dataset, everything: Sequence[Row]) -> dict[str, list[st
         for name in shown:
             columns[_heading(name, result)] = [with_error(row[name], row[f"{name}_error"]) for row in everything]
     if "expected" in result:
-        columns["expected"] = [_number(row["expected"], "g") for row in everything]
-        columns["deviation"] = [_number(row["deviation"], "+.1f", " errors") for row in everything]
+        columns["expected"] = [fixed(row["expected"], "g") for row in everything]
+        columns["deviation"] = [fixed(row["deviation"], "+.1f", " errors") for row in everything]
     if "amplitude" in result:
         columns[_heading("amplitude", result)] = [with_error(r["amplitude"], r["amplitude_error"]) for r in everything]
-        columns[_heading("pivot", result)] = [_number(row["pivot"], ".4g") for row in everything]
+        columns[_heading("pivot", result)] = [fixed(row["pivot"], ".4g") for row in everything]
     if "end_fall" in result:
         unit = str(result["limit"].attrs["units"]) or "unit"
         falls = [with_error(100.0 * row["end_fall"], 100.0 * row["end_fall_error"]) for row in everything]
         columns[f"fall at the end\n[% / {unit}]"] = falls
     if "chi2" in result:
         columns["chi2 / dof"] = [
-            f"{_number(row['chi2'], '.3g') or '-'} / {_number(row['dof'], '.0f')}" for row in everything
+            f"{fixed(row['chi2'], '.3g') or '-'} / {fixed(row['dof'], '.0f')}" for row in everything
         ]
-        columns["p"] = [_number(row["p_value"], ".2g") for row in everything]
+        columns["p"] = [fixed(row["p_value"], ".2g") for row in everything]
     words = [conclusion(result, row) for row in everything]
     return columns | ({"conclusion": words} if any(words) else {})
 
@@ -156,11 +152,3 @@ def _dims(result: xr.Dataset) -> list[str]:
 def _heading(name: str, result: xr.Dataset) -> str:
     unit = result[name].attrs.get("units", "")
     return f"{name}\n[{unit}]" if unit else name
-
-
-def _plain(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _number(value: float, digits: str, unit: str = "") -> str:
-    return f"{value:{digits}}{unit}" if math.isfinite(value) else ""

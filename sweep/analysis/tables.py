@@ -2,19 +2,17 @@
 
 import csv
 import io
-import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
+from sweep.formatting import is_missing, plain, rounded, to_json, with_error
 from sweep.planning.accumulator import EXCLUDED, STATUS_WORDS
 
 if TYPE_CHECKING:
     from rich.table import Table
-
-MOST_DECIMALS = 9
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ def as_csv(dataset: xr.Dataset) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()])
     for row in zip(*(values for _, values in columns.values()), strict=True):
-        writer.writerow(["" if _is_missing(cell) else cell for cell in row])
+        writer.writerow(["" if is_missing(cell) else cell for cell in row])
     return out.getvalue()
 
 
@@ -70,7 +68,7 @@ def as_ecsv(dataset: xr.Dataset) -> str:
 
     table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
     for name, (unit, values) in long_table(dataset).items():
-        mask = [_is_missing(v) for v in values]
+        mask = [is_missing(v) for v in values]
         table[name] = (
             MaskedColumn(values, mask=mask, unit=unit or None) if any(mask) else MaskedColumn(values, unit=unit or None)
         )
@@ -82,11 +80,9 @@ def as_ecsv(dataset: xr.Dataset) -> str:
 def as_json(dataset: xr.Dataset) -> str:
     """Return the long table as JSON: units by column, and one object a point, null for a missing value."""
     columns = long_table(dataset)
-    rows = [
-        {name: None if _is_missing(cell) else cell for name, cell in zip(columns, row, strict=True)}
-        for row in zip(*(values for _, values in columns.values()), strict=True)
-    ]
-    return json.dumps({"units": {name: unit for name, (unit, _) in columns.items()}, "rows": rows}, indent=1)
+    cells = zip(*(values for _, values in columns.values()), strict=True)
+    rows = [dict(zip(columns, row, strict=True)) for row in cells]
+    return to_json({"units": {name: unit for name, (unit, _) in columns.items()}, "rows": rows})
 
 
 def as_text(dataset: xr.Dataset) -> "Table":
@@ -126,7 +122,7 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     finished = set(whole["status"][1]) == {"done"}
     long = {name: (unit, values[:most]) for name, (unit, values) in whole.items()}
     columns = [
-        Column(name, long[name][0], [_plain(v) for v in long[name][1]], long[name][1])
+        Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
         for name in _axis_coordinates(dataset, axes_of(dataset))
     ]
     for name in filter(long.__contains__, _headline(dataset)):
@@ -134,21 +130,14 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
         errors = long[f"{name}_mc_error"][1] if f"{name}_mc_error" in long else [0.0] * len(values)
         columns.append(Column(name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)], values))
         if (predicted := long.get(f"{name}_predicted")) is not None:
-            cells = [_rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
+            cells = [rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
             columns.append(Column("predicted", unit, cells, predicted[1]))
-        if (published := long.get(f"{name}_published")) is not None and not all(map(_is_missing, published[1])):
-            columns.append(Column("published", unit, [_rounded(v, 0.0) for v in published[1]], published[1]))
+        if (published := long.get(f"{name}_published")) is not None and not all(map(is_missing, published[1])):
+            columns.append(Column("published", unit, [rounded(v) for v in published[1]], published[1]))
             pairs = list(zip(values, published[1], strict=True))
             columns.append(Column("difference", "", [_difference(*p) for p in pairs], [_relative(*p) for p in pairs]))
     status = long["status"][1]
     return columns if finished else [*columns, Column("status", "", status, status)]
-
-
-def with_error(value: float, error: float) -> str:
-    """Return a number with its error as ``0.6600 ± 0.0027``, alone where there is none, '' for a number that is NaN."""
-    if not error > 0.0:
-        return _rounded(value, error)
-    return f"{_rounded(value, error)} ± {_rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
 
 
 def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tuple[str, list[Any]]]:
@@ -166,27 +155,9 @@ def _headline(dataset: xr.Dataset) -> list[str]:
     return [str(n) for n, v in dataset.data_vars.items() if v.attrs.get("headline") and str(n) in dataset]
 
 
-def _is_missing(value: Any) -> bool:
-    return isinstance(value, float) and math.isnan(value)
-
-
-def _plain(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _rounded(value: float, error: float) -> str:
-    """Return a number to two digits of its error, or to four digits of its own where it has none."""
-    if _is_missing(value):
-        return ""
-    if error > 0.0:
-        decimals = max(0, 1 - math.floor(math.log10(error)))
-        return f"{value:.{decimals}f}" if decimals <= MOST_DECIMALS else f"{value:.3g}"
-    return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
-
-
 def _difference(value: float, published: float) -> str:
     relative = _relative(value, published)
-    if _is_missing(relative):
+    if is_missing(relative):
         return ""
     return "none" if relative == 0.0 else f"{100.0 * relative:+.1f} %"
 

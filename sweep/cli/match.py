@@ -1,6 +1,5 @@
 """The command of the galaxy search."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -156,7 +155,9 @@ def match(
     outputs = Outputs(output, table, sky_map)
     summary = summarise(find_galaxies(search, outputs, overwrite))
     if as_json:
-        click.echo(json.dumps(summary, indent=1))
+        from sweep.formatting import to_json
+
+        click.echo(to_json(summary))
     else:
         for part in summary_text(summary):
             print_whole(part)

@@ -187,9 +187,9 @@ def load(
 
 def part_of(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the dataset of a store, of it the part that ``--at`` names."""
-    from sweep.analysis.conditions import parse_places
     from sweep.analysis.selection import select
     from sweep.stores.store import open_dataset
+    from sweep.studies.axes import parse_places
 
     places = parse_places(at)
     dataset = open_dataset(store)

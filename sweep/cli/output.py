@@ -1,10 +1,11 @@
 """How commands print results: tables as wide as they are, JSON, sentences."""
 
-import json
 import sys
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from sweep.formatting import to_json
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -29,7 +30,7 @@ def print_plan(study: "Study", store: "Location", workers: int | None, as_json: 
 
     report = plan_report(study, store, workers)
     if as_json:
-        click.echo(json.dumps(report, indent=1))
+        click.echo(to_json(report))
     else:
         for key, text in _plan_in_words(report).items():
             click.echo(f"{key:14}{text}")
@@ -115,4 +116,4 @@ def status_as_json(report: dict[str, Any]) -> str:
         ]
         for dimension, segments in report["axes"].items()
     }
-    return json.dumps(report | {"axes": axes}, indent=1)
+    return to_json(report | {"axes": axes})

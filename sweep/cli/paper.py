@@ -1,6 +1,5 @@
 """Commands about the paper's numbers: compare and calibrate."""
 
-import json
 import logging
 import sys
 from pathlib import Path
@@ -91,6 +90,8 @@ def calibrate(as_json: bool) -> None:
 
     report = calibration_report()
     if as_json:
-        click.echo(json.dumps(report, indent=1))
+        from sweep.formatting import to_json
+
+        click.echo(to_json(report))
         return
     print_whole(as_text(report))

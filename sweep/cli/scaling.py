@@ -1,6 +1,5 @@
 """The command that measures how a study scales with workers: scaling."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +87,8 @@ def scaling(
 def _print(dataset: Any, as_json: bool) -> None:
     frame = dataset[["seconds", "start_seconds", "speedup", "efficiency"]].to_dataframe().reset_index()
     if as_json:
-        click.echo(json.dumps(frame.to_dict(orient="records"), indent=1))
+        from sweep.formatting import to_json
+
+        click.echo(to_json(frame.to_dict(orient="records")))
     else:
         click.echo(frame.to_string(index=False, float_format=lambda value: f"{value:.3g}"))

@@ -1,8 +1,6 @@
 """Commands about a store as it is: show, status, check and repair."""
 
-import json
 import sys
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import click
@@ -64,7 +62,9 @@ def check(store: "Location", as_json: bool) -> None:
 
     report = check_files(store)
     if as_json:
-        click.echo(json.dumps(asdict(report), indent=1))
+        from sweep.formatting import to_json
+
+        click.echo(to_json(report))
     elif not report:
         click.echo("every file is as it was written")
     for part in () if as_json else (report.identity, report.ledger, report.results):

@@ -26,7 +26,9 @@ def list_studies(as_json: bool) -> None:
         name: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for name, path in built_in_studies().items()
     }
     if as_json:
-        click.echo(json.dumps(titles, indent=1))
+        from sweep.formatting import to_json
+
+        click.echo(to_json(titles))
         return
     width = max(map(len, titles))
     for name, title in titles.items():
@@ -52,7 +54,9 @@ def params(experiment: str, as_json: bool) -> None:
         for p in parameters
     ]
     if as_json:
-        click.echo(json.dumps(rows, indent=1))
+        from sweep.formatting import to_json
+
+        click.echo(to_json(rows))
         return
     for row in rows:
         default = "see below" if row["default"] is None else row["default"]

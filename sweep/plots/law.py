@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from sweep.analysis.fits import PowerLaw, power_law
 from sweep.analysis.laws import fit_power_law
 from sweep.analysis.lines import lines
-from sweep.analysis.tables import with_error
+from sweep.formatting import with_error
 from sweep.plots.style import (
     BAND,
     COLOURS,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from sweep.analysis.quantity import main_quantity, quantities, standard_error
 from sweep.analysis.selection import place_in_words
-from sweep.analysis.tables import with_error
 from sweep.contract import SweepError
+from sweep.formatting import with_error
 from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, STATUS_WORDS
 
 Array = NDArray[np.float64]

@@ -12,12 +12,13 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
 from sweep.executing.worker import TaskResult
+from sweep.formatting import counted
 from sweep.interrupt import how_ended
 from sweep.planning.accumulator import Survey
 from sweep.planning.grid import describe
 from sweep.planning.plan import Work
 from sweep.running.eta import Eta, in_words
-from sweep.running.run_summary import RunSummary, counted
+from sweep.running.run_summary import RunSummary
 from sweep.running.writer import Taken
 from sweep.studies.study import Study
 

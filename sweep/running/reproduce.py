@@ -17,7 +17,7 @@ from sweep.planning.work_queue import Pending
 from sweep.running.results import assemble
 from sweep.stores.location import Where
 from sweep.stores.store import open_dataset, read_attributes
-from sweep.studies.axes import parse_value
+from sweep.studies.axes import parse_places, parse_value
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.study import Study
 
@@ -81,11 +81,10 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
     """Return a point's parameters from ``NAME=VALUE,...``; raises SweepError that says what is wrong or missing."""
     problems: list[str] = []
     given: dict[str, Any] = {}
-    for part in filter(None, (part.strip() for part in at.split(","))):
-        name, equals, text = (piece.strip() for piece in part.partition("="))
-        if not equals or name not in study.axes:
-            hint = suggest(name, list(study.axes)) if equals and study.axes else ""
-            problems.append(f"--at {shown(part)}: must be AXIS=VALUE{hint or f'; axes are {_listed(study.axes)}'}")
+    for name, text in parse_places([at] if at.strip() else []).items():
+        if name not in study.axes:
+            hint = suggest(name, list(study.axes)) if study.axes else ""
+            problems.append(f"--at {name}: is not an axis{hint or f'; axes are {_listed(study.axes)}'}")
         else:
             given[name] = _on_axis(study.experiment, study.axes, name, text, problems)
     fitting = {

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from sweep.executing.worker import TaskResult
+from sweep.formatting import counted
 from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import PlanSize, Work
 from sweep.running.eta import in_words
@@ -13,11 +14,6 @@ from sweep.studies.study import Study
 
 NAMED = 5
 """So many of the slowest points are named."""
-
-
-def counted(n: int, noun: str) -> str:
-    """Return a count with its noun: '1 point', '2 points'."""
-    return f"{n:,} {noun}{'' if n == 1 else 's'}"
 
 
 class RunSummary:

@@ -2,9 +2,11 @@
 
 import math
 import tomllib
+from collections.abc import Sequence
 from typing import Any
 
-from sweep.contract import shown
+from sweep.contract import SweepError, shown
+from sweep.formatting import split_assignment
 from sweep.studies.study import Sampling
 
 MAX_AXIS_VALUES = 1_000_000
@@ -77,8 +79,8 @@ def override(document: dict[str, Any], option: str, problems: list[str], as_axis
     to [axes].  Return the place of the value, empty if it could not be laid anywhere.
     """
     flag = "--axis" if as_axis else "--set"
-    key, equals, value = (part.strip() for part in option.partition("="))
-    if not equals or not key or not value:
+    key, value = split_assignment(option)
+    if not key:
         problems.append(f"{flag} {shown(option)}: must be written {'NAME=SPEC' if as_axis else 'KEY=VALUE'}")
         return ()
     sampling_key = key.removeprefix("sampling.")
@@ -97,6 +99,24 @@ def override(document: dict[str, Any], option: str, problems: list[str], as_axis
     document.setdefault(section, {})[key] = parsed
     document.get(other, {}).pop(key, None)
     return section, key
+
+
+def parse_places(texts: Sequence[str]) -> dict[str, str]:
+    """Return values of axes by name, from texts like "model=gaia,v_max=16".
+
+    Raises SweepError that lists what is wrong.
+    """
+    places: dict[str, str] = {}
+    problems = []
+    for part in (part for text in texts for part in text.split(",")):
+        name, value = split_assignment(part)
+        if not name:
+            problems.append(f"{shown(part)}: a place is AXIS=VALUE, several with commas between them")
+        elif places.setdefault(name, value) != value:
+            problems.append(f"{name} is given twice, as {places[name]} and {value}")
+    if problems:
+        raise SweepError(problems, "--at")
+    return places
 
 
 def parse_value(text: str) -> Any:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.analysis.conditions import Limit, parse_limit, parse_places, parse_range
+from sweep.analysis.conditions import Limit, parse_limit, parse_range
 from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
 from sweep.analysis.fits import power_law
 from sweep.analysis.law_tables import as_json, rows
@@ -23,6 +23,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
 from sweep.running.run import run_study
+from sweep.studies.axes import parse_places
 from sweep.studies.reader import study_from_dict
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])

@@ -1,0 +1,105 @@
+"""Numbers with their errors, counts, NAME=VALUE and JSON as text."""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, is_dataclass
+from typing import Any
+
+MOST_DECIMALS = 9
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a number and its error with two digits of the error.
+
+    Args:
+        value: Any number; NaN gives an empty string.
+        error: One standard error; the number stands alone where it is not positive.
+
+    Examples:
+        >>> with_error(0.66, 0.0027)
+        '0.6600 ± 0.0027'
+        >>> with_error(0.66, 0.0)
+        '0.66'
+    """
+    if not error > 0.0:
+        return rounded(value, error)
+    return f"{rounded(value, error)} ± {rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
+
+
+def rounded(value: float, error: float = 0.0) -> str:
+    """Return a number to two digits of its error, or to four digits of its own where it has none; '' for NaN.
+
+    Examples:
+        >>> rounded(1234.5678, 3.0), rounded(1234.5678), rounded(28.0)
+        ('1234.6', '1235', '28')
+    """
+    if is_missing(value):
+        return ""
+    if error > 0.0:
+        decimals = max(0, 1 - math.floor(math.log10(error)))
+        return f"{value:.{decimals}f}" if decimals <= MOST_DECIMALS else f"{value:.3g}"
+    return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
+
+
+def fixed(value: float, digits: str, unit: str = "") -> str:
+    """Return a number in a format of Python with its unit, '' where it is not finite."""
+    return f"{value:{digits}}{unit}" if math.isfinite(value) else ""
+
+
+def plain(value: Any) -> str:
+    """Return a value of an axis as tables show it: numbers without trailing zeros."""
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def is_missing(value: Any) -> bool:
+    """Return whether a value is a NaN."""
+    return isinstance(value, float) and math.isnan(value)
+
+
+def counted(n: int, noun: str) -> str:
+    """Return a count with its noun.
+
+    Examples:
+        >>> counted(1, "point"), counted(12345, "point")
+        ('1 point', '12,345 points')
+    """
+    return f"{n:,} {noun}{'' if n == 1 else 's'}"
+
+
+def split_assignment(text: str) -> tuple[str, str]:
+    """Return name and value of ``NAME=VALUE`` without the blanks around them; both are empty for any other text.
+
+    Examples:
+        >>> split_assignment("v_max = 16"), split_assignment("v_max=")
+        (('v_max', '16'), ('', ''))
+    """
+    name, _, value = (piece.strip() for piece in text.partition("="))
+    return (name, value) if name and value else ("", "")
+
+
+def to_json(value: Any) -> str:
+    """Return JSON for programs: numbers that are not finite are null; arrays, dataclasses and paths are allowed.
+
+    Examples:
+        >>> print(to_json({"sigma": float("nan"), "n": 3}))
+        {
+         "sigma": null,
+         "n": 3
+        }
+    """
+    return json.dumps(_jsonable(value), indent=1, allow_nan=False)
+
+
+def _jsonable(value: Any) -> Any:
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, Mapping):
+        return {str(key): _jsonable(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # of NumPy, which takes longer to import than all else that prints
+        value = value.tolist()
+    if isinstance(value, list | tuple | set):
+        return [_jsonable(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
