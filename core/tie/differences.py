@@ -33,7 +33,7 @@ def differences(satellite: Astrometry, rows: Astrometry, source: Indices, spin: 
     """
     own = satellite.taken(source)
     epoch = np.where(np.isfinite(rows.epoch), rows.epoch, own.epoch)
-    start = np.where(np.isfinite(own.epoch), own.epoch, epoch)
+    start = np.nan_to_num(np.where(np.isfinite(own.epoch), own.epoch, epoch), nan=2000.0)
     years = np.where(np.isfinite(epoch), epoch - start, 0.0)
     there = propagated(own.values, own.radial_velocity, start, start + years)
     there[2:] = np.nan_to_num(there[2:])

@@ -39,6 +39,18 @@ class Eliminated:
     expected: Array
     spread: Array
 
+    def scaled(self, factors: Array) -> "Eliminated":
+        """Return the same with the weight of each source multiplied by a factor (S,)."""
+        each = factors[:, None, None]
+        return Eliminated(
+            self.weight * each,
+            self.right * factors[:, None],
+            self.squares * factors,
+            self.count,
+            self.expected * factors,
+            self.spread * each**2,
+        )
+
 
 def eliminate(found: Differences, source: Indices, covariance: Array, free: NDArray[np.bool_], weights: Weights = "covariance") -> Eliminated:
     """Return what is left of S sources.

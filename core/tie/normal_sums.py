@@ -72,18 +72,25 @@ class Problem:
         place = np.full(len(self.satellite), -1)
         place[part] = np.arange(len(part))
         source = place[self.source[rows_of]]
-        objects = Objects(own.values[0], own.values[1], *np.nan_to_num(own.values[3:]), columns=own.columns)
-        years = np.where(np.isfinite(own.epoch), own.epoch - self.epoch, 0.0)
-        taken_out = None
-        if self.known is not None:
-            known, values = self.known
-            taken_out = np.einsum("nik,k->in", known.matrix(objects, years), values)
-        found = differences(own, rows, source, taken_out)
+        objects, years = self.objects(own)
+        found = differences(own, rows, source, self.taken_out(own))
         try:
             left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
         except LinkError as error:
             raise LinkError(_named(str(error), own, part)) from None
         return self.unknowns, objects, years, left
+
+    def objects(self, own: Astrometry) -> tuple[Objects, Array]:
+        """Return what derivatives depend on, and the epoch of each source minus that of the unknowns."""
+        objects = Objects(own.values[0], own.values[1], *np.nan_to_num(own.values[3:]), columns=own.columns)
+        return objects, np.where(np.isfinite(own.epoch), own.epoch - self.epoch, 0.0)
+
+    def taken_out(self, own: Astrometry) -> Array | None:
+        """Return what the known unknowns do to the parameters of sources; shape (5, S)."""
+        if self.known is None:
+            return None
+        known, values = self.known
+        return np.einsum("nik,k->in", known.matrix(*self.objects(own)), values)
 
     @cached_property
     def _order(self) -> tuple[Indices, Indices]:
@@ -116,12 +123,19 @@ def source_sums(problem: Problem) -> NormalSums:
     return sums
 
 
-def group_sums(problem: Problem, group: Indices, n_groups: int) -> NormalSums:
-    """Return the sums of each group of sources; ``group`` (S,) counts from 0.  Memory is that of a block."""
+def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array | None = None) -> NormalSums:
+    """Return the sums of each group of sources; ``group`` (S,) counts from 0.  Memory is that of a block.
+
+    ``factors`` (S,) multiply the weights; a source with 0 is not read.
+    """
     sums = _empty(n_groups, len(problem.unknowns), problem.weights)
     order = np.argsort(group, kind="stable")
+    if factors is not None:
+        order = order[factors[order] > 0.0]
     for part in _blocks(order):
         unknowns, objects, years, left = problem.sources(part)
+        if factors is not None and np.any(factors[part] != 1.0):
+            left = left.scaled(factors[part])
         rows, derivatives = unknowns.derivatives(objects, years)
         here = group[part]
         for one in np.unique(here):
@@ -135,6 +149,20 @@ def group_sums(problem: Problem, group: Indices, n_groups: int) -> NormalSums:
             sums.count[one] += left.count[piece].sum()
             sums.expected[one] += left.expected[piece].sum()
     return sums
+
+
+def source_discrepancies(problem: Problem, estimate: Array) -> tuple[Array, Array]:
+    """Return Q_i and n_i of each source at a solution, without keeping its sums; both (S,)."""
+    squares, count = np.zeros(len(problem.satellite)), np.zeros(len(problem.satellite))
+    for part in _blocks(np.arange(len(squares))):
+        unknowns, objects, years, left = problem.sources(part)
+        rows, derivatives = unknowns.derivatives(objects, years)
+        shift = np.tensordot(estimate, derivatives, axes=1)
+        at = np.ix_(range(len(part)), rows, rows)
+        squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", left.right[:, rows], shift)
+        squares[part] += np.einsum("rn,nrs,sn->n", shift, left.weight[at], shift)
+        count[part] = left.count
+    return np.maximum(squares, 0.0), count
 
 
 def _add(total: Array, matrix: Array, weight: Array, rows: tuple[int, ...]) -> None:
