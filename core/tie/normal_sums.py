@@ -109,7 +109,7 @@ class Problem:
 def source_sums(problem: Problem) -> NormalSums:
     """Return the sums of each source."""
     n, k = len(problem.satellite), len(problem.unknowns)
-    sums = _empty(n, k, problem.weights)
+    sums = _empty(n, k, problem.weights != "covariance")
     for part in _blocks(np.arange(n)):
         unknowns, objects, years, left = problem.sources(part)
         rows, derivatives = unknowns.derivatives(objects, years)
@@ -128,13 +128,14 @@ def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array |
 
     ``factors`` (S,) multiply the weights; a source with 0 is not read.
     """
-    sums = _empty(n_groups, len(problem.unknowns), problem.weights)
+    equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
+    sums = _empty(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
     order = np.argsort(group, kind="stable")
     if factors is not None:
         order = order[factors[order] > 0.0]
     for part in _blocks(order):
         unknowns, objects, years, left = problem.sources(part)
-        if factors is not None and np.any(factors[part] != 1.0):
+        if factors is not None and not equal:
             left = left.scaled(factors[part])
         rows, derivatives = unknowns.derivatives(objects, years)
         here = group[part]
@@ -180,14 +181,14 @@ def _blocks(order: Indices) -> Iterator[Indices]:
         yield order[start : start + BLOCK]
 
 
-def _empty(groups: int, k: int, weights: Weights) -> NormalSums:
+def _empty(groups: int, k: int, with_spread: bool) -> NormalSums:
     return NormalSums(
         normal=np.zeros((groups, k, k)),
         right=np.zeros((groups, k)),
         squares=np.zeros(groups),
         count=np.zeros(groups),
         expected=np.zeros(groups),
-        spread=None if weights == "covariance" else np.zeros((groups, k, k)),
+        spread=np.zeros((groups, k, k)) if with_spread else None,
     )
 
 

@@ -60,14 +60,15 @@ class SourceTable:
         member = np.zeros((n_cells, len(factors)))
         member[self.cells, np.arange(len(factors))] = 1.0
         weighted = member * factors
-        sums, spread = self.sums, self.sums.spread
+        sums = self.sums
+        optimal = sums.spread is None and np.all((factors == 0.0) | (factors == 1.0))
         return NormalSums(
             normal=np.tensordot(weighted, sums.normal, axes=1),
             right=weighted @ sums.right,
             squares=weighted @ sums.squares,
             count=(member * (factors > 0.0)) @ sums.count,
             expected=weighted @ sums.expected,
-            spread=None if spread is None else np.tensordot(member * factors**2, spread, axes=1),
+            spread=None if optimal else np.tensordot(member * factors**2, sums.right_covariance, axes=1),
         )
 
     def solve(self, factors: Array) -> Solution:
