@@ -42,6 +42,20 @@ class NormalSums:
             self.normal[part], self.right[part], self.squares[part], self.count[part], self.expected[part], spread
         )
 
+    def weighted(self, factors: Array) -> "NormalSums":
+        """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
+        used = factors > 0.0
+        one, f = self.taken(used), factors[used]
+        each = f[:, None, None]
+        return NormalSums(
+            one.normal * each,
+            one.right * f[:, None],
+            one.squares * f,
+            one.count,
+            one.expected * f,
+            one.right_covariance * each**2,
+        )
+
     @property
     def right_covariance(self) -> Array:
         """The covariance of b; shape (G, K, K)."""

@@ -227,7 +227,8 @@ class _Reader:
         if name is None:
             if "RArad" in self.table.colnames:
                 return np.full(len(self.table), hipparcos.EPOCH)
-            self.problems.append("no column ref_epoch; give the epoch of the positions")
+            if self._column("ra") is not None:
+                self.problems.append("no column ref_epoch; give the epoch of the positions")
             return np.full(len(self.table), np.nan)
         values = self._numbers(name)
         unit = str(self.table[name].unit)
