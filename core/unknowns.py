@@ -322,7 +322,9 @@ def _harmonics(
     try:
         first, last = (int(low), int(high)) if dash else (1, int(low))
     except ValueError:
-        raise ValueError(f"unknowns {name!r}: give a degree or a range of them, like vsh_motion:3, vsh_motion:2-3") from None
+        raise ValueError(
+            f"unknowns {name!r}: give a degree or a range of them, like vsh_motion:3, vsh_motion:2-3"
+        ) from None
     if not 1 <= first <= last <= HIGHEST_DEGREE:
         raise ValueError(f"unknowns {name!r}: degrees are from 1 to {HIGHEST_DEGREE}, the lower one first")
     covered = {("t", 1): rotation in beside, ("s", 1): glide in beside}
@@ -337,7 +339,9 @@ def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Arra
     if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0.0):
         raise ValueError(f"bins of {column}: the edges must be finite and increase")
     if column not in columns:
-        raise ValueError(f"bins: the satellite table has no numbers {column!r}; there are {', '.join(columns) or 'none'}")
+        raise ValueError(
+            f"bins: the satellite table has no numbers {column!r}; there are {', '.join(columns) or 'none'}"
+        )
     values = columns[column]
     if np.any(missing := ~np.isfinite(values)):
         raise ValueError(f"bins: {column} is missing in {np.count_nonzero(missing)} of {len(values)} matched sources")

@@ -52,7 +52,9 @@ class Eliminated:
         )
 
 
-def eliminate(found: Differences, source: Indices, covariance: Array, free: NDArray[np.bool_], weights: Weights = "covariance") -> Eliminated:
+def eliminate(
+    found: Differences, source: Indices, covariance: Array, free: NDArray[np.bool_], weights: Weights = "covariance"
+) -> Eliminated:
     """Return what is left of S sources.
 
     ``source`` (R,) is that of each row; ``covariance`` C (S, 5, 5) and ``free`` (S, 5), true for parameters without an

@@ -29,7 +29,9 @@ def with_new_rows(problem: Problem, epochs: Sequence[float], error: float) -> Pr
     values, errors = np.full((2, 5, n * times), np.nan)
     values[:2] = np.tile(problem.satellite.values[:2], times)
     errors[:2] = error
-    new = Astrometry(values, errors, np.repeat(np.asarray(epochs, dtype=np.float64), n), apparent=np.ones(n * times, dtype=bool))
+    new = Astrometry(
+        values, errors, np.repeat(np.asarray(epochs, dtype=np.float64), n), apparent=np.ones(n * times, dtype=bool)
+    )
     source = np.concatenate([problem.source, np.tile(np.arange(n), times)])
     return replace(problem, rows=joined(problem.rows, new), source=source)
 
@@ -110,9 +112,7 @@ def choose_exhaustively(now: NormalSums, new: NormalSums, number: int, goal: Goa
     if comb(len(now), number) > EXHAUSTIVE_LIMIT:
         raise ValueError(f"{comb(len(now), number)} sets of {number} of {len(now)} sources are too many to try all")
     gain, total = new.normal - now.normal, now.normal.sum(axis=0)
-    return min(
-        combinations(range(len(gain)), number), key=lambda one: goal.value(total + gain[list(one)].sum(axis=0))
-    )
+    return min(combinations(range(len(gain)), number), key=lambda one: goal.value(total + gain[list(one)].sum(axis=0)))
 
 
 def _regularised(normal: Array) -> float:

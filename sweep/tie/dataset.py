@@ -81,7 +81,6 @@ def as_dataset(link: "Link", options: Options) -> "xr.Dataset":
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
-
 def _add_sources(link: "Link", variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     setup, own = link.setup, link.setup.problem.satellite
     coordinates |= {

@@ -202,7 +202,9 @@ def _zero_motion(satellite: AstrometricTable) -> AstrometricTable:
     return AstrometricTable(ZERO_MOTION, "", rows, satellite.names)
 
 
-def _names(left: AstrometricTable, right: AstrometricTable, found: Match, sources: NDArray[np.int64]) -> NDArray[np.str_]:
+def _names(
+    left: AstrometricTable, right: AstrometricTable, found: Match, sources: NDArray[np.int64]
+) -> NDArray[np.str_]:
     """Return what sources are called: the satellite's first column of names, else the reference's, else numbers."""
     if left.names:
         return next(iter(left.names.values()))[sources]
@@ -232,7 +234,10 @@ def _unknowns(
         names = [name.strip() for name in text.split(",")]
         if options.degree < 1:
             raise SweepError(f"degree {options.degree}: it is at least 1")
-        for first, glide, harmonics in (("orientation", "position_glide", "vsh_position"), ("spin", "glide", "vsh_motion")):
+        for first, glide, harmonics in (
+            ("orientation", "position_glide", "vsh_position"),
+            ("spin", "glide", "vsh_motion"),
+        ):
             if first in names:
                 names += [glide] if glide not in names else []
                 names += [f"{harmonics}:2-{options.degree}"] if options.degree > 1 else []

@@ -31,7 +31,19 @@ VALUES: Mapping[str, tuple[str, ...]] = {
 }
 """Names under which a quantity is found, the first of them first; those of an error are made from them."""
 
-NAMES = ("name", "Name", "star", "source", "source_id", "designation", "psr_name", "HIP", "hip", "iers_name", "icrf_name")
+NAMES = (
+    "name",
+    "Name",
+    "star",
+    "source",
+    "source_id",
+    "designation",
+    "psr_name",
+    "HIP",
+    "hip",
+    "iers_name",
+    "icrf_name",
+)
 CORRELATIONS = tuple(f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr" for i, j in PAIRS)
 DEFAULT_UNITS = {"ra": "deg", "dec": "deg", "ref_epoch": "yr", "radial_velocity": "km/s"}
 EPOCHS = (1700.0, 2300.0)
@@ -105,7 +117,9 @@ class _Reader:
         for name, row in (("ra", values[0]), ("dec", values[1])):
             if self._column(name) is None and not np.any(np.isfinite(values[2:])):
                 self.problems.append(f"no column {name}; there are {self._listed()}")
-            self._check(np.isfinite(errors[PARAMETERS.index(name)]) & ~np.isfinite(row), f"an error but no value of {name}")
+            self._check(
+                np.isfinite(errors[PARAMETERS.index(name)]) & ~np.isfinite(row), f"an error but no value of {name}"
+            )
         self._check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
         self._check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
         if not self.options.pmra_cos_dec:
@@ -151,7 +165,9 @@ class _Reader:
     def _errors(self, quantity: str, dec: Array) -> Array:
         value = self._column(quantity)
         stem = [value, quantity] if value else [quantity]
-        candidates = [self.options.columns.get(f"{quantity}_error")] if f"{quantity}_error" in self.options.columns else []
+        candidates = (
+            [self.options.columns.get(f"{quantity}_error")] if f"{quantity}_error" in self.options.columns else []
+        )
         candidates += [form.format(s) for s in stem for form in ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")]
         name = next((c for c in candidates if c in self.table.colnames), None)
         if name is None:
@@ -185,7 +201,9 @@ class _Reader:
     def _sexagesimal(self, name: str, hours: bool) -> Array:
         found, bad = np.full(len(self.table), np.nan), []
         for i, text in enumerate(np.ma.filled(np.ma.asarray(self.table[name]).astype(str), "")):
-            parts = text.replace(":", " ").replace("h", " ").replace("d", " ").replace("m", " ").replace("s", " ").split()
+            parts = (
+                text.replace(":", " ").replace("h", " ").replace("d", " ").replace("m", " ").replace("s", " ").split()
+            )
             if not parts:
                 continue
             try:
@@ -234,7 +252,9 @@ class _Reader:
         unit = str(self.table[name].unit)
         if unit == "d" or (np.nanmin(values, initial=np.inf) > MJD_FROM and unit not in ("yr", "a")):
             values = 2000.0 + (values - 51544.5) / 365.25
-        self._check(~((values >= EPOCHS[0]) & (values <= EPOCHS[1])), f"a {name} that is neither a Julian year nor an MJD")
+        self._check(
+            ~((values >= EPOCHS[0]) & (values <= EPOCHS[1])), f"a {name} that is neither a Julian year nor an MJD"
+        )
         return values
 
     def _radial_velocity(self) -> Array | None:
