@@ -31,9 +31,7 @@ _TABLE_OPTIONS = [
     click.option(
         "--positions",
         type=click.Choice(["single-epoch", "mean"]),
-        default="single-epoch",
-        show_default=True,
-        help="Reference positions without parallax: displaced by it, or mean ones.",
+        help="Reference positions without parallax: displaced by it, or mean ones.  [default: as the table says, else single-epoch]",
     ),
     click.option(
         "--zero-errors",
@@ -197,7 +195,7 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
         return TableOptions(
             columns=columns[table],
             epoch=given[f"{table}_epoch"],
-            positions=given["positions"] if table == "reference" else "mean",
+            positions=given["positions"] if table == "reference" else None,
             zero_errors=given["zero_errors"],
             pmra_cos_dec=table not in given["without_cos_dec"],
         )

@@ -1,10 +1,11 @@
-"""Astrometric tables from files: Gaia archive, Hipparcos-2, ICRF text, and rows of VLBI or any other five parameters."""
+"""Astrometric tables from files: Gaia archive, Hipparcos-2, ICRF text, VLBI rows and others with such columns."""
 
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,13 +57,14 @@ class TableOptions:
     """How a table is read.
 
     ``columns``: the table's name for a quantity.  ``epoch`` (Julian year) is for a table without a column of epochs.
-    ``positions`` without parallax and motion: of a single epoch, displaced by the parallax, or mean ones.
+    ``positions`` without parallax and motion: of a single epoch, displaced by the parallax, or mean ones; by default
+    what the table's metadata say under ``positions``, else of a single epoch.
     ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
     epoch: float | None = None
-    positions: Positions = "single-epoch"
+    positions: Positions | None = None
     zero_errors: Zeros = "error"
     pmra_cos_dec: bool = True
 
@@ -78,8 +80,13 @@ class AstrometricTable:
 
 
 def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTable:
-    """Return the astrometry of a file; raises SweepError with all that is wrong and the rows (counted from 1)."""
+    """Return the astrometry of a file, or of a built-in table by name (icrf2, icrf3, psrpi ...).
+
+    A table whose metadata say ``extragalactic: true`` needs no epoch: its positions are those of any.  Raises
+    SweepError with all that is wrong and the rows (counted from 1).
+    """
     options = options or TableOptions()
+    path = built_in_table(path) or path
     if not path.is_file():
         raise SweepError("no such file", str(path))
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -89,6 +96,14 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     reader = _Reader(read_astropy_table(path), path, options)
     astrometry, names = reader.astrometry()
     return AstrometricTable(str(path), digest, astrometry, names)
+
+
+def built_in_table(path: Path) -> Path | None:
+    """Return the file of a built-in table, where its name is given and there is no such file."""
+    if path.suffix or len(path.parts) != 1 or path.exists():
+        return None
+    folder = Path(str(resources.files("sweeps") / "data"))
+    return next((file for file in sorted(folder.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
 
 
 class _Reader:
@@ -139,7 +154,7 @@ class _Reader:
             correlations=correlations,
             radial_velocity=self._radial_velocity(),
             columns=columns,
-            apparent=np.full(n, self.options.positions == "single-epoch"),
+            apparent=np.full(n, self._positions() == "single-epoch"),
         )
         try:
             kinds(found)
@@ -148,6 +163,12 @@ class _Reader:
         if self.problems:
             raise SweepError(self.problems, str(self.path))
         return found, self._names()
+
+    def _positions(self) -> str:
+        said = self.options.positions or self.table.meta.get("positions", "single-epoch")
+        if said not in get_args(Positions):
+            self.problems.append(f"positions {said!r}: they are {' or '.join(get_args(Positions))}")
+        return str(said)
 
     def _column(self, quantity: str) -> str | None:
         if quantity in self.options.columns:
@@ -243,6 +264,8 @@ class _Reader:
         if self.options.epoch is not None:
             return np.full(len(self.table), self.options.epoch)
         if name is None:
+            if self.table.meta.get("extragalactic") is True:
+                return np.full(len(self.table), np.nan)
             if "RArad" in self.table.colnames:
                 return np.full(len(self.table), hipparcos.EPOCH)
             if self._column("ra") is not None:
