@@ -24,6 +24,14 @@ HOUSE = {
             "noisy_design",
             "projected",
         ),
+        *("harmonics", "unknowns"),
+        *(
+            f"tie.{name}"
+            for name in (
+                *("astrometry", "motion", "differences", "elimination", "normal_sums", "uncertainty", "influence"),
+                *("clips", "sources", "releases", "forecast", "__init__"),
+            )
+        ),
         *("simulate", "parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
     ],
     "sweep.studies": [
@@ -67,9 +75,12 @@ HOUSE = {
     "sweep.search": [
         *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
     ],
+    "sweep.tie": [
+        *("icrf", "hipparcos", "tables", "matching", "setup", "spectrum", "solution", "dataset", "planning", "text"),
+    ],
     "sweep.cli": [
         *("group", "shell_completion", "options", "output", "signals", "log_options", "running", "rerun"),
-        *("store", "analysis", "plot", "paper", "report", "scaling", "studies", "match"),
+        *("store", "analysis", "plot", "paper", "report", "scaling", "studies", "match", "tie"),
     ],
 }
 ROOF = ["sweep.api", "sweep.__init__", "sweep.__main__"]
@@ -82,11 +93,12 @@ ONLY_IN = {
     "bokeh": {"sweep.report"},
     "jinja2": {"sweep.report"},
     "pydantic": {"sweep.studies"},
-    "astropy": {"sweep.tablefile", "sweep.analysis", "sweep.search"},
+    "astropy": {"sweep.tablefile", "sweep.analysis", "sweep.search", "sweep.tie"},
+    "erfa": {"core.tie.motion"},
     "pygaia": {"core.missions"},
 }
 # The platform knows nothing of astrometry; of the core, the experiment and what it is made of know the contract.
-KNOWS_THE_CORE = {"sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.search"}
+KNOWS_THE_CORE = {"sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.search", "sweep.tie"}
 KNOWS_THE_CONTRACT = {
     *("core.parameters", "core.scenario", "core.checks", "core.experiment"),
     *("core.function_curve", "core.user_mission", "core.expected_errors"),
@@ -95,7 +107,7 @@ KNOWS_THE_CONTRACT = {
 SEARCH_MAY_USE = {"sweep.contract", "sweep.tablefile"}
 KNOWS_THE_SEARCH = {"sweep.cli.match"}
 CORE_MAY_USE = {
-    *("numpy", "scipy", "pygaia"),
+    *("numpy", "scipy", "pygaia", "erfa"),
     *("dataclasses", "typing", "collections", "types", "functools", "itertools", "math"),
 }
 

@@ -1,0 +1,109 @@
+"""Five-parameter astrometry of many objects as measured, where anything but the position may be missing."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
+"""The two parameters of each correlation, in the order of the Gaia archive."""
+
+
+@dataclass(frozen=True)
+class Astrometry:
+    """N sets of (ra, dec, parallax, pmra, pmdec) with errors; NaN is a missing value.
+
+    ``values`` and ``errors`` (5, N) in rad and rad/yr (pmra is mu_alpha*, the error of ra that of alpha*);
+    ``correlations`` (10, N) in the order of `PAIRS`, or None for none; ``epoch`` (N,) in Julian years, NaN where the
+    position has none (an extragalactic source: it is that of any epoch); ``radial_velocity`` (N,) in km/s, NaN where
+    unknown; ``names`` (N,); ``columns`` are further numbers by name; ``apparent`` (N,) marks positions of a single
+    epoch, which the parallax displaces.
+    """
+
+    values: Array
+    errors: Array
+    epoch: Array
+    correlations: Array | None = None
+    radial_velocity: Array | None = None
+    names: NDArray[np.str_] | None = None
+    columns: Mapping[str, Array] = field(default_factory=dict)
+    apparent: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return self.values.shape[1]
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """Which parameters have a value with an error; shape (5, N)."""
+        return np.isfinite(self.values) & np.isfinite(self.errors)
+
+    def taken(self, part: Indices | slice | NDArray[np.bool_]) -> "Astrometry":
+        """Return some of the objects."""
+
+        def of(array: Array | None) -> Array | None:
+            return None if array is None else array[..., part]
+
+        return replace(
+            self,
+            values=self.values[:, part],
+            errors=self.errors[:, part],
+            epoch=self.epoch[part],
+            correlations=of(self.correlations),
+            radial_velocity=of(self.radial_velocity),
+            names=None if self.names is None else self.names[part],
+            columns={name: column[part] for name, column in self.columns.items()},
+            apparent=None if self.apparent is None else self.apparent[part],
+        )
+
+    def covariance(self) -> Array:
+        """Return the covariance of the five parameters, zero where one is missing; shape (N, 5, 5)."""
+        sigma = np.where(self.present, self.errors, 0.0).T
+        found = np.zeros((len(self), 5, 5))
+        found[:, range(5), range(5)] = sigma**2
+        if self.correlations is not None:
+            for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
+                found[:, i, j] = found[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
+        return found
+
+
+KINDS = {
+    (True, True, True): "five-parameter",
+    (False, True, True): "three-parameter",
+    (False, False, True): "motion",
+    (True, False, False): "position",
+    (True, False, True): "position and motion",
+    (True, True, False): "position and parallax",
+    (False, True, False): "parallax",
+    (False, False, False): "nothing",
+}
+"""Names of the kinds of rows by what is present: position, parallax, motion."""
+
+
+def kinds(rows: Astrometry) -> NDArray[np.str_]:
+    """Return the kind of each row, which follows from what is present; shape (N,).
+
+    A position alone is of a "single epoch" where it is marked so.  Raises ValueError where only one coordinate of a
+    position or of a motion is present.
+    """
+    present = rows.present
+    for pair, what in (((0, 1), "position"), ((3, 4), "motion")):
+        half = np.flatnonzero(present[pair[0]] != present[pair[1]])
+        if len(half):
+            raise ValueError(f"only one coordinate of the {what} has a value and an error in {named_rows(half)}")
+    position, parallax, motion = present[0], present[2], present[3]
+    found = np.empty(len(rows), dtype="U24")
+    for (a, b, c), name in KINDS.items():
+        found[(position == a) & (parallax == b) & (motion == c)] = name
+    if rows.apparent is not None:
+        found[(found == "position") & rows.apparent] = "single epoch"
+    return found
+
+
+def named_rows(rows: Indices) -> str:
+    """Return rows counted from 1, at most five of them."""
+    more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
+    return f"row {', '.join(str(row + 1) for row in rows[:5])}{more}"

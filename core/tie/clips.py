@@ -1,0 +1,224 @@
+"""Outliers: sources left out before or during the solution, or given less weight."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from core.constants import MAS
+from core.link import LinkError
+from core.tie.differences import differences
+from core.tie.normal_sums import BLOCK, Problem, Solution
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+SEPARATION_LIMIT = 10.0 * MAS
+"""Of a radio-optical counterpart.  Source: Mignard et al. 2018, A&A 616, A14."""
+
+MEDIAN_RAYLEIGH = np.sqrt(2.0 * np.log(2.0))
+ITERATIONS = 200
+TRAJECTORY = 300
+"""As many steps of a clip one by one are kept."""
+
+SIGNIFICANCE = 0.01
+"""Chance that the clip `discrepancy` drops any source of good data at its first step."""
+
+KNOWN = "none, rayleigh, median:K, discrepancy, discrepancy:N, huber:C"
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A treatment of outliers and its number: the factor k or c, the number of sources to drop, or None."""
+
+    kind: str = "none"
+    number: float | None = None
+
+    def __str__(self) -> str:
+        return self.kind if self.number is None else f"{self.kind}:{self.number:g}"
+
+
+def parse_clip(text: str) -> Clip:
+    """Return the clip of a text like median:5; raises ValueError that says what is known."""
+    kind, colon, number = text.strip().partition(":")
+    needs = {"none": False, "rayleigh": False, "median": True, "huber": True, "discrepancy": bool(colon)}
+    try:
+        value = float(number) if colon else None
+    except ValueError:
+        value = np.nan
+    if kind not in needs or needs[kind] != bool(colon) or (value is not None and not 0.0 < value < np.inf):
+        raise ValueError(f"clip {text!r} is not known; known are {KNOWN}, with numbers above 0")
+    if kind == "discrepancy" and value is not None and value != round(value):
+        raise ValueError(f"clip {text!r}: the number of sources to drop is a whole one")
+    return Clip(kind, value)
+
+
+@dataclass(frozen=True)
+class Sources:
+    """How sources are solved and compared, whatever keeps their sums.
+
+    ``solve`` of factors of their weights (S,), zero for one left out; ``discrepancies`` Q_i of a solution (S,);
+    ``count`` n_i (S,), zero for a source without observations.
+    """
+
+    solve: Callable[[Array], Solution]
+    discrepancies: Callable[[Array], Array]
+    count: Array
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """Factors of the weights (S,), the solution with them, and the steps: which source was dropped (-1 at the start)
+    and the solution after it.  ``chosen`` is the step of the solution; ``notes`` are for people.
+    """
+
+    factors: Array
+    solution: Solution
+    dropped: list[int] = field(default_factory=list)
+    trajectory: list[Solution] = field(default_factory=list)
+    chosen: int = 0
+    notes: list[str] = field(default_factory=list)
+
+
+def clipped(clip: Clip, sources: Sources, separations: Callable[[], tuple[Array, Array]]) -> Clipped:
+    """Solve with a clip.  ``separations`` returns normalised and plain separations of each source, as `separation`."""
+    if clip.kind == "rayleigh":
+        return _rayleigh(sources, separations)
+    if clip.kind == "median":
+        return _median(sources, float(clip.number or 0.0))
+    if clip.kind == "huber":
+        return _huber(sources, float(clip.number or 0.0))
+    if clip.kind == "discrepancy":
+        return _one_by_one(sources, None if clip.number is None else int(clip.number))
+    factors = np.ones(len(sources.count))
+    return Clipped(factors, sources.solve(factors))
+
+
+def separation(problem: Problem) -> tuple[Array, Array]:
+    """Return the normalised separation X of each source and its separation (rad); shape (S,).
+
+    X^2 = d' D^-1 d of the two differences d of position, or of motion where a row has no position (the separation is
+    0 then); the largest of a source's rows.  It follows a Rayleigh distribution where the errors are right.  A row
+    whose difference depends on a parameter that the satellite lacks counts as 0.
+    """
+    n = len(problem.satellite)
+    normalised, plain = np.zeros(n), np.zeros(n)
+    for start in range(0, len(problem.rows), BLOCK):
+        rows = slice(start, start + BLOCK)
+        source = problem.source[rows]
+        own = problem.satellite.taken(source)
+        found = differences(own, problem.rows.taken(rows), np.arange(len(source)), problem.taken_out(own))
+        whole = found.covariance + found.partials @ own.covariance() @ found.partials.swapaxes(1, 2)
+        free = np.einsum("rij,rj->ri", np.abs(found.partials), (~own.present.T).astype(np.float64)) > 0.0
+        use_motion = ~found.present[:, 0]
+        for pair, chosen in (((0, 1), ~use_motion), ((3, 4), use_motion)):
+            usable = chosen & found.present[:, pair].all(axis=1) & ~free[:, pair].any(axis=1)
+            at = np.flatnonzero(usable)
+            d = found.values[at][:, pair]
+            square = np.einsum("ri,ri->r", d, np.linalg.solve(whole[at][:, pair][:, :, pair], d[..., None])[..., 0])
+            np.maximum.at(normalised, source[at], np.sqrt(square))
+            if pair == (0, 1):
+                np.maximum.at(plain, source[at], np.hypot(*d.T))
+    return normalised, plain
+
+
+def _rayleigh(sources: Sources, separations: Callable[[], tuple[Array, Array]]) -> Clipped:
+    normalised, plain = separations()
+    used = sources.count > 0
+    limit = np.sqrt(2.0 * np.log(max(int(np.sum(used)), 2)))
+    factors = np.where(used & (normalised <= limit) & (plain < SEPARATION_LIMIT), 1.0, 0.0)
+    notes = []
+    median = float(np.median(normalised[used]))
+    robust = _median(sources, 5.0)
+    kept = robust.factors > 0.0
+    after = np.sqrt(2.0 * sources.discrepancies(robust.solution.estimate)[kept] / sources.count[kept])
+    if median > 1.5 * MEDIAN_RAYLEIGH and np.median(after) < 0.75 * median:
+        notes.append(
+            f"the frames differ by more than the errors (median X is {median:.3g} before the fit and "
+            f"{np.median(after):.3g} after it; it is {MEDIAN_RAYLEIGH:.2f} for errors alone), so a clip before the fit "
+            "drops good sources: use median or discrepancy"
+        )
+    try:
+        solution = sources.solve(factors)
+    except LinkError as error:
+        raise LinkError("; ".join([f"after the clip rayleigh {error}", *notes])) from None
+    return Clipped(factors, solution, notes=notes)
+
+
+def _median(sources: Sources, k: float) -> Clipped:
+    used = sources.count > 0
+    factors = used.astype(np.float64)
+    solution = sources.solve(factors)
+    trajectory = [solution]
+    seen = {factors.tobytes()}
+    notes = []
+    for _ in range(ITERATIONS):
+        residual = np.zeros(len(factors))
+        residual[used] = np.sqrt(sources.discrepancies(solution.estimate)[used] / sources.count[used])
+        new = np.where(used & (residual <= k * np.median(residual[used])), 1.0, 0.0)
+        if np.array_equal(new, factors):
+            break
+        factors = new
+        solution = sources.solve(factors)
+        trajectory.append(solution)
+        if factors.tobytes() in seen:
+            notes.append("the clip median returned to an earlier selection of sources and was ended there")
+            break
+        seen.add(factors.tobytes())
+    return Clipped(factors, solution, [-1] * len(trajectory), trajectory, len(trajectory) - 1, notes)
+
+
+def _huber(sources: Sources, c: float) -> Clipped:
+    used = sources.count > 0
+    factors = used.astype(np.float64)
+    solution = sources.solve(factors)
+    notes = []
+    for _ in range(ITERATIONS):
+        residual = np.full(len(factors), np.inf)
+        residual[used] = np.sqrt(sources.discrepancies(solution.estimate)[used] / sources.count[used])
+        new = np.where(used, np.minimum(1.0, c / np.maximum(residual, 1e-300)), 0.0)
+        if np.max(np.abs(new - factors)) < 1e-12:
+            break
+        factors = new
+        solution = sources.solve(factors)
+    else:
+        notes.append(f"the weights of the clip huber still changed after {ITERATIONS} iterations")
+    return Clipped(factors, solution, notes=notes)
+
+
+def _one_by_one(sources: Sources, number: int | None) -> Clipped:
+    """Drop the source with the largest Q_i/n_i, solve again, and so on.
+
+    The trajectory goes on beyond the step that is chosen: after ``number`` sources, or the first at which the largest
+    Q_i is not significant among so many.
+    """
+    used = sources.count > 0
+    factors = used.astype(np.float64)
+    dropped, trajectory = [-1], [sources.solve(factors)]
+    chosen = number
+    while len(trajectory) <= max(TRAJECTORY, number or 0) and factors.sum() > 1:
+        squares = sources.discrepancies(trajectory[-1].estimate)
+        ratio = np.where(factors > 0.0, squares / np.maximum(sources.count, 1.0), -1.0)
+        worst = int(np.argmax(ratio))
+        if chosen is None and chi2.sf(squares[worst], sources.count[worst]) * factors.sum() > SIGNIFICANCE:
+            chosen = len(trajectory) - 1
+        factors[worst] = 0.0
+        try:
+            solution = sources.solve(factors)
+        except LinkError:
+            break
+        if solution.dof <= 0:
+            break
+        dropped.append(worst)
+        trajectory.append(solution)
+    notes = []
+    if chosen is None or chosen >= len(trajectory):
+        if number is not None:
+            raise LinkError(f"clip discrepancy:{number}: only {len(trajectory) - 1} sources can be dropped")
+        chosen = len(trajectory) - 1
+        notes.append("the largest discrepancy is significant however many sources are dropped: errors are too small")
+    kept = used.astype(np.float64)
+    kept[dropped[1 : chosen + 1]] = 0.0
+    return Clipped(kept, trajectory[chosen], dropped, trajectory, chosen, notes)

@@ -1,0 +1,188 @@
+"""The five parameters of each source eliminated from its rows: weight matrices of what is left for the unknowns.
+
+With f the differences of a source's rows, M their derivatives by its five parameters, V the rows' covariance and C that
+of the satellite, the covariance of f is D = V + M C M'.  The elimination leaves W = M' D^-1 M, w = M' D^-1 f and
+yy = f' D^-1 f, which with J = M' V^-1 M and g = M' V^-1 f are (I + J C)^-1 J, (I + J C)^-1 g and
+sum f' V^-1 f - g' C w.  This form needs neither C nor V nor J to be invertible: only a difference must have an error.
+A parameter that the satellite lacks is free: it is eliminated from W as an unknown of its source.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.constants import MAS
+from core.link import LinkError
+from core.tie.astrometry import Indices
+from core.tie.differences import Differences
+
+Array = NDArray[np.float64]
+Weights = Literal["covariance", "variance", "equal"]
+
+UNDETERMINED = 1e-12
+"""Eigenvalue of a scaled 5 x 5 matrix below which a free parameter is not determined by the rows."""
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """S sources: W (S, 5, 5), w (S, 5), yy (S,), the number of observations less that of free parameters (S,), what yy
+    is on average (S,), and M' G D G' M of other weights than the best (S, 5, 5), which is W for the best.
+    """
+
+    weight: Array
+    right: Array
+    squares: Array
+    count: Array
+    expected: Array
+    spread: Array
+
+    def scaled(self, factors: Array) -> "Eliminated":
+        """Return the same with the weight of each source multiplied by a factor (S,)."""
+        each = factors[:, None, None]
+        return Eliminated(
+            self.weight * each,
+            self.right * factors[:, None],
+            self.squares * factors,
+            self.count,
+            self.expected * factors,
+            self.spread * each**2,
+        )
+
+
+def eliminate(
+    found: Differences, source: Indices, covariance: Array, free: NDArray[np.bool_], weights: Weights = "covariance"
+) -> Eliminated:
+    """Return what is left of S sources.
+
+    ``source`` (R,) is that of each row; ``covariance`` C (S, 5, 5) and ``free`` (S, 5), true for parameters without an
+    error, whose rows and columns in C are zero.  Weights are those of the covariance D, of its diagonal, or equal (an
+    error of 1 mas and 1 mas/yr in each difference).  Raises LinkError where differences of a source have no error.
+    """
+    n_sources = len(covariance)
+    result = Eliminated(
+        weight=np.zeros((n_sources, 5, 5)),
+        right=np.zeros((n_sources, 5)),
+        squares=np.zeros(n_sources),
+        count=np.zeros(n_sources),
+        expected=np.zeros(n_sources),
+        spread=np.zeros((n_sources, 5, 5)),
+    )
+    for sources, rows in _alike(found.present, source, n_sources):
+        _observed(result, found, covariance, sources, rows, weights)
+    if weights == "covariance":
+        result.spread[:] = result.weight
+    for sources, columns in _alike_free(free):
+        _free(result, sources, columns)
+    return result
+
+
+def _alike(present: NDArray[np.bool_], source: Indices, n_sources: int) -> Iterator[tuple[Indices, Indices]]:
+    """Yield sources with equally many rows and, where it is one, the same kind; and their rows (sources, rows each)."""
+    order = np.argsort(source, kind="stable")
+    n_rows = np.bincount(source, minlength=n_sources)
+    first = np.cumsum(n_rows) - n_rows
+    key = 32 * n_rows.astype(np.int64)
+    single = np.flatnonzero(n_rows == 1)
+    key[single] += present[order[first[single]]] @ (1 << np.arange(5))
+    for one in np.unique(key[n_rows > 0]):
+        sources = np.flatnonzero(key == one)
+        yield sources, order[first[sources][:, None] + np.arange(n_rows[sources[0]])]
+
+
+def _observed(
+    result: Eliminated, found: Differences, covariance: Array, sources: Indices, rows: Indices, weights: Weights
+) -> None:
+    """Fill in W, w, yy of sources that are alike; what a row lacks has no derivatives and no difference."""
+    n, n_rows = rows.shape
+    size = 5 * n_rows
+    present = found.present[rows].reshape(n, size)
+    used = np.flatnonzero(present.any(axis=0))
+    if not len(used):
+        return
+    own = covariance[sources]
+    partials = found.partials[rows].reshape(n, size, 5)[:, used]
+    values = found.values[rows].reshape(n, size)[:, used]
+    present = present[:, used]
+    whole = partials @ own @ partials.swapaxes(1, 2)
+    for row in range(n_rows):
+        here = np.flatnonzero(used // 5 == row)
+        inside = used[here] % 5
+        whole[:, here[:, None], here] += found.covariance[rows[:, row]][:, inside[:, None], inside]
+    diagonal = range(len(used))
+    whole[:, diagonal, diagonal] += np.where(present, 0.0, MAS**2)
+    variance = whole[:, diagonal, diagonal]
+    if np.any(variance <= 0.0):
+        raise LinkError(f"source {sources[np.argwhere(variance <= 0.0)[0][0]]} has a difference without any error")
+
+    both = np.concatenate([partials, values[..., None]], axis=2)
+    if weights == "covariance":
+        weighted = _solved(whole, variance, both, sources)
+        trace = np.sum(present, axis=1)
+    else:
+        own_variance = variance if weights == "variance" else np.full_like(variance, MAS**2)
+        weighted = both / own_variance[..., None]
+        trace = np.sum(np.where(present, variance / own_variance, 0.0), axis=1)
+        result.spread[sources] = weighted[..., :5].swapaxes(1, 2) @ whole @ weighted[..., :5]
+    products = both.swapaxes(1, 2) @ weighted
+    weight = products[:, :5, :5]
+    result.weight[sources] = 0.5 * (weight + weight.swapaxes(1, 2))
+    result.right[sources] = products[:, :5, 5]
+    result.squares[sources] = products[:, 5, 5]
+    result.count[sources] = np.sum(present, axis=1)
+    result.expected[sources] = trace
+
+
+def _solved(whole: Array, variance: Array, right: Array, sources: Indices) -> Array:
+    """Return D^-1 times the right-hand sides, D scaled to a diagonal of 1."""
+    scale = 1.0 / np.sqrt(variance)
+    scaled = whole * scale[:, :, None] * scale[:, None, :]
+    right = right * scale[..., None]
+    if scaled.shape[1] <= 2:  # in closed form, for millions of sources
+        cross = scaled[:, 0, -1] if scaled.shape[1] == 2 else np.zeros(len(scaled))
+        determinant = (1.0 - cross) * (1.0 + cross)
+        _require_regular(determinant > UNDETERMINED, sources)
+        found = (right - cross[:, None, None] * right[:, ::-1]) / determinant[:, None, None]
+    else:
+        _require_regular(np.linalg.eigvalsh(scaled)[:, 0] > UNDETERMINED / 1e3, sources)
+        found = np.linalg.solve(scaled, right)
+    return np.asarray(found * scale[..., None])
+
+
+def _require_regular(good: NDArray[np.bool_], sources: Indices) -> None:
+    if not np.all(good):
+        raise LinkError(
+            f"the differences of source {sources[np.flatnonzero(~good)[0]]} have a combination without any error"
+        )
+
+
+def _alike_free(free: NDArray[np.bool_]) -> Iterator[tuple[Indices, Indices]]:
+    code = free @ (1 << np.arange(5))
+    for one in np.unique(code[code > 0]):
+        sources = np.flatnonzero(code == one)
+        yield sources, np.flatnonzero(free[sources[0]])
+
+
+def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
+    """Eliminate parameters without an error of the satellite, as far as the rows determine them."""
+    weight = result.weight[sources]
+    block = weight[:, columns[:, None], columns]
+    diagonal = np.einsum("nkk->nk", block)
+    scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
+    values, vectors = np.linalg.eigh(block * scale[:, :, None] * scale[:, None, :])
+    seen = values > UNDETERMINED
+    inverse = (vectors * np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
+    inverse *= scale[:, :, None] * scale[:, None, :]
+
+    keep = np.tile(np.eye(5), (len(sources), 1, 1))  # w of the free solution is keep @ w
+    keep[:, :, columns] -= weight[:, :, columns] @ inverse
+    keep[:, columns, :] = 0.0
+    right, spread = result.right[sources], result.spread[sources]
+    result.squares[sources] -= np.einsum("nk,nkl,nl->n", right[:, columns], inverse, right[:, columns])
+    result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
+    result.count[sources] -= np.sum(seen, axis=1)
+    result.weight[sources] = keep @ weight @ keep.swapaxes(1, 2)
+    result.right[sources] = np.einsum("nij,nj->ni", keep, right)
+    result.spread[sources] = keep @ spread @ keep.swapaxes(1, 2)

@@ -1,0 +1,121 @@
+"""What further observations do to the errors of a link, and which sources to observe."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.link import LinkError
+from core.tie.astrometry import Astrometry
+from core.tie.normal_sums import NormalSums, Problem, inverted
+from core.unknowns import Unknowns
+
+Array = NDArray[np.float64]
+Criterion = Literal["A", "D"]
+
+EXHAUSTIVE_LIMIT = 200_000
+
+
+def with_new_rows(problem: Problem, epochs: Sequence[float], error: float) -> Problem:
+    """Return the problem with a position of a single epoch added to each source at each of ``epochs``.
+
+    ``error`` (rad) is that of each coordinate.  The new rows have the satellite's position, so they serve forecasts,
+    which do not depend on measured values.
+    """
+    n, times = len(problem.satellite), len(epochs)
+    values, errors = np.full((2, 5, n * times), np.nan)
+    values[:2] = np.tile(problem.satellite.values[:2], times)
+    errors[:2] = error
+    new = Astrometry(
+        values, errors, np.repeat(np.asarray(epochs, dtype=np.float64), n), apparent=np.ones(n * times, dtype=bool)
+    )
+    source = np.concatenate([problem.source, np.tile(np.arange(n), times)])
+    return replace(problem, rows=joined(problem.rows, new), source=source)
+
+
+def joined(first: Astrometry, second: Astrometry) -> Astrometry:
+    """Return the rows of two tables as one, without names and further columns."""
+
+    def correlations(table: Astrometry) -> Array:
+        return np.zeros((10, len(table))) if table.correlations is None else table.correlations
+
+    def apparent(table: Astrometry) -> NDArray[np.bool_]:
+        return np.zeros(len(table), dtype=bool) if table.apparent is None else table.apparent
+
+    return Astrometry(
+        values=np.concatenate([first.values, second.values], axis=1),
+        errors=np.concatenate([first.errors, second.errors], axis=1),
+        epoch=np.concatenate([first.epoch, second.epoch]),
+        correlations=np.concatenate([correlations(first), correlations(second)], axis=1),
+        apparent=np.concatenate([apparent(first), apparent(second)]),
+    )
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is to be small: the trace (A) or the log determinant (D) of the covariance of some unknowns."""
+
+    unknowns: Unknowns
+    blocks: tuple[str, ...]
+    criterion: Criterion = "A"
+
+    @property
+    def parts(self) -> NDArray[np.int64]:
+        """Places of the unknowns of the blocks, which are all of them if none is named (D_s otherwise)."""
+        names = self.blocks or self.unknowns.names
+        return np.concatenate([np.arange(len(self.unknowns))[self.unknowns.part(name)] for name in names])
+
+    def value(self, normal: Array) -> float:
+        """Return the criterion of a normal matrix (K, K); infinite where it does not determine the unknowns."""
+        try:
+            covariance = inverted(normal)[np.ix_(self.parts, self.parts)]
+        except LinkError:
+            return np.inf
+        return float(np.trace(covariance) if self.criterion == "A" else np.linalg.slogdet(covariance)[1])
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Sources in the order in which they are chosen, and the normal matrices (n + 1, K, K) before and after each."""
+
+    sources: tuple[int, ...]
+    normals: Array
+
+
+def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> Choice:
+    """Return the sources to observe, the best first, then the best beside it, and so on.
+
+    ``now`` and ``new`` are the sums of each source without and with the new rows.  While no single one determines the
+    unknowns, that is taken which adds most to the smallest eigenvalues.
+    """
+    gain = new.normal - now.normal
+    normals = [now.normal.sum(axis=0)]
+    chosen: list[int] = []
+    for _ in range(min(number, len(gain))):
+        left = [i for i in range(len(gain)) if i not in chosen]
+        values = [goal.value(normals[-1] + gain[i]) for i in left]
+        if not np.any(np.isfinite(values)):
+            values = [-_regularised(normals[-1] + gain[i]) for i in left]
+        best = left[int(np.argmin(values))]
+        chosen.append(best)
+        normals.append(normals[-1] + gain[best])
+    return Choice(tuple(chosen), np.array(normals))
+
+
+def choose_exhaustively(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[int, ...]:
+    """Return the best set of so many sources, all sets tried; raises ValueError where there are too many sets."""
+    from math import comb
+
+    if comb(len(now), number) > EXHAUSTIVE_LIMIT:
+        raise ValueError(f"{comb(len(now), number)} sets of {number} of {len(now)} sources are too many to try all")
+    gain, total = new.normal - now.normal, now.normal.sum(axis=0)
+    return min(combinations(range(len(gain)), number), key=lambda one: goal.value(total + gain[list(one)].sum(axis=0)))
+
+
+def _regularised(normal: Array) -> float:
+    """Return a determinant that a singular matrix has too: relative to its trace."""
+    size = np.trace(normal) / len(normal)
+    return float(np.linalg.slogdet(normal / size + 1e-9 * np.eye(len(normal)))[1]) if size > 0.0 else -np.inf

@@ -1,0 +1,275 @@
+"""Normal equations of the unknowns, kept for each source or for groups of sources, and their solution."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.link import SMALLEST_EIGENVALUE, LinkError
+from core.tie.astrometry import Astrometry, Indices
+from core.tie.differences import differences
+from core.tie.elimination import Eliminated, Weights, eliminate
+from core.unknowns import Objects, Unknowns
+
+Array = NDArray[np.float64]
+
+BLOCK = 16384
+"""Sources at a time: bounds the memory beyond the tables."""
+
+
+@dataclass(frozen=True)
+class NormalSums:
+    """Sums of G sources or groups: N (G, K, K), b (G, K), yy (G,), numbers of observations n (G,), the averages of yy
+    (G,), and the covariance of b (G, K, K), None where it is N because the weights are the best.
+    """
+
+    normal: Array
+    right: Array
+    squares: Array
+    count: Array
+    expected: Array
+    spread: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.right)
+
+    def taken(self, part: NDArray[np.bool_] | Indices) -> "NormalSums":
+        """Return the sums of some sources."""
+        spread = None if self.spread is None else self.spread[part]
+        return NormalSums(
+            self.normal[part], self.right[part], self.squares[part], self.count[part], self.expected[part], spread
+        )
+
+    def weighted(self, factors: Array) -> "NormalSums":
+        """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
+        used = factors > 0.0
+        one, f = self.taken(used), factors[used]
+        each = f[:, None, None]
+        return NormalSums(
+            one.normal * each,
+            one.right * f[:, None],
+            one.squares * f,
+            one.count,
+            one.expected * f,
+            one.right_covariance * each**2,
+        )
+
+    @property
+    def right_covariance(self) -> Array:
+        """The covariance of b; shape (G, K, K)."""
+        return self.normal if self.spread is None else self.spread
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The tables of a link and what is asked of them.
+
+    ``source`` (R,) is the satellite's source of each row of the reference.  ``epoch`` (Julian years) is that of the
+    unknowns.  ``known`` holds values of a block's unknowns to be taken out before, with the block.
+    """
+
+    satellite: Astrometry
+    rows: Astrometry
+    source: Indices
+    unknowns: Unknowns
+    epoch: float
+    weights: Weights = "covariance"
+    known: tuple[Unknowns, Array] | None = None
+
+    def sources(self, part: Indices) -> tuple[Unknowns, Objects, Array, Eliminated]:
+        """Return the objects, years and eliminated rows of some sources."""
+        own = self.satellite.taken(part)
+        rows_of = self._rows_of(part)
+        rows = self.rows.taken(rows_of)
+        place = np.full(len(self.satellite), -1)
+        place[part] = np.arange(len(part))
+        source = place[self.source[rows_of]]
+        objects, years = self.objects(own)
+        found = differences(own, rows, source, self.taken_out(own))
+        try:
+            left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
+        except LinkError as error:
+            raise LinkError(_named(str(error), own, part)) from None
+        return self.unknowns, objects, years, left
+
+    def objects(self, own: Astrometry) -> tuple[Objects, Array]:
+        """Return what derivatives depend on, and the epoch of each source minus that of the unknowns."""
+        objects = Objects(own.values[0], own.values[1], *np.nan_to_num(own.values[3:]), columns=own.columns)
+        return objects, np.where(np.isfinite(own.epoch), own.epoch - self.epoch, 0.0)
+
+    def taken_out(self, own: Astrometry) -> Array | None:
+        """Return what the known unknowns do to the parameters of sources; shape (5, S)."""
+        if self.known is None:
+            return None
+        known, values = self.known
+        return np.einsum("nik,k->in", known.matrix(*self.objects(own)), values)
+
+    @cached_property
+    def _order(self) -> tuple[Indices, Indices]:
+        """Rows sorted by source, and where those of each source begin."""
+        n_rows = np.bincount(self.source, minlength=len(self.satellite))
+        return np.argsort(self.source, kind="stable"), np.concatenate([[0], np.cumsum(n_rows)])
+
+    def _rows_of(self, part: Indices) -> Indices:
+        order, first = self._order
+        counts = first[part + 1] - first[part]
+        ends = np.cumsum(counts)
+        inside = np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts, counts)
+        return np.asarray(order[np.repeat(first[part], counts) + inside])
+
+
+def source_sums(problem: Problem) -> NormalSums:
+    """Return the sums of each source."""
+    n, k = len(problem.satellite), len(problem.unknowns)
+    sums = _empty(n, k, problem.weights != "covariance")
+    for part in _blocks(np.arange(n)):
+        unknowns, objects, years, left = problem.sources(part)
+        rows, derivatives = unknowns.derivatives(objects, years)
+        at = np.ix_(range(len(part)), rows, rows)
+        matrix = np.moveaxis(derivatives, -1, 0)  # (n, K, rows)
+        sums.normal[part] = matrix @ left.weight[at] @ matrix.swapaxes(1, 2)
+        if sums.spread is not None:
+            sums.spread[part] = matrix @ left.spread[at] @ matrix.swapaxes(1, 2)
+        sums.right[part] = np.einsum("nkr,nr->nk", matrix, left.right[:, rows])
+        sums.squares[part], sums.count[part], sums.expected[part] = left.squares, left.count, left.expected
+    return sums
+
+
+def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array | None = None) -> NormalSums:
+    """Return the sums of each group of sources; ``group`` (S,) counts from 0.  Memory is that of a block.
+
+    ``factors`` (S,) multiply the weights; a source with 0 is not read.
+    """
+    equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
+    sums = _empty(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
+    order = np.argsort(group, kind="stable")
+    if factors is not None:
+        order = order[factors[order] > 0.0]
+    for part in _blocks(order):
+        unknowns, objects, years, left = problem.sources(part)
+        if factors is not None and not equal:
+            left = left.scaled(factors[part])
+        rows, derivatives = unknowns.derivatives(objects, years)
+        here = group[part]
+        for one in np.unique(here):
+            piece = slice(*np.searchsorted(here, [one, one + 1]))
+            matrix = derivatives[..., piece]
+            _add(sums.normal[one], matrix, left.weight[piece], rows)
+            if sums.spread is not None:
+                _add(sums.spread[one], matrix, left.spread[piece], rows)
+            sums.right[one] += np.einsum("krn,nr->k", matrix, left.right[piece][:, rows], optimize=True)
+            sums.squares[one] += left.squares[piece].sum()
+            sums.count[one] += left.count[piece].sum()
+            sums.expected[one] += left.expected[piece].sum()
+    return sums
+
+
+def source_discrepancies(problem: Problem, estimate: Array) -> tuple[Array, Array]:
+    """Return Q_i and n_i of each source at a solution, without keeping its sums; both (S,)."""
+    squares, count = np.zeros(len(problem.satellite)), np.zeros(len(problem.satellite))
+    for part in _blocks(np.arange(len(squares))):
+        unknowns, objects, years, left = problem.sources(part)
+        rows, derivatives = unknowns.derivatives(objects, years)
+        shift = np.tensordot(estimate, derivatives, axes=1)
+        at = np.ix_(range(len(part)), rows, rows)
+        squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", left.right[:, rows], shift)
+        squares[part] += np.einsum("rn,nrs,sn->n", shift, left.weight[at], shift)
+        count[part] = left.count
+    return np.maximum(squares, 0.0), count
+
+
+def _add(total: Array, matrix: Array, weight: Array, rows: tuple[int, ...]) -> None:
+    """Add K' W K of sources; ``matrix`` (K, rows, n), ``weight`` (n, 5, 5)."""
+    weighted = np.zeros_like(matrix)
+    for i, row in enumerate(rows):
+        for j, other in enumerate(rows):
+            if np.any(element := weight[:, row, other]):
+                weighted[:, i] += element * matrix[:, j]
+    total += matrix.reshape(len(total), -1) @ weighted.reshape(len(total), -1).T
+
+
+def _blocks(order: Indices) -> Iterator[Indices]:
+    for start in range(0, len(order), BLOCK):
+        yield order[start : start + BLOCK]
+
+
+def _empty(groups: int, k: int, with_spread: bool) -> NormalSums:
+    return NormalSums(
+        normal=np.zeros((groups, k, k)),
+        right=np.zeros((groups, k)),
+        squares=np.zeros(groups),
+        count=np.zeros(groups),
+        expected=np.zeros(groups),
+        spread=np.zeros((groups, k, k)) if with_spread else None,
+    )
+
+
+def _named(message: str, own: Astrometry, part: Indices) -> str:
+    """Replace the number of a source within a block by its name, or its number in the table."""
+    words = message.split()
+    at = words.index("source") + 1
+    number = int(words[at])
+    words[at] = repr(str(own.names[number])) if own.names is not None else str(part[number] + 1)
+    return " ".join(words)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The unknowns x (K,), N (K, K) and its inverse, the covariance of x (K, K), Q, its average and the degrees of
+    freedom.  Where the weights are the best the covariance is the inverse, and the average of Q is dof.
+    """
+
+    estimate: Array
+    normal: Array
+    inverse: Array
+    covariance: Array
+    squares: float
+    expected: float
+    dof: float
+
+    @property
+    def scale(self) -> float:
+        """Factor by which errors are scaled, sqrt(Q/E[Q]); NaN without degrees of freedom."""
+        return float(np.sqrt(self.squares / self.expected)) if self.expected > 0.0 and self.dof > 0 else np.nan
+
+
+def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | None = None) -> Solution:
+    """Return the solution of all sources, each with a factor of its weight if given.
+
+    Raises LinkError where the sources do not determine the unknowns, and names those.
+    """
+    weights = np.ones(len(sums)) if factors is None else factors
+    normal, right = np.tensordot(weights, sums.normal, axes=1), weights @ sums.right
+    inverse = inverted(normal, labels)
+    estimate = inverse @ right
+    spread = normal
+    covariance = inverse
+    if factors is not None or sums.spread is not None:
+        spread = np.tensordot(weights**2, sums.right_covariance, axes=1)
+        covariance = inverse @ spread @ inverse
+    return Solution(
+        estimate=estimate,
+        normal=normal,
+        inverse=inverse,
+        covariance=0.5 * (covariance + covariance.T),
+        squares=float(weights @ sums.squares - right @ estimate),
+        expected=float(weights @ sums.expected - np.sum(inverse * spread)),
+        dof=float(sums.count.sum() - len(right)),
+    )
+
+
+def inverted(normal: Array, labels: tuple[str, ...] = ()) -> Array:
+    """Return the inverse of a normal matrix (K, K); raises LinkError that names the unknowns without a solution."""
+    diagonal = np.diag(normal)
+    named = labels or tuple(str(k) for k in range(len(normal)))
+    if np.any(none := ~(diagonal > 0.0)):
+        raise LinkError(f"nothing in the tables determines {', '.join(np.array(named)[none])}")
+    scale = 1.0 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
+    if values[0] <= SMALLEST_EIGENVALUE:
+        involved = np.abs(vectors[:, 0]) > 0.1
+        raise LinkError(f"the tables do not tell these unknowns apart: {', '.join(np.array(named)[involved])}")
+    half = scale[:, None] * vectors / np.sqrt(values)
+    return np.asarray(half @ half.T)

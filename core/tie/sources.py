@@ -1,0 +1,88 @@
+"""Sources whose sums are kept one by one, or for cells of the sky where they are too many."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.frames import triad
+from core.tie.astrometry import Indices
+from core.tie.clips import Sources
+from core.tie.influence import discrepancies
+from core.tie.normal_sums import NormalSums, Problem, Solution, group_sums, solve, source_discrepancies, source_sums
+
+Array = NDArray[np.float64]
+
+KEPT_NUMBERS = 30_000_000
+"""As many numbers the sums of single sources may take (240 MB)."""
+
+
+def sky_cells(ra: Array, dec: Array, divisions: int) -> Indices:
+    """Return the cell of each position on a grid of cells of equal area; shape (N,).
+
+    2 d^2 cells for ``divisions`` d: d bands of equal height in sin dec, each of 2 d equal steps in ra.
+    """
+    _, _, r = triad(ra, dec)
+    band = np.minimum(((r[2] + 1.0) * 0.5 * divisions).astype(np.int64), divisions - 1)
+    step = ((ra % (2.0 * np.pi)) * (divisions / np.pi)).astype(np.int64) % (2 * divisions)
+    return np.asarray(2 * divisions * band + step)
+
+
+@dataclass(frozen=True)
+class SourceTable:
+    """The sources of a problem, with the sums of each where ``single`` holds, and of cells of the sky."""
+
+    problem: Problem
+    divisions: int = 6
+
+    @property
+    def single(self) -> bool:
+        """True if the sums of single sources fit."""
+        return len(self.problem.satellite) * len(self.problem.unknowns) ** 2 <= KEPT_NUMBERS
+
+    @cached_property
+    def sums(self) -> NormalSums:
+        """The sums of each source."""
+        return source_sums(self.problem)
+
+    @cached_property
+    def cells(self) -> Indices:
+        """The cell of each source, counted from 0 among those that have any."""
+        values = self.problem.satellite.values
+        return np.unique(sky_cells(values[0], values[1], self.divisions), return_inverse=True)[1]
+
+    def cell_sums(self, factors: Array) -> NormalSums:
+        """Return the sums of cells, each source with a factor of its weight."""
+        n_cells = int(self.cells.max()) + 1
+        if not self.single:
+            return group_sums(self.problem, self.cells, n_cells, factors)
+        member = np.zeros((n_cells, len(factors)))
+        member[self.cells, np.arange(len(factors))] = 1.0
+        weighted = member * factors
+        sums = self.sums
+        optimal = sums.spread is None and np.all((factors == 0.0) | (factors == 1.0))
+        return NormalSums(
+            normal=np.tensordot(weighted, sums.normal, axes=1),
+            right=weighted @ sums.right,
+            squares=weighted @ sums.squares,
+            count=(member * (factors > 0.0)) @ sums.count,
+            expected=weighted @ sums.expected,
+            spread=None if optimal else np.tensordot(member * factors**2, sums.right_covariance, axes=1),
+        )
+
+    def solve(self, factors: Array) -> Solution:
+        """Return the solution with a factor of the weight of each source."""
+        labels = self.problem.unknowns.labels
+        if not self.single:
+            return solve(self.cell_sums(factors), labels)
+        kept = factors > 0.0
+        equal = np.all(factors[kept] == 1.0)
+        return solve(self.sums.taken(kept), labels, None if equal else factors[kept])
+
+    def as_sources(self) -> Sources:
+        """Return what the clips need."""
+        if self.single:
+            return Sources(self.solve, lambda estimate: discrepancies(self.sums, estimate), self.sums.count)
+        _, count = source_discrepancies(self.problem, np.zeros(len(self.problem.unknowns)))
+        return Sources(self.solve, lambda estimate: source_discrepancies(self.problem, estimate)[0], count)

@@ -1,0 +1,257 @@
+"""The commands of the link of real tables: tie and forecast."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from sweep.cli.group import main
+from sweep.cli.options import json_option
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from sweep.tie.tables import TableOptions
+
+_TABLE_OPTIONS = [
+    click.option(
+        "--by",
+        metavar="HOW",
+        help="Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]",
+    ),
+    click.option(
+        "--column",
+        multiple=True,
+        metavar="[TABLE:]KEY=COLUMN",
+        help="The column with a quantity, of both tables or of satellite or reference, e.g. reference:parallax=plx.",
+    ),
+    click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, for a column."),
+    click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, for a column."),
+    click.option(
+        "--positions",
+        type=click.Choice(["single-epoch", "mean"]),
+        help="Reference positions without parallax: displaced by it, or mean ones.  [default: as the table says, else single-epoch]",
+    ),
+    click.option(
+        "--zero-errors",
+        type=click.Choice(["error", "missing", "exact"]),
+        default="error",
+        show_default=True,
+        help="What an error of 0 means.",
+    ),
+    click.option(
+        "--without-cos-dec",
+        multiple=True,
+        type=click.Choice(["satellite", "reference"]),
+        help="The table whose pmra is mu_alpha, without cos(dec).",
+    ),
+    click.option(
+        "--weights",
+        type=click.Choice(["covariance", "variance", "equal"]),
+        default="covariance",
+        show_default=True,
+        help="Of the differences.",
+    ),
+    click.option("--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind."),
+    click.option("--epoch", type=float, metavar="YEAR", help="Epoch of the orientation.  [default: the satellite's]"),
+    click.option(
+        "--aberration",
+        type=float,
+        default=0.0,
+        metavar="UAS_YR",
+        help="Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.",
+    ),
+]
+
+
+def _table_options(command: Callable[..., None]) -> Callable[..., None]:
+    for option in reversed(_TABLE_OPTIONS):
+        command = option(command)
+    return command
+
+
+@main.command()
+@click.argument("satellite", type=click.Path(path_type=Path))
+@click.argument("reference")
+@click.option(
+    "--unknowns",
+    metavar="BLOCKS",
+    help="Like orientation,spin,glide,parallax,vsh_motion:3.  [default: what the tables determine of orientation,spin]",
+)
+@click.option("--degree", type=click.IntRange(1), help="Vector spherical harmonics up to this degree.")
+@click.option("--bins", metavar="COLUMN=EDGES", help="A spin for each bin, e.g. phot_g_mean_mag=6,8,10.")
+@click.option(
+    "--known-spin",
+    metavar="X,Y,Z|TABLE",
+    help="Taken out before: mas/yr in the sign of --sign, or a table by magnitude.",
+)
+@click.option("--clip", default="none", show_default=True, help="none, rayleigh, median:K, discrepancy[:N] or huber:C.")
+@click.option(
+    "--errors",
+    default="scaled",
+    show_default=True,
+    help="Kinds of errors, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.",
+)
+@click.option("--resamples", type=click.IntRange(2), default=1000, show_default=True, help="Of the bootstrap.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the bootstrap.")
+@click.option(
+    "--sign",
+    type=click.Choice(["reference-satellite", "satellite-reference"]),
+    default="reference-satellite",
+    show_default=True,
+    help="Of everything that is printed and stored.",
+)
+@_table_options
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), metavar="STORE.zarr", help="Write the labelled result."
+)
+@json_option
+def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, **given: Any) -> None:
+    """Solve for the link of two real tables, REFERENCE - SATELLITE.
+
+    SATELLITE has positions, parallaxes and proper motions (Gaia archive, Hipparcos-2, ICRF text, or any table with such
+    columns), REFERENCE whatever was measured of the same objects, or zero-motion for quasars.
+    """
+    from sweep.tie import text
+    from sweep.tie.solution import tie as solve
+
+    _refuse_existing(output)
+    bins, known = given.pop("bins"), given.pop("known_spin")
+    result = solve(
+        satellite,
+        reference,
+        given.pop("unknowns"),
+        clip=given.pop("clip"),
+        errors=given.pop("errors"),
+        resamples=given.pop("resamples"),
+        seed=given.pop("seed"),
+        degree=given.pop("degree"),
+        sign=given.pop("sign"),
+        bins=None if bins is None else _bins(bins),
+        known_spin=None if known is None else _spin(known),
+        **_tables(given),
+    )
+    _put(result, output, text.as_json(result) if as_json else text.link_text(result))
+
+
+@main.command()
+@click.argument("satellite", type=click.Path(path_type=Path))
+@click.argument("reference")
+@click.option("--unknowns", metavar="BLOCKS", help="Like orientation,spin.")
+@click.option("--add", metavar="YEARS", default="", help="Epochs of new positions, e.g. 2026,2030.")
+@click.option("--error", type=float, default=0.1, show_default=True, metavar="MAS", help="Of each new coordinate.")
+@click.option("--release", help="Scale the satellite's errors to dr4 or dr5.")
+@click.option("--from-release", default="dr3", show_default=True, help="The release that the satellite's table is.")
+@click.option("--choose", "number", type=click.IntRange(0), default=0, metavar="N", help="Choose the N best sources.")
+@click.option("--for", "goal", default="", metavar="BLOCKS", help="What they are best for.  [default: all unknowns]")
+@click.option(
+    "--criterion",
+    type=click.Choice(["A", "D"]),
+    default="A",
+    show_default=True,
+    help="Trace or determinant of the covariance.",
+)
+@click.option("--all-sources", is_flag=True, help="Sources without any row of the reference are candidates too.")
+@_table_options
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), metavar="STORE.zarr", help="Write the labelled result."
+)
+@json_option
+def forecast(satellite: Path, reference: str, as_json: bool, output: Path | None, **given: Any) -> None:
+    """Forecast the errors of a link with new observations, and choose what to observe."""
+    from sweep.tie import text
+    from sweep.tie.planning import forecast as plan
+
+    _refuse_existing(output)
+    result = plan(
+        satellite,
+        reference,
+        given.pop("unknowns"),
+        add=_numbers("--add", given.pop("add")),
+        goal=[name.strip() for name in given.pop("goal").split(",") if name.strip()],
+        **{
+            name: given.pop(name) for name in ("error", "release", "from_release", "number", "criterion", "all_sources")
+        },
+        **_tables(given),
+    )
+    _put(result, output, text.as_json(result) if as_json else text.forecast_text(result))
+
+
+def _tables(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of both tables as `Options` has them."""
+    from sweep.tie.tables import TableOptions
+
+    columns: dict[str, dict[str, str]] = {"satellite": {}, "reference": {}}
+    for item in given["column"]:
+        key, equals, name = item.partition("=")
+        table, colon, quantity = key.partition(":")
+        if not equals or not name or (colon and table not in columns):
+            raise click.BadParameter(f"{item!r} is not [satellite:|reference:]KEY=COLUMN", param_hint="--column")
+        for one in [table] if colon else columns:
+            columns[one][quantity if colon else key] = name
+
+    def options(table: str) -> "TableOptions":
+        return TableOptions(
+            columns=columns[table],
+            epoch=given[f"{table}_epoch"],
+            positions=given["positions"] if table == "reference" else None,
+            zero_errors=given["zero_errors"],
+            pmra_cos_dec=table not in given["without_cos_dec"],
+        )
+
+    return {
+        "by": given["by"],
+        "weights": given["weights"],
+        "jitter": dict(_jitter(item) for item in given["jitter"]),
+        "epoch": given["epoch"],
+        "aberration": given["aberration"],
+        "satellite_options": options("satellite"),
+        "reference_options": options("reference"),
+    }
+
+
+def _jitter(item: str) -> tuple[str, tuple[float, float]]:
+    kind, _, numbers = item.partition("=")
+    values = _numbers("--jitter", numbers.replace(":", ","))
+    if len(values) not in (1, 2):
+        raise click.BadParameter(f"{item!r} is not KIND=MAS or KIND=MAS:MAS_YR", param_hint="--jitter")
+    if kind in ("motion", "three-parameter") and len(values) == 1:
+        return kind, (0.0, values[0])
+    return kind, (values[0], values[1] if len(values) == 2 else 0.0)
+
+
+def _bins(text: str) -> tuple[str, list[float]]:
+    column, equals, edges = text.partition("=")
+    if not equals or not column:
+        raise click.BadParameter(f"{text!r} is not COLUMN=EDGE,EDGE,...", param_hint="--bins")
+    return column, _numbers("--bins", edges)
+
+
+def _spin(text: str) -> list[float] | str:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return text
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no list of numbers", param_hint=option) from None
+
+
+def _refuse_existing(output: Path | None) -> None:
+    from sweep.contract import SweepError
+
+    if output is not None and output.suffix != ".zarr":
+        raise SweepError("a result is written to a store whose name ends in .zarr", str(output))
+    if output is not None and output.exists():
+        raise SweepError("is there already; nothing is overwritten", str(output))
+
+
+def _put(result: "xr.Dataset", output: Path | None, text: str) -> None:
+    if output is not None:
+        result.to_zarr(output, mode="w-")
+    click.echo(text)

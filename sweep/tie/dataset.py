@@ -1,0 +1,183 @@
+"""A solved link as an xarray Dataset: every number with its dimension, unit and sign."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from core.constants import MAS
+from core.tie.astrometry import kinds
+from core.tie.clips import Clipped, separation
+from core.tie.differences import differences
+from core.unknowns import PARAMETERS, SpinByBin
+from sweep.tie.setup import SIGNS, Options
+from sweep.tie.spectrum import spectrum
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from sweep.tie.solution import Link
+
+Array = NDArray[np.float64]
+
+ROWS_KEPT = 100_000
+"""Tables with more rows are not repeated in a result."""
+
+
+def as_dataset(link: "Link", options: Options) -> "xr.Dataset":
+    """Return the dataset of a link, in mas and mas/yr and in the sign of ``options``."""
+    import xarray as xr
+
+    problem, solution = link.setup.problem, link.solution
+    sign = SIGNS[options.sign]
+    unknowns = problem.unknowns
+    order = [link.main, *(kind for kind in link.covariances if kind != link.main)]
+    covariance = np.array([link.covariances[kind] for kind in order]) / MAS**2
+    errors = np.sqrt(np.einsum("ekk->ek", covariance))
+    main, units = covariance[0], list(unknowns.units)
+    variables: dict[str, Any] = {
+        "estimate": ("unknown", sign * solution.estimate / MAS, {"long_name": f"{options.sign}", "sign": options.sign}),
+        "error": ("unknown", errors[0], {"kind": link.main}),
+        "errors": (("error_kind", "unknown"), errors),
+        "covariance": (("unknown", "unknown_other"), main, {"kind": link.main}),
+        "covariances": (("error_kind", "unknown", "unknown_other"), covariance),
+        "correlation": (("unknown", "unknown_other"), main / np.outer(errors[0], errors[0])),
+        "chi2": ((), solution.squares),
+        "chi2_expected": ((), solution.expected, {"long_name": "average of chi2 if the errors are right"}),
+        "dof": ((), solution.dof),
+        "n_sources": ((), int(np.sum((link.found.factors > 0) & (link.count > 0)))),
+        "n_sources_matched": ((), len(problem.satellite)),
+    }
+    coordinates: dict[str, Any] = {
+        "unknown": list(unknowns.labels),
+        "unknown_other": list(unknowns.labels),
+        "unit": ("unknown", units),
+        "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
+        "error_kind": order,
+    }
+    _add_sources(link, variables, coordinates, sign)
+    if len(problem.rows) <= ROWS_KEPT:
+        _add_rows(link, variables, coordinates, sign)
+    _add_steps(link.found, link.setup.names, variables, sign)
+    _add_spectrum(link, main, variables, coordinates)
+    _add_bins(link, errors[0], variables, coordinates, sign)
+    attributes = {
+        "sign": options.sign,
+        "epoch": problem.epoch,
+        "clip": link.clip,
+        "weights": problem.weights,
+        "matched_by": link.setup.matched.by,
+        "rows_unmatched": len(link.setup.matched.unmatched),
+        "satellite": link.setup.satellite.path,
+        "satellite_sha256": link.setup.satellite.digest,
+        "reference": link.setup.reference.path,
+        "reference_sha256": link.setup.reference.digest,
+        "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
+        "aberration_uas_yr": options.aberration,
+        "jitter": ", ".join(f"{k}={p:g}:{m:g}" for k, (p, m) in options.jitter.items()) or "none",
+        "notes": list(link.notes),
+    }
+    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+
+
+def _add_sources(link: "Link", variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+    setup, own = link.setup, link.setup.problem.satellite
+    coordinates |= {
+        "source": setup.names.astype(str),
+        "ra": ("source", np.degrees(own.values[0]) % 360.0, {"units": "deg"}),
+        "dec": ("source", np.degrees(own.values[1]), {"units": "deg"}),
+    }
+    variables |= {
+        "discrepancy": ("source", link.discrepancy, {"long_name": "chi2 of the residuals of a source"}),
+        "n_observations": ("source", link.count),
+        "weight_factor": ("source", link.found.factors, {"long_name": "1 kept, 0 dropped"}),
+    }
+    if (effect := link.influence) is not None:
+        coordinates["block_name"] = list(setup.problem.unknowns.names)
+        variables |= {
+            "discrepancy_expected": ("source", effect.expected),
+            "estimate_without": (("source", "unknown"), sign * effect.without / MAS, {"long_name": "leave one out"}),
+            "cook_distance": ("source", effect.cook),
+            "share": (("source", "block_name"), effect.share, {"long_name": "share of the weight"}),
+        }
+
+
+def _add_rows(link: "Link", variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+    problem = link.setup.problem
+    own = problem.satellite
+    found = differences(own, problem.rows, problem.source, problem.taken_out(own))
+    shift = np.einsum("nik,k->ni", problem.unknowns.matrix(*problem.objects(own)), link.solution.estimate)
+    after = found.values - np.einsum("rij,rj->ri", found.partials, shift[problem.source])
+    covariance = own.covariance()[problem.source]
+    whole = found.covariance + found.partials @ covariance @ found.partials.swapaxes(1, 2)
+    error = np.sqrt(np.einsum("rii->ri", whole))
+    normalised, plain = separation(problem)
+    absent = ~found.present
+    coordinates |= {
+        "observable": list(PARAMETERS),
+        "row_source": ("row", link.setup.names[problem.source].astype(str)),
+        "row_kind": ("row", kinds(problem.rows)),
+        "row_epoch": ("row", problem.rows.epoch, {"units": "yr"}),
+        "observable_unit": ("observable", ["mas", "mas", "mas", "mas/yr", "mas/yr"]),
+    }
+    variables |= {
+        "difference": (("row", "observable"), np.where(absent, np.nan, sign * found.values / MAS)),
+        "residual": (("row", "observable"), np.where(absent, np.nan, sign * after / MAS)),
+        "difference_error": (("row", "observable"), np.where(absent, np.nan, error / MAS)),
+        "normalised_separation": ("source", normalised, {"long_name": "X before the fit"}),
+        "separation": ("source", plain / MAS, {"units": "mas"}),
+    }
+
+
+def _add_steps(found: Clipped, names: NDArray[np.str_], variables: dict[str, Any], sign: float) -> None:
+    if not found.trajectory:
+        return
+    steps = found.trajectory
+    variables |= {
+        "step_estimate": (("step", "unknown"), sign * np.array([s.estimate for s in steps]) / MAS),
+        "step_error": (
+            ("step", "unknown"),
+            np.array([np.sqrt(np.diag(s.covariance)) * s.scale for s in steps]) / MAS,
+            {"kind": "scaled"},
+        ),
+        "step_chi2": ("step", np.array([s.squares for s in steps])),
+        "step_dof": ("step", np.array([s.dof for s in steps])),
+        "step_dropped": ("step", np.array([names[i] if i >= 0 else "" for i in found.dropped]).astype(str)),
+        "step_chosen": ((), found.chosen),
+    }
+
+
+def _add_spectrum(link: "Link", main: Array, variables: dict[str, Any], coordinates: dict[str, Any]) -> None:
+    powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main)
+    if not powers:
+        return
+    degrees = sorted({power.degree for power in powers})
+    fields_of = sorted({power.field for power in powers})
+    shape = len(fields_of), len(degrees)
+    table = {name: np.full(shape, np.nan) for name in ("power", "power_noise", "power_chi2", "power_probability")}
+    for one in powers:
+        at = fields_of.index(one.field), degrees.index(one.degree)
+        table["power"][at], table["power_noise"][at] = one.power, one.noise
+        table["power_chi2"][at] = one.chi2
+        table["power_probability"][at] = chi2.sf(one.chi2, 2 * one.degree + 1)
+    coordinates |= {"degree": degrees, "field": fields_of}
+    variables |= {name: (("field", "degree"), values) for name, values in table.items()}
+
+
+def _add_bins(link: "Link", errors: Array, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+    unknowns = link.setup.problem.unknowns
+    for block in unknowns.blocks:
+        if isinstance(block, SpinByBin):
+            part = unknowns.part(block.name)
+            coordinates |= {
+                "bin": [f"[{low:g},{high:g})" for low, high in block.bins],
+                "bin_low": ("bin", [low for low, _ in block.bins]),
+                "bin_high": ("bin", [high for _, high in block.bins]),
+                "component": ["x", "y", "z"],
+            }
+            spin = sign * link.solution.estimate[part].reshape(-1, 3) / MAS
+            variables |= {
+                "spin_by_bin": (("bin", "component"), spin, {"units": "mas/yr"}),
+                "spin_by_bin_error": (("bin", "component"), errors[part].reshape(-1, 3), {"units": "mas/yr"}),
+            }

@@ -1,0 +1,109 @@
+"""Which source of the satellite a row of the reference belongs to: by name or by position."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from core.constants import ARCSEC
+from core.frames import triad
+from core.tie.astrometry import Indices
+from core.tie.motion import propagated
+from sweep.contract import SweepError
+from sweep.tie.tables import AstrometricTable
+
+DEFAULT_RADIUS_ARCSEC = 1.0
+
+
+@dataclass(frozen=True)
+class Match:
+    """The rows that were matched (R,), the source of the satellite of each (R,), how, and the rows left over."""
+
+    rows: Indices
+    source: Indices
+    by: str
+    unmatched: Indices
+
+
+def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | None = None) -> Match:
+    """Match by ``name``, by a column that both tables have, or by ``position`` within 1 arcsec (``position:R``).
+
+    By default by name where both tables have a column of names with a name in common, and by position otherwise.
+    Raises SweepError where nothing matches or the satellite has a name twice.
+    """
+    kind, _, radius = (by or "").partition(":")
+    if kind == "position":
+        return _by_position(satellite, reference, _radius(radius))
+    pairs = _pairs(satellite, reference, kind)
+    for own, other in pairs:
+        found = _by_name(satellite, reference, own, other)
+        if len(found.rows):
+            return found
+    if by is None:
+        return _by_position(satellite, reference, DEFAULT_RADIUS_ARCSEC)
+    if not pairs:
+        raise SweepError(
+            f"match by {by!r}: {satellite.path} has names in {', '.join(satellite.names) or 'no column'}, "
+            f"{reference.path} in {', '.join(reference.names) or 'no column'}"
+        )
+    own, other = pairs[0]
+    raise SweepError(
+        f"match by {by}: no name is in both tables; {satellite.path} has {own} like "
+        f"{satellite.names[own][0]!r}, {reference.path} has {other} like {reference.names[other][0]!r}"
+    )
+
+
+def _pairs(satellite: AstrometricTable, reference: AstrometricTable, kind: str) -> list[tuple[str, str]]:
+    if kind and kind != "name":
+        both = kind in satellite.names and kind in reference.names
+        return [(kind, kind)] if both else []
+    same = [(name, name) for name in satellite.names if name in reference.names]
+    return same + [(a, b) for a in satellite.names for b in reference.names if a != b]
+
+
+def _by_name(satellite: AstrometricTable, reference: AstrometricTable, own: str, other: str) -> Match:
+    names = [name.casefold() for name in satellite.names[own]]
+    wanted = [name.casefold() for name in reference.names[other]]
+    place = {name: i for i, name in enumerate(names) if name not in ("", "--", "nan")}
+    rows = np.array([i for i, name in enumerate(wanted) if name in place], dtype=np.int64)
+    used = {wanted[i] for i in rows}
+    if len(place) < len(names):
+        twice = sorted({satellite.names[own][i] for i, name in enumerate(names) if name in used and place[name] != i})
+        if twice:
+            raise SweepError(f"{own} {', '.join(twice[:5])} stands more than once in the table", satellite.path)
+    source = np.array([place[wanted[i]] for i in rows], dtype=np.int64)
+    unmatched = np.setdiff1d(np.arange(len(wanted)), rows)
+    return Match(rows, source, own if own == other else f"{own} = {other}", unmatched)
+
+
+def _radius(text: str) -> float:
+    try:
+        radius = float(text) if text else DEFAULT_RADIUS_ARCSEC
+    except ValueError:
+        radius = np.nan
+    if not 0.0 < radius <= 3600.0:
+        raise SweepError(f"match by position:{text}: the radius is in arcsec, above 0 and at most 3600")
+    return radius
+
+
+def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radius_arcsec: float) -> Match:
+    """Match each row to the nearest source, carried to the row's epoch with its proper motion."""
+    sources, rows = satellite.astrometry, reference.astrometry
+    if not np.all(np.isfinite(rows.values[:2])):
+        raise SweepError("match by position: some rows have no position", reference.path)
+    chord = 2.0 * np.sin(0.5 * radius_arcsec * ARCSEC)
+    found = np.full(len(rows), -1)
+    epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
+    for epoch in np.unique(epochs):
+        at = np.flatnonzero(epochs == epoch)
+        values = sources.values
+        if np.isfinite(epoch):
+            start = np.where(np.isfinite(sources.epoch), sources.epoch, epoch)
+            values = propagated(values, sources.radial_velocity, start, np.full(len(sources), epoch))
+        tree = cKDTree(triad(values[0], values[1]).r.T)
+        distance, nearest = tree.query(triad(rows.values[0, at], rows.values[1, at]).r.T)
+        found[at] = np.where(distance <= chord, nearest, -1)
+    matched = np.flatnonzero(found >= 0)
+    if not len(matched):
+        raise SweepError(f"no row of the reference is within {radius_arcsec:g} arcsec of a source", reference.path)
+    return Match(matched, found[matched], f"position within {radius_arcsec:g} arcsec", np.flatnonzero(found < 0))

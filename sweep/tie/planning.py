@@ -1,0 +1,141 @@
+"""`forecast`: what further observations would do to the link of two tables, and which sources to observe."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.constants import MAS
+from core.link import LinkError
+from core.tie.forecast import Criterion, Goal, choose, with_new_rows
+from core.tie.normal_sums import inverted, source_sums
+from core.tie.releases import RELEASES, released
+from sweep.contract import SweepError
+from sweep.tie.setup import Options, set_up
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+EPOCHS = (1900.0, 2100.0)
+
+
+def forecast(
+    satellite: str | Path,
+    reference: str | Path,
+    unknowns: str | None = None,
+    *,
+    add: Sequence[float] = (),
+    error: float = 0.1,
+    release: str | None = None,
+    from_release: str = "dr3",
+    number: int = 0,
+    goal: Sequence[str] = (),
+    criterion: Criterion = "A",
+    all_sources: bool = False,
+    **options: Any,
+) -> "xr.Dataset":
+    """Return the formal errors of a link now and with further observations, and the sources to observe first.
+
+    ``add``: epochs (Julian years) at which a position of a single epoch with ``error`` mas in each coordinate is added
+    to sources.  ``release`` scales the satellite's errors from those of ``from_release``.  ``number`` sources are
+    chosen one after the other for the smallest trace (criterion A) or determinant (D) of the covariance of the blocks
+    ``goal`` (all by default).  ``all_sources``: those without rows of the reference are candidates too.  Dimensions:
+    unknown, stage (now, release, all), new_epoch, step, source.  Raises SweepError.
+    """
+    import xarray as xr
+
+    if not (0.0 < error < np.inf):
+        raise SweepError(f"error {error:g} mas: it is above 0")
+    for epoch in add:
+        if not EPOCHS[0] <= epoch <= EPOCHS[1]:
+            raise SweepError(f"new epoch {epoch:g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
+    if number < 0 or (number and not add):
+        raise SweepError(f"{number} sources to choose, but no epochs to observe them at")
+    if criterion not in ("A", "D"):
+        raise SweepError(f"criterion {criterion!r}: it is A or D")
+    if "release" in options or "sign" in options:
+        raise SweepError("a forecast has no sign: it is about errors")
+    setup = set_up(satellite, reference, Options(unknowns=unknowns, **options), all_sources)
+    problem = setup.problem
+    try:
+        future = problem
+        if release is not None:
+            future = replace(problem, satellite=released(problem.satellite, from_release, release))
+            if options.get("epoch") is None:
+                future = replace(future, epoch=problem.epoch + RELEASES[release].epoch - RELEASES[from_release].epoch)
+        names = problem.unknowns.names
+        wanted = Goal(problem.unknowns, tuple(goal), criterion)
+        _ = wanted.parts  # raises for an unknown block
+        base = source_sums(future)
+        planned = source_sums(with_new_rows(future, add, error * MAS)) if add else base
+        total = base.normal.sum(axis=0)
+        each_epoch = [source_sums(with_new_rows(future, [epoch], error * MAS)).normal.sum(axis=0) for epoch in add]
+        choice = choose(base, planned, number, wanted)
+    except ValueError as problem_found:
+        raise SweepError(str(problem_found)) from problem_found
+    stages = {"now": source_sums(problem).normal.sum(axis=0)}
+    if release is not None:
+        stages[release] = total
+    if add:
+        stages["all observed"] = planned.normal.sum(axis=0)
+    labels = problem.unknowns.labels
+    gain = np.array([wanted.value(total + one) for one in planned.normal - base.normal])
+    variables: dict[str, Any] = {
+        "error": (("stage", "unknown"), np.array([_errors(normal) for normal in stages.values()])),
+        "criterion": ("stage", np.array([_value(wanted, normal) for normal in stages.values()])),
+        "criterion_alone": ("source", _scaled(gain, wanted), {"long_name": "if this source alone is observed"}),
+        "rank": ("source", np.argsort(np.argsort(gain)) + 1),
+    }
+    if add:
+        variables["error_with_epoch"] = (("new_epoch", "unknown"), np.array([_errors(normal) for normal in each_epoch]))
+    if number:
+        variables |= {
+            "step_source": ("step", np.array(["", *setup.names[list(choice.sources)]]).astype(str)),
+            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in choice.normals])),
+            "step_criterion": ("step", np.array([_value(wanted, normal) for normal in choice.normals])),
+        }
+    coordinates = {
+        "stage": list(stages),
+        "unknown": list(labels),
+        "unit": ("unknown", list(problem.unknowns.units)),
+        "source": setup.names.astype(str),
+    } | ({"new_epoch": list(add)} if add else {})
+    attributes = {
+        "epoch": problem.epoch,
+        "epoch_of_forecast": future.epoch,
+        "release": release or "",
+        "from_release": from_release if release else "",
+        "new_error_mas": error,
+        "goal": ", ".join(goal or names),
+        "criterion": criterion,
+        "satellite": setup.satellite.path,
+        "satellite_sha256": setup.satellite.digest,
+        "reference": setup.reference.path,
+        "reference_sha256": setup.reference.digest,
+        "notes": list(setup.notes),
+    }
+    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+
+
+def _errors(normal: Array) -> Array:
+    """Return formal errors in mas and mas/yr; NaN where the unknowns are not determined."""
+    try:
+        return np.sqrt(np.diag(inverted(normal))) / MAS
+    except LinkError:
+        return np.full(len(normal), np.nan)
+
+
+def _value(goal: Goal, normal: Array) -> float:
+    return float(_scaled(np.array([goal.value(normal)]), goal)[0])
+
+
+def _scaled(values: Array, goal: Goal) -> Array:
+    """Return a criterion in mas instead of rad: the root of the mean variance, or the log determinant."""
+    if goal.criterion == "A":
+        return np.asarray(np.sqrt(values / len(goal.parts)) / MAS)
+    return np.asarray(values - 2.0 * len(goal.parts) * np.log(MAS))

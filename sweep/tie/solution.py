@@ -1,0 +1,156 @@
+"""`tie`: the link of two tables as a labelled dataset."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.tie.clips import Clipped, clipped, parse_clip, separation
+from core.tie.influence import LARGE_SHARE, Influence, influence
+from core.tie.normal_sums import Solution
+from core.tie.sources import SourceTable
+from core.tie.uncertainty import bootstrap, jackknife, sandwich
+from sweep.contract import SweepError
+from sweep.tie.setup import Options, Setup, set_up
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
+
+ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
+ALWAYS = ("formal", "scaled")
+RESAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Link:
+    """A solved link: its setup, the clip and its solution, the covariances by kind of error, and the influence of each
+    source (None where there are too many).
+    """
+
+    setup: Setup
+    clip: str
+    found: Clipped
+    covariances: dict[str, Array]
+    main: str
+    influence: Influence | None
+    discrepancy: Array
+    count: Array
+    notes: tuple[str, ...]
+
+    @property
+    def solution(self) -> Solution:
+        """The solution of the sources that were kept."""
+        return self.found.solution
+
+
+def tie(
+    satellite: str | Path,
+    reference: str | Path,
+    unknowns: str | None = None,
+    *,
+    clip: str = "none",
+    errors: str | Sequence[str] = "scaled",
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+    **options: Any,
+) -> "xr.Dataset":
+    """Return the link of two tables, reference - satellite, as a labelled dataset.
+
+    ``satellite`` and ``reference`` are files as `sweep.tie.tables.read_table` reads them; the reference may be
+    ``zero-motion`` (quasars).  ``unknowns`` as ``orientation,spin,vsh_motion:3``; ``clip`` as none, rayleigh, median:5,
+    discrepancy, huber:2; ``errors`` names one or more of formal, scaled, jackknife, cells, bootstrap, sandwich, the
+    first of them the main one.  Further options are those of `sweep.tie.setup.Options`.  Raises SweepError.
+    """
+    from sweep.tie.dataset import as_dataset
+
+    known = {field.name for field in fields(Options)}
+    if unknown := sorted(set(options) - known):
+        raise SweepError(f"no option {', '.join(unknown)}; there are {', '.join(sorted(known))}")
+    asked = Options(unknowns=unknowns, **options)
+    kinds = [name.strip() for name in errors.split(",")] if isinstance(errors, str) else list(errors)
+    return as_dataset(solve_link(set_up(satellite, reference, asked), clip, kinds, resamples, seed), asked)
+
+
+def solve_link(
+    setup: Setup, clip: str = "none", errors: Sequence[str] = ("scaled",), resamples: int = RESAMPLES, seed: int = 0
+) -> Link:
+    """Return the solution of what was set up; raises SweepError where there is none."""
+    if not errors or any(name not in ERRORS for name in errors):
+        raise SweepError(f"errors {', '.join(errors)!r}: they are {', '.join(ERRORS)}")
+    if resamples < 2:
+        raise SweepError(f"{resamples} resamples: at least 2")
+    try:
+        table = SourceTable(setup.problem)
+        sources = table.as_sources()
+        found = clipped(parse_clip(clip), sources, lambda: separation(setup.problem))
+        covariances, notes = _covariances(table, found, errors, resamples, seed)
+        squares = sources.discrepancies(found.solution.estimate)
+    except ValueError as error:  # LinkError is one
+        raise SweepError(str(error)) from error
+    effect = None
+    if table.single:
+        kept = (found.factors > 0.0) & (sources.count > 0)
+        effect = influence(table.sums, found.solution, setup.problem.unknowns, kept)
+        notes += _large_shares(setup, effect)
+    return Link(
+        setup=setup,
+        clip=str(parse_clip(clip)),
+        found=found,
+        covariances=covariances,
+        main=errors[0],
+        influence=effect,
+        discrepancy=squares,
+        count=sources.count,
+        notes=(*setup.notes, *found.notes, *notes),
+    )
+
+
+def _covariances(
+    table: SourceTable, found: Clipped, errors: Sequence[str], resamples: int, seed: int
+) -> tuple[dict[str, Array], list[str]]:
+    solution, notes = found.solution, []
+    sums = table.sums if table.single else None
+    if sums is not None and not np.all(np.isin(found.factors, (0.0, 1.0))):
+        sums = sums.weighted(found.factors)
+    elif sums is not None:
+        sums = sums.taken(found.factors > 0.0)
+    right = solution.normal @ solution.estimate
+    covariances: dict[str, Array] = {}
+    for kind in dict.fromkeys([*errors, *ALWAYS]):
+        groups = sums if kind != "cells" and sums is not None else table.cell_sums(found.factors)
+        if sums is None and kind in ("jackknife", "bootstrap", "sandwich"):
+            notes.append(f"{kind} errors are those of {len(groups)} cells of the sky: there are too many sources")
+        if kind == "formal":
+            covariances[kind] = solution.covariance
+        elif kind == "scaled":
+            covariances[kind] = solution.covariance * solution.scale**2
+        elif kind in ("jackknife", "cells"):
+            covariances[kind] = jackknife(groups, solution.normal, right)
+        elif kind == "sandwich":
+            covariances[kind] = sandwich(groups, solution)
+        else:
+            drawn = bootstrap(groups, resamples, np.random.default_rng(seed))
+            covariances[kind] = drawn.covariance
+            if drawn.failed:
+                notes.append(f"{drawn.failed} of {resamples} resamples did not determine the unknowns")
+        if not np.all(np.isfinite(covariances[kind])):
+            why = "there are no degrees of freedom" if kind == "scaled" else "some unknowns hang on a single source"
+            notes.append(f"there are no {kind} errors: {why}")
+    return covariances, notes
+
+
+def _large_shares(setup: Setup, effect: Influence) -> list[str]:
+    notes = []
+    for i, block in enumerate(setup.problem.unknowns.names):
+        share = effect.share[:, i]
+        large = np.flatnonzero(share > LARGE_SHARE)
+        if len(large):
+            large = large[np.argsort(-share[large])]
+            listed = ", ".join(f"{setup.names[k]} ({100.0 * share[k]:.0f} %)" for k in large)
+            notes.append(f"more than {100 * LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
+    return notes
