@@ -140,8 +140,9 @@ def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Arra
         realisations = within / (each - batches)
         catalogue_scatter = (between - (batches - 1.0) * realisations) / (catalogues - 1.0)
         several_batches = np.maximum(factor * (catalogue_scatter + realisations), realisations)
-        one_each = batches <= catalogues
-        variance_of_mean = np.where(one_each, one_batch_each, several_batches)
+        # Batches of one realisation do not show the two apart: then each counts as a catalogue, which is too much.
+        apart = (batches > catalogues) & (each > batches)
+        variance_of_mean = np.where(apart, several_batches, one_batch_each)
         return np.sqrt(np.where(catalogues > 1.0, variance_of_mean, one_catalogue))
 
 
