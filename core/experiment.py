@@ -11,7 +11,7 @@ from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from core.scenario import catalogue_size, scenario
 from core.simulate import BlockSums, simulate
-from sweep.contract import Experiment, Point
+from sweep.contract import Experiment, Point, small_sample_factor
 
 Array = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         "sigma_predicted": np.sqrt(predicted),
         "sigma_catalogue_error": catalogue_error[:, :6],
         "bias": bias,
-        "bias_mc_error": _bias_error(sums, bias, variance, n),
+        "bias_mc_error": _bias_error(sums, bias, variance, n, n_cat),
         "covariance": second_moment - bias[..., :, None] * bias[..., None, :],
         "chi2": sums["chi2"] / n,
         "dof": 4.0 * n_obj - np.where(np.isnan(sums["glide_error"][:, 0]), 6.0, 9.0),
@@ -121,22 +121,36 @@ def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
     }
 
 
-def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Array) -> Array:
-    """Return the error of a bias from the scatter of batch means, which includes that of catalogues with biases of
-    their own; from the scatter of realisations where there is one batch only.
+def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Array, n_cat: Array) -> Array:
+    """Return the error of a bias as the mean over all possible catalogues, each of which may have a bias of its own;
+    of one catalogue that of its own bias.  NaN where too few catalogues show how they scatter.
+
+    A batch is what a block has of a catalogue: batches of one catalogue share its bias.  The mean squares between and
+    within batches give the variance of both kinds (nested analysis of variance, e.g. Searle, Casella & McCulloch 1992,
+    Variance Components, Sect. 3.6).
     """
-    batches, each = sums["batches"][:, None], n[:, None]
-    between = np.maximum(sums["batch_mean_squares"] / each - bias**2, 0.0) / np.maximum(batches - 1.0, 1.0)
-    within = np.maximum(variance - bias**2, 0.0) / each
-    return np.sqrt(np.where(batches > 1.0, between, within))
+    batches, each, catalogues = sums["batches"][:, None], n[:, None], n_cat[:, None]
+    between = np.maximum(sums["batch_mean_squares"] / each - bias**2, 0.0)  # over n, as are the next two
+    total = np.maximum(variance - bias**2, 0.0)
+    within = np.maximum(total - between, 0.0)
+    factor = small_sample_factor(catalogues)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        one_catalogue = small_sample_factor(each) * total / (each - 1.0)
+        one_batch_each = factor * between / (catalogues - 1.0)
+        realisations = within / (each - batches)
+        catalogue_scatter = (between - (batches - 1.0) * realisations) / (catalogues - 1.0)
+        several_batches = np.maximum(factor * (catalogue_scatter + realisations), realisations)
+        # Batches of one realisation do not show the two apart: then each counts as a catalogue, which is too much.
+        apart = (batches > catalogues) & (each > batches)
+        variance_of_mean = np.where(apart, several_batches, one_batch_each)
+        return np.sqrt(np.where(catalogues > 1.0, variance_of_mean, one_catalogue))
 
 
 def _catalogue_error(predicted: Array, squared: Array, n_cat: Array) -> Array:
-    """Return how uncertain sqrt(mean variance) is because only n_cat catalogues were drawn; NaN for one catalogue."""
-    scatter = np.sqrt(np.maximum(squared - predicted**2, 0.0))
+    """Return how uncertain sqrt(mean variance) is because only n_cat catalogues were drawn; NaN for too few."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        error_of_mean = np.where(n_cat > 1, scatter.T / np.sqrt(n_cat - 1.0), np.nan).T
-        return np.where(predicted > 0.0, error_of_mean / (2.0 * np.sqrt(predicted)), 0.0)
+        mean_square = (np.maximum(squared - predicted**2, 0.0).T * small_sample_factor(n_cat) / (n_cat - 1.0)).T
+        return np.where(predicted > 0.0, np.sqrt(mean_square) / (2.0 * np.sqrt(predicted)), 0.0)
 
 
 link = Experiment(

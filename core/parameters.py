@@ -282,7 +282,7 @@ def _with_errors(
         Output(
             f"{name}_catalogue_error",
             unit,
-            f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; NaN for one",
+            f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; NaN below 5",
             dims,
         ),
     ]
@@ -314,7 +314,7 @@ OUTPUTS = (
     Output(
         "bias_mc_error",
         _EACH,
-        "Monte-Carlo error of bias, from the scatter of catalogues or of batches of one",
+        "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of one; NaN for 2 to 4",
         ("component",),
     ),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),

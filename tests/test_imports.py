@@ -64,7 +64,7 @@ HOUSE = {
     ],
     "sweep.analysis": [
         *("tables", "fits", "levelling", "selection", "quantity", "lines", "conditions"),
-        *("compare", "compare_tables", "laws", "crossings", "law_tables"),
+        *("verdicts", "measured_claims", "compare", "compare_tables", "laws", "crossings", "law_tables"),
     ],
     "sweep.paper": ["published_stores", "calibrate"],
     "sweep.plots": [

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING, Any
 
-from sweep.analysis.compare import Comparison, summary
+from sweep.analysis.compare import summary
 from sweep.analysis.selection import place_in_words
+from sweep.analysis.verdicts import PROBABILITY, Comparison
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,7 +24,7 @@ def as_text(comparisons: Sequence[Comparison]) -> "Table":
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("study", "what", "where"):
         table.add_column(name)
-    for name in ("computed", "published", "difference", "", "allowance"):
+    for name in ("computed", "published", "difference", "", "allowance", "power"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
     previous = comparisons[0].study if comparisons else ""
@@ -33,7 +34,10 @@ def as_text(comparisons: Sequence[Comparison]) -> "Table":
         previous = c.study
         name = f"{c.what} [{c.unit}]" if c.unit else c.what
         table.add_row(
-            *(escape(cell) for cell in (c.study, name, place_in_words(c.where), *numbers_in_words(c), c.verdict))
+            *(
+                escape(cell)
+                for cell in (c.study, name, place_in_words(c.where), *numbers_in_words(c), power_in_words(c), c.verdict)
+            )
         )
     return table
 
@@ -42,14 +46,17 @@ def notes(comparisons: Sequence[Comparison]) -> list[str]:
     """Return lines that belong below the table: where each thing was published, and the reasons of verdicts."""
     sources = dict.fromkeys(f"{c.study}: {c.what}: {c.source}" for c in comparisons)
     reasons = dict.fromkeys(f"{c.study}: {c.what}: {c.verdict}: {c.reason}" for c in comparisons if c.reason)
-    return [*sources, *reasons]
+    probability = f"with a probability of {100 * PROBABILITY:g} %"
+    power = f"power: the deviation from the published number that the verdict finds {probability}"
+    return [*sources, *reasons, *([power] if comparisons else [])]
 
 
 def summary_line(comparisons: Sequence[Comparison]) -> str:
     """Return how many there are of each verdict, in words."""
     counts = {verdict.lower(): n for verdict, n in summary(comparisons).items()}
-    if not counts["incomplete"]:
-        del counts["incomplete"]
+    for verdict in ("not comparable", "incomplete"):
+        if not counts[verdict]:
+            del counts[verdict]
     return ", ".join(f"{n} {verdict}" for verdict, n in counts.items())
 
 
@@ -82,6 +89,15 @@ def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
     sign = "+" if c.difference > 0.0 else ""
     return value, published, sign + _fixed(c.difference, digits), percent, _allowance(c)
+
+
+def power_in_words(c: Comparison) -> str:
+    """Return the deviation that the verdict finds: relative to the published number, or as it is where that is 0."""
+    if not math.isfinite(c.detectable):
+        return ""
+    if c.detectable == 0.0:
+        return "any"
+    return f"{100.0 * c.power:.2g} %" if c.published else f"{c.detectable:.2g}"
 
 
 def _cell(value: Any, missing: str | None) -> Any:

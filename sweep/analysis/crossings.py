@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sweep.analysis.conditions import Limit
 from sweep.analysis.lines import Lines, lines
-from sweep.contract import SweepError
+from sweep.contract import SweepError, small_sample_factor
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def interpolate(
         u, spread = _pair(y, errors, i, logarithm)
         weights = np.array([1.0 - fraction, fraction])
         value = np.exp(weights @ u) if logarithm else weights @ u
-        rows[line] = value, np.sqrt(weights @ spread @ weights) * (value if logarithm else 1.0)
+        rows[line] = value, _error(weights, spread, found.samples) * (value if logarithm else 1.0)
     attributes = dataset[variable].attrs
     place = xr.Variable((), at, dataset[over].attrs)
     error = f"one-sigma error of {variable}"
@@ -138,7 +138,7 @@ def _crossing(found: Lines, x: Array, y: Array, errors: Array, i: int, threshold
     z = _on_scale(x, found.over_unit)
     step = z[i + 1] - z[i]
     weights = np.array([1.0 - fraction, fraction])
-    place, error = z[i] + fraction * step, abs(step / (u[1] - u[0])) * np.sqrt(weights @ spread @ weights)
+    place, error = z[i] + fraction * step, abs(step / (u[1] - u[0])) * _error(weights, spread, found.samples)
     if _is_logarithmic(x, found.over_unit):
         return float(np.exp(place)), float(np.exp(place) * error)
     return float(place), float(error)
@@ -149,6 +149,11 @@ def _pair(y: Array, errors: Array, i: int, logarithm: bool) -> tuple[Array, Arra
     values = y[i : i + 2]
     spread = np.diag(errors[i : i + 2] ** 2) if errors.ndim == 1 else errors[i : i + 2, i : i + 2]
     return (np.log(values), spread / np.outer(values, values)) if logarithm else (values, spread)
+
+
+def _error(weights: Array, spread: Array, samples: float) -> float:
+    """Return the one-sigma error of a weighted sum; NaN where the covariance is not known."""
+    return float(np.sqrt(np.maximum(weights @ spread @ weights, 0.0) * small_sample_factor(samples)))
 
 
 def _is_logarithmic(x: Array, unit: str) -> bool:

@@ -7,13 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.stats import chi2 as chi2_distribution
+from scipy.stats import f as f_distribution
+
+from sweep.contract import small_sample_factor
 
 Array = NDArray[np.float64]
+
+INVERTIBLE = 1e12
+"""Largest condition of a matrix whose inverse means something in doubles, with a margin."""
 
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """y = amplitude (x / pivot)^exponent; the pivot makes the one-sigma errors of both uncorrelated.
+    """y = amplitude (x / pivot)^exponent, with the one-sigma errors of both and their ``correlation``, which the pivot
+    makes 0 unless the errors of points go together in a way that is only known from samples.
 
     ``chi2`` is NaN where the points have no errors: then all weigh the same and the errors come from the scatter.
     """
@@ -22,6 +29,7 @@ class PowerLaw:
     exponent_error: float
     amplitude: float
     amplitude_error: float
+    correlation: float
     pivot: float
     chi2: float
     dof: int
@@ -32,19 +40,24 @@ class PowerLaw:
 
     def relative_error(self, x: Array) -> Array:
         """Return the one-sigma error of the law at x over the law, same shape."""
-        return np.hypot(self.amplitude_error / self.amplitude, np.log(x / self.pivot) * self.exponent_error)
+        height, tilt = self.amplitude_error / self.amplitude, np.log(x / self.pivot) * self.exponent_error
+        return np.sqrt(np.maximum(height**2 + tilt**2 + 2.0 * self.correlation * height * tilt, 0.0))
 
 
-def power_law(x: Array, y: Array, errors: Array) -> PowerLaw:
+def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> PowerLaw:
     """Return the power law through points, by generalised least squares of log y against log x.
 
     ``x`` and ``y`` (n,) are positive; ``errors`` are one sigma of y, (n,), or the covariance of y, (n, n).  The errors
     of the law are those that the errors of y give, whatever the scatter.  Unless every error in (n,) is known and
     positive all weigh the same, and the errors of the law come from the scatter (0 for two points, which have none).
+    A covariance from so many ``samples`` gives weights by its diagonal only, as its inverse would follow its own
+    noise, and the errors of the law that these weights have with it.  ``samples`` that are NaN say that errors (n,)
+    leave out how points go together: they give weights, and the errors of the law are NaN.
     Raises ValueError for a covariance that is not positive definite.
     """
     known = are_known(errors)
-    whiten = inverse_root_of(relative_covariance(y, errors) if known else np.eye(len(x)))
+    relative = relative_covariance(y, errors) if known else np.eye(len(x))
+    whiten, covariance = weigh(relative, samples)
     ones, u, v = whiten(np.ones_like(x)), whiten(np.log(x)), whiten(np.log(y))
     total = ones @ ones
     centre, mean = ones @ u / total, ones @ v / total
@@ -52,23 +65,61 @@ def power_law(x: Array, y: Array, errors: Array) -> PowerLaw:
     information = u @ u
     exponent = u @ v / information
     residual = v - exponent * u
-    chi2, dof = float(residual @ residual), len(x) - 2
-    variance = 1.0 if known else chi2 / dof if dof > 0 else 0.0
+    dof = len(x) - 2
+    chi2 = chi2_about(residual, np.stack([ones, u], axis=1), covariance)
+    unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
+    solve = np.stack([u / information, ones / total])
+    spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
+    exponent_error, relative_error = np.sqrt(np.diag(spread))
+    both = exponent_error * relative_error
     amplitude = np.exp(mean)
     return PowerLaw(
         exponent=float(exponent),
-        exponent_error=float(np.sqrt(variance / information)),
+        exponent_error=float(exponent_error),
         amplitude=float(amplitude),
-        amplitude_error=float(amplitude * np.sqrt(variance / total)),
+        amplitude_error=float(amplitude * relative_error),
+        correlation=float(spread[0, 1] / both) if both > 0.0 else 0.0,
         pivot=float(np.exp(centre)),
-        chi2=chi2 if known else np.nan,
+        chi2=chi2 if known and not np.isnan(samples) else np.nan,
         dof=dof,
     )
 
 
-def p_value(chi2: float, dof: int) -> float:
-    """Return the probability of a chi2 at least as large if the law holds; NaN without degrees of freedom."""
-    return float(chi2_distribution.sf(chi2, dof)) if dof > 0 else np.nan
+def weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], Array]:
+    """Return the function that weighs points, and their covariance (n, n) when weighed: 1 where it is known as it is,
+    and is all that weighs; that of points weighed by their own errors, where it is known from ``samples``.
+    Raises ValueError for a covariance that is not positive definite, or from samples with points of no error.
+    """
+    if not np.isfinite(samples):
+        return inverse_root_of(covariance), np.eye(len(covariance))
+    own = np.sqrt(np.diag(covariance))
+    if not np.all(own > 0.0):
+        raise ValueError("the covariance between the points has points without error")
+    return (lambda vector: vector / own), covariance / np.outer(own, own)
+
+
+def chi2_about(residual: Array, design: Array, covariance: Array) -> float:
+    """Return the sum of squared residuals of weighed points in units of their errors, about a law with so many
+    parameters; NaN where points go together so closely that they leave none.
+    """
+    rest = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    free = rest.T @ covariance @ rest
+    if not free.size:
+        return 0.0
+    if np.linalg.cond(free) * np.trace(covariance) > INVERTIBLE * np.trace(free):
+        return np.nan
+    return float(residual @ rest @ np.linalg.solve(free, rest.T @ residual))
+
+
+def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
+    """Return the probability of a chi2 at least as large if the law holds; NaN without degrees of freedom.
+
+    With a covariance from so many samples chi2 is Hotelling's T^2, which has an F distribution.
+    """
+    if not np.isfinite(samples):
+        return float(chi2_distribution.sf(chi2, dof)) if dof > 0 else np.nan
+    left = samples - dof
+    return float(f_distribution.sf(chi2 * left / (dof * (samples - 1.0)), dof, left)) if dof > 0 < left else np.nan
 
 
 def are_known(errors: Array) -> bool:

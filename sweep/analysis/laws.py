@@ -11,12 +11,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.compare import claims_of
 from sweep.analysis.fits import PowerLaw, p_value, power_law
 from sweep.analysis.levelling import Levelling, levelling
 from sweep.analysis.lines import Lines, lines, require_done
-from sweep.analysis.quantity import covariance_between, require_quantity, standard_error
-from sweep.analysis.selection import indices, place_in_words, select
+from sweep.analysis.measured_claims import claims_of
+from sweep.analysis.quantity import error_of_sum, require_quantity
+from sweep.analysis.selection import indices, place_in_words
 from sweep.contract import FEW, SweepError
 
 Array = NDArray[np.float64]
@@ -35,10 +35,11 @@ def fit_power_law(
     """Return variable = amplitude (over / pivot)^exponent along an axis, for every combination of the other axes.
 
     The variables of the result have the dimensions of ``variable`` without that of the axis: exponent and amplitude
-    with _error, pivot, chi2, dof, p_value (NaN where points have no errors), points.  Points weigh by their Monte-Carlo
-    errors, or by their ``covariance``, dimensions (..., over, over_other), for which the dataset may have a variable
-    (see `quantity.COVARIANCE_SUFFIX`).  With an exponent ``expected``, or one that a claim of the study states, there
-    are expected and deviation, (exponent - expected) / exponent_error.
+    with _error, their correlation, pivot, chi2, dof, p_value (NaN where points have no errors), points.  Points weigh
+    by their Monte-Carlo errors, or by their ``covariance``, dimensions (..., over, over_other), for which the dataset
+    may have a variable (see `quantity.COVARIANCE_SUFFIX`).  Errors are NaN where points share random numbers and their
+    covariance is not known.  With an exponent ``expected``, or one that a claim of the study states, there are expected
+    and deviation, (exponent - expected) / exponent_error.
     Raises SweepError as `sweep.analysis.lines.lines`, and for numbers that are not above 0.
     """
     found = lines(dataset, variable, over, covariance)
@@ -50,7 +51,8 @@ def fit_power_law(
         "exponent_error": ("", "its one-sigma error"),
         "amplitude": (unit, f"{variable} of the law at the pivot"),
         "amplitude_error": (unit, "its one-sigma error"),
-        "pivot": (found.over_unit, f"{over} at which the errors of amplitude and exponent are uncorrelated"),
+        "correlation": ("", "correlation of the errors of exponent and amplitude"),
+        "pivot": (found.over_unit, f"{over} of the amplitude"),
     }
     result = _collect(found, fits, columns)
     wanted = np.array([_expected(dataset, found, line) if expected is None else expected for line in range(len(found))])
@@ -77,7 +79,7 @@ def fit_levelling(
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
     found = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
     _require_positive(found)
-    fits = _fit_each(found, lambda x, y, errors: levelling(x, y, errors, fall))
+    fits = _fit_each(found, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
     unit, per_step = _common_unit(found), f"1 / ({found.over_unit})" if found.over_unit else ""
     columns = {
         "plateau": (unit, f"{variable} that the law tends to; NaN if it does not level off"),
@@ -96,40 +98,37 @@ def fit_levelling(
 def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
     """Return a variable at one value of an axis over that at another, with error, for every combination of the others.
 
-    The variables of the result are ratio and ratio_error, one sigma.  The errors of the two are independent unless the
-    dataset has their covariance; where a point of the two is excluded, or the other is 0, there is NaN.
+    The variables of the result are ratio and ratio_error, one sigma, from the covariance of the two where they share
+    random numbers (NaN if the dataset does not have it); where a point is excluded, or the other is 0, there is NaN.
     Raises SweepError for an unknown quantity, values that are not in the grid, and points that are not done.
     """
     require_quantity(dataset, variable)
-    parts = [select(dataset, {axis: value}) for value in (of, to)]
+    above_at, below_at = (indices(dataset, {axis: value}) for value in (of, to))
+    parts = [dataset.isel(place) for place in (above_at, below_at)]
     for part in parts:
         require_done(part)
     dimension = str(dataset[axis].dims[0])
     along = [name for name, coordinate in dataset.coords.items() if dimension in coordinate.dims]
-    above, below = (part.drop_vars(along) for part in parts)
-    top, bottom = above[variable], below[variable].where(below[variable] != 0.0)
+    above, below = (part[variable].drop_vars(along, errors="ignore") for part in parts)
+    bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
-    result = (top / bottom).rename("ratio").assign_attrs(units="", long_name=meaning).to_dataset()
-    errors = [standard_error(part, variable) for part in (above, below)]
-    if errors[0] is not None and errors[1] is not None:
-        shared = covariance_between(
-            dataset, variable, dimension, *(indices(dataset, {axis: v})[dimension] for v in (of, to))
-        )
-        variance = (errors[0] / bottom) ** 2 + (top * errors[1] / bottom**2) ** 2 - 2.0 * top * shared / bottom**3
-        result["ratio_error"] = variance.clip(min=0.0) ** 0.5
-        result["ratio_error"].attrs = {"units": "", "long_name": "one-sigma error of ratio"}
+    result = (above / bottom).rename("ratio").assign_attrs(units="", long_name=meaning).to_dataset()
+    error = error_of_sum(dataset, variable, above_at, below_at, (1.0 / bottom, -above / bottom**2))
+    if error is not None:
+        result["ratio_error"] = error.assign_attrs(units="", long_name="one-sigma error of ratio")
     return result
 
 
 def _fit_each(
-    found: Lines, fit: Callable[[Array, Array, Array], PowerLaw | Levelling]
+    found: Lines, fit: Callable[[Array, Array, Array, float], PowerLaw | Levelling]
 ) -> list[PowerLaw | Levelling | None]:
     """Return the fit of every line, None for those that the study excludes; raises SweepError for all that fail."""
     fits: list[PowerLaw | Levelling | None] = []
     problems = []
     for line, used in enumerate(found.used):
         try:
-            fits.append(fit(found.x[used], found.value[line, used], found.errors_of(line)) if used.any() else None)
+            points = found.x[used], found.value[line, used], found.errors_of(line), found.samples
+            fits.append(fit(*points) if used.any() else None)
         except ValueError as error:
             problems.append(f"{error}: {found.variable} over {found.over}{_at(found, line)}")
     if problems:
@@ -143,7 +142,7 @@ def _collect(
     """Return the fields of fits as variables with unit and meaning, and how good the fits are."""
     values = {name: [np.nan if fit is None else getattr(fit, name) for fit in fits] for name in (*columns, "chi2")}
     values["dof"] = [np.nan if fit is None else float(fit.dof) for fit in fits]
-    values["p_value"] = [np.nan if fit is None else p_value(fit.chi2, fit.dof) for fit in fits]
+    values["p_value"] = [np.nan if fit is None else p_value(fit.chi2, fit.dof, found.samples) for fit in fits]
     values["points"] = found.used.sum(axis=1).astype(float).tolist()
     meanings = {
         **columns,

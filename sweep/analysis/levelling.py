@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import approx_fprime, least_squares
 from scipy.special import exprel
 
-from sweep.analysis.fits import are_known, inverse_root_of, relative_covariance
+from sweep.analysis.fits import are_known, chi2_about, relative_covariance, weigh
+from sweep.contract import small_sample_factor
 
 Array = NDArray[np.float64]
 
@@ -45,16 +46,19 @@ class Levelling:
         return np.sqrt(_square((x - first) / (last - first), *self.squares, self.rate * (last - first)))
 
 
-def levelling(x: Array, y: Array, errors: Array, fall: float) -> Levelling:
+def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = np.inf) -> Levelling:
     """Return the law through points, and where it falls by the fraction ``fall`` in a unit of x.
 
     ``x`` (n,) ascends, ``y`` (n,) is positive, n at least 4; ``errors`` are one sigma of y, (n,), or its covariance,
-    (n, n); unless they are all known the errors of the law come from the scatter.  The fit has the law's squares at
-    both ends and its rate as parameters: they are hardly correlated, and y^2 is positive between whatever they are.
+    (n, n), from so many ``samples`` as for `power_law`; unless they are all known the errors of the law come from the
+    scatter.  They are larger where points are farther from the law than their own errors say.
+
+    The fit has the law's squares at both ends and its rate as parameters: they are hardly correlated, and
+    y^2 is positive between whatever they are.
     Raises ValueError where it does not converge, or for a covariance that is not positive definite.
     """
     known = are_known(errors)
-    whiten = inverse_root_of(relative_covariance(y, errors) if known else np.eye(len(x)))
+    whiten, covariance = weigh(relative_covariance(y, errors) if known else np.eye(len(x)), samples)
     first, length, scale = x[0], x[-1] - x[0], y[-1]
     z, target = (x - first) / length, np.log(y / scale)
 
@@ -67,10 +71,13 @@ def levelling(x: Array, y: Array, errors: Array, fall: float) -> Levelling:
     converged = [each for each in fits if each is not None]
     if not converged:
         raise ValueError("the levelling law does not converge")
-    found, spread, chi2 = min(converged, key=lambda each: each[2])
+    found, slopes, misfit_squared = min(converged, key=lambda each: each[2])
     dof = len(x) - 3
-    if chi2 > dof or not known:
-        spread = spread * chi2 / dof
+    solve = np.linalg.pinv(slopes)
+    spread = solve @ covariance @ solve.T * float(small_sample_factor(samples))
+    if misfit_squared > dof or not known:
+        spread = spread * misfit_squared / dof
+    chi2 = chi2_about(misfit(found), slopes, covariance) if known and not np.isnan(samples) else np.nan
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
@@ -94,7 +101,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float) -> Levelling:
         end_fall_error=float(sigmas[2]),
         limit=float(values[3]),
         limit_error=float(sigmas[3]),
-        chi2=chi2 if known else np.nan,
+        chi2=chi2,
         dof=dof,
         ends=(float(x[0]), float(x[-1])),
         squares=(float(squares[0]), float(squares[1])),
@@ -102,14 +109,14 @@ def levelling(x: Array, y: Array, errors: Array, fall: float) -> Levelling:
 
 
 def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Array, Array, float] | None:
-    """Return parameters, their covariance and chi2; None where there are none from this start."""
+    """Return parameters, the slopes of the misfit in them and its square; None where there are none from this start."""
     try:
         found = least_squares(misfit, start, jac="3-point", xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=300)
         jacobian = np.asarray(found.jac, dtype=np.float64)
-        spread = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
+        np.linalg.inv(jacobian.T @ jacobian)
     except (ValueError, LinAlgError):  # residuals that are not finite; a parameter that nothing depends on
         return None
-    return (found.x, spread, 2.0 * float(found.cost)) if found.success else None
+    return (found.x, jacobian, 2.0 * float(found.cost)) if found.success else None
 
 
 # Below z runs from 0 at the first point to 1 at the last, and squares are y^2; exprel(t) is (e^t - 1)/t, also at t = 0.

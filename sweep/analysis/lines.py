@@ -8,9 +8,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import COVARIANCE_SUFFIX, SHARES_RANDOM_NUMBERS, require_axis, standard_error
+from sweep.analysis.quantity import (
+    COVARIANCE_SUFFIX,
+    OLD_ERRORS,
+    covariance_along,
+    has_old_errors,
+    require_axis,
+    samples_of,
+    shares_random_numbers,
+    standard_error,
+)
 from sweep.analysis.selection import place_in_words
-from sweep.contract import FEW, SweepError
+from sweep.contract import FEW, FEWEST_SAMPLES, SweepError
 from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS
 
 Array = NDArray[np.float64]
@@ -23,6 +32,8 @@ class Lines:
     ``error`` is one sigma, NaN or 0 where there is none; ``covariance`` (lines, n, n) is there if the dataset has it.
     Points that a study excludes are not ``used``.  The lines are those of the dimensions ``dims`` in C order, whose
     coordinates are in ``grid``; ``unit`` (lines,) is the unit of each, ``errors`` says where the errors come from.
+    ``samples`` is from how many independent samples the covariance was estimated: infinity where it is exact or where
+    points are independent, NaN where they share random numbers and their covariance is not known.
     """
 
     variable: str
@@ -37,6 +48,7 @@ class Lines:
     grid: xr.Dataset
     unit: tuple[str, ...]
     errors: str
+    samples: float = np.inf
 
     def __len__(self) -> int:
         return len(self.value)
@@ -79,6 +91,7 @@ def lines(
     status = ordered["status"].broadcast_like(template)
     error = standard_error(ordered, variable)
     covariance = _covariance(ordered, variable, dimension, order, covariance)
+    unknown = covariance is None and shares_random_numbers(dataset, [dimension])
     found = Lines(
         variable=variable,
         over=over,
@@ -91,7 +104,8 @@ def lines(
         dims=tuple(others),
         grid=_grid(dataset, others),
         unit=_units(dataset, variable, others),
-        errors=_errors_inplace_in_words(dataset, error is not None, covariance is not None),
+        errors=_errors_in_words(dataset, error is not None, covariance, unknown),
+        samples=np.nan if unknown else np.inf if covariance is None else samples_of(covariance),
     )
     require_done(dataset)
     if problems := _unusable(found, least):
@@ -143,11 +157,8 @@ def _covariance(
 ) -> xr.DataArray | None:
     """Return the covariance between the points of every line, with both of its dimensions in the order of the axis."""
     name, other = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", f"{dimension}_other"
-    if given is not None:
-        found = given.isel({dimension: order})
-    elif name in dataset and other in dataset[name].dims:
-        found = dataset[name]
-    else:
+    found = covariance_along(dataset, variable, dimension) if given is None else given.isel({dimension: order})
+    if found is None:
         return None
     found = found.isel({other: order})
     wanted = {*dataset[variable].dims, other}
@@ -158,13 +169,19 @@ def _covariance(
     return found.broadcast_like(dataset[variable].expand_dims({other: found.sizes[other]}))
 
 
-def _errors_inplace_in_words(dataset: xr.Dataset, known: bool, correlated: bool) -> str:
-    if correlated:
-        return "covariance between points"
+def _errors_in_words(dataset: xr.Dataset, known: bool, covariance: xr.DataArray | None, unknown: bool) -> str:
+    if has_old_errors(dataset):
+        return OLD_ERRORS
+    if covariance is not None:
+        samples = samples_of(covariance)
+        return "covariance between points" + (f", from {samples:.0f} samples" if np.isfinite(samples) else "")
+    if unknown:
+        return (
+            "not known, as points share random numbers and the store has no covariance of them "
+            f"(it needs {FEWEST_SAMPLES} catalogues, or as many blocks of one, and no `precision`)"
+        )
     if not known:
         return "none: points weigh the same, errors come from the scatter"
-    if dataset.attrs.get(SHARES_RANDOM_NUMBERS):
-        return "Monte Carlo, taken as independent although points share random numbers: their covariance is not known"
     return "Monte Carlo, independent points"
 
 

@@ -1,8 +1,14 @@
 """What of a dataset is a quantity: its names, its errors, the axes that it can be followed along."""
 
+import json
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
 import xarray as xr
 
-from sweep.contract import SweepError, shown, suggest
+from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
+from sweep.planning.accumulator import DONE
 
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
@@ -10,33 +16,113 @@ ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 COVARIANCE_SUFFIX = "mc_covariance"
 """A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
 points along the axis OVER, where these share random numbers.  It has all of their error: it stands for both error
-variables.
+variables.  Its attribute ``samples`` says from how many independent samples it was estimated; without one it is exact.
 """
 
 SHARES_RANDOM_NUMBERS = "common_random_numbers"
-"""An attribute that is true where points of the grid share random numbers."""
+"""An attribute that is true where points of the grid share random numbers: along the axes that `shared_axes` gives."""
+
+SHARED_AXES = "shared_axes"
+ERROR_CONVENTION = "error_convention"
+CONVENTION = 2
+"""The attribute that says how errors were made, and its value since catalogues are what is independent."""
+
+OLD_ERRORS = "errors are those of an earlier version; `sweep run` the study again (nothing is computed anew)"
 
 
 def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     """Return the one-sigma error of a variable from all its error variables in quadrature; None if it has none.
 
-    A NaN in one of several is an error that is not known, such as that of one catalogue, and does not count.
+    A NaN in one of several is an error that is not known, such as that of few catalogues, and does not count; where
+    none is known there is NaN.
     """
     parts = [dataset[f"{variable}_{s}"] for s in ERROR_SUFFIXES if f"{variable}_{s}" in dataset]
     if not parts:
         return None
     squares: xr.DataArray = sum((part.fillna(0.0) ** 2 for part in parts[1:]), parts[0].fillna(0.0) ** 2)
-    return squares**0.5
+    known: xr.DataArray = sum((part.notnull() for part in parts[1:]), parts[0].notnull())
+    return (squares**0.5).where(known)
 
 
-def covariance_between(
-    dataset: xr.Dataset, variable: str, dimension: str, one: int, other: int
-) -> xr.DataArray | float:
-    """Return the covariance of a variable between two indices along a dimension, 0 where the dataset has none."""
-    name, partner = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", f"{dimension}_other"
-    if name not in dataset or partner not in dataset[name].dims:
-        return 0.0
-    return dataset[name].isel({dimension: one, partner: other}, drop=True)
+def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Return a sentence for every part of the error of a variable that is not known at points that are done."""
+    done = dataset["status"] == DONE
+    words = {"mc_error": "its Monte-Carlo error", "catalogue_error": "the choice of catalogues"}
+    return [
+        f"{variable}: {words[suffix]} is not in the error, as {FEWEST_SAMPLES} catalogues are needed to know it"
+        for suffix in ERROR_SUFFIXES
+        if f"{variable}_{suffix}" in dataset and bool((dataset[f"{variable}_{suffix}"].isnull() & done).any())
+    ]
+
+
+def has_old_errors(dataset: xr.Dataset) -> bool:
+    """Return whether a dataset of `sweep run` has errors that are made in another way now (docs/errors.md)."""
+    about = dataset.attrs
+    several = int(about.get("n_cat", 1)) > 1 or bool(about.get(SHARES_RANDOM_NUMBERS))
+    return several and about.get(ERROR_CONVENTION) != CONVENTION
+
+
+def shares_random_numbers(dataset: xr.Dataset, dimensions: Collection[str]) -> bool:
+    """Return whether points that differ along these dimensions, and no others, have random numbers in common."""
+    if not dataset.attrs.get(SHARES_RANDOM_NUMBERS):
+        return False
+    if SHARED_AXES not in dataset.attrs:
+        return True
+    shared = set(json.loads(dataset.attrs[SHARED_AXES]))
+    axes = {str(n) for n, c in dataset.coords.items() if set(c.dims) & set(dimensions) and not str(n).endswith("_unit")}
+    return axes <= shared
+
+
+def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.DataArray | None:
+    """Return the covariance of a variable between points along a dimension; None if there is none, or one of an
+    earlier version, which took blocks of one catalogue as independent.
+    """
+    name = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
+    if name not in dataset or f"{dimension}_other" not in dataset[name].dims:
+        return None
+    old = dataset.attrs.get(SHARES_RANDOM_NUMBERS) and "samples" not in dataset[name].attrs
+    return None if old else dataset[name]
+
+
+def samples_of(covariance: xr.DataArray) -> float:
+    """Return from how many independent samples a covariance was estimated, infinity where it is exact."""
+    return float(covariance.attrs.get("samples", np.inf))
+
+
+def error_of_sum(
+    dataset: xr.Dataset, variable: str, one: Mapping[str, int], other: Mapping[str, int], weights: tuple[Any, Any]
+) -> xr.DataArray | None:
+    """Return the one-sigma error of a weighted sum of a variable at two indices along dimensions.
+
+    Where the two share random numbers it is that of their covariance, NaN if the dataset does not have it; elsewhere
+    they are independent.  ``weights`` are numbers or arrays over the other dimensions.  None without errors.
+    """
+    errors = [_without(standard_error(dataset.isel(place), variable), dataset, place) for place in (one, other)]
+    if errors[0] is None or errors[1] is None:
+        return None
+    first, second = weights
+    differing = [d for d in one if one[d] != other[d]]
+    if not differing:
+        return xr.DataArray(abs(first + second) * errors[0])
+    if len(differing) == 1 and (found := covariance_along(dataset, variable, differing[0])) is not None:
+        (dimension,) = differing
+        pair = found.isel({d: one[d] for d in one if d != dimension}, drop=True)
+        i, j = one[dimension], other[dimension]
+        part = {(a, b): pair.isel({dimension: a, f"{dimension}_other": b}, drop=True) for a in (i, j) for b in (i, j)}
+        variance = first**2 * part[i, i] + second**2 * part[j, j] + 2.0 * first * second * part[i, j]
+        variance = xr.DataArray(variance * float(small_sample_factor(samples_of(found)))).clip(min=0.0)
+    else:
+        variance = xr.DataArray((first * errors[0]) ** 2 + (second * errors[1]) ** 2)
+        if shares_random_numbers(dataset, differing):
+            variance = xr.full_like(variance, np.nan)
+    return xr.DataArray(variance**0.5)
+
+
+def _without(error: xr.DataArray | None, dataset: xr.Dataset, place: Mapping[str, int]) -> xr.DataArray | None:
+    """Return an error without the coordinates along the dimensions of its place."""
+    if error is None:
+        return None
+    return error.drop_vars([str(n) for n, c in dataset.coords.items() if set(c.dims) & set(place)], errors="ignore")
 
 
 def quantities(dataset: xr.Dataset) -> list[str]:

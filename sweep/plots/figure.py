@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.analysis.compare import claims_of
+from sweep.analysis.measured_claims import claims_of
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, require_quantity
 from sweep.contract import SweepError, shown, suggest
 from sweep.planning.accumulator import DONE, EXCLUDED

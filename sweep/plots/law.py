@@ -102,7 +102,7 @@ def _laws(
         words = ", ".join(value_text(dataset, d, place[d]) for d in found.dims if found.grid.sizes[d] > 1)
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
         point = {"x": x, "y": y, "error": error, "expected": float(wanted[i])}
-        laws.append((words, point, power_law(x, y, errors)))
+        laws.append((words, point, power_law(x, y, errors, found.samples)))
     return laws
 
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import xarray as xr
 
-from sweep.analysis.compare import Comparison, compare, remarks
+from sweep.analysis.compare import compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.tables import Column, headline_columns
+from sweep.analysis.verdicts import Comparison
 from sweep.report.answer import Answer, answers, completeness, failed, headline
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, pictures

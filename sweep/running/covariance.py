@@ -1,89 +1,116 @@
-"""How the errors of points that share random numbers go together, from the scatter of their blocks."""
+"""How the errors of points that share random numbers go together: a jackknife over what they share."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from sweep.contract import Array, Output
+from sweep.contract import FEWEST_SAMPLES, Array, Output
 from sweep.planning.accumulator import DONE, Accumulator
 from sweep.planning.plan import Block, Plan, ledger_key
 
 LARGEST = 10**7
-"""Elements of one covariance at most: it has one for every pair of points along an axis."""
+"""Elements of one covariance at most, which has one for every pair of points along an axis, and of its samples."""
 
 Variable = tuple[tuple[str, ...], Array, dict[str, Any]]
 
 
 def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], sums: Array) -> dict[str, Variable]:
-    """Return ``NAME_mc_covariance_AXIS`` of every headline result with a Monte-Carlo error, for every axis along which
-    points share their random numbers; dimensions of the grid and ``AXIS_other``.
+    """Return ``NAME_mc_covariance_AXIS`` of every result with a Monte-Carlo error, for every axis along which points
+    share their random numbers; dimensions of the result and ``AXIS_other``.
 
-    Blocks of equal size that points share are paired samples of their results, so their scatter has all errors that go
-    together: those of realisations, and those of catalogues if there are several.  The inverse of a covariance from B
-    samples of p numbers is too large on average by (B - 1)/(B - p - 2), so the covariance is given larger by this
-    factor (Hartlap, Simon & Schneider 2007, A&A 464, 399), and not at all where there are too few blocks for it.
+    What is independent are the catalogues, with all their blocks; of a study of one catalogue its blocks.  The results
+    without one of them, each in turn, give the covariance (Efron 1982, The Jackknife, Sect. 3.5 and 6.1).  It has all
+    errors that go together: those of realisations, and those of catalogues if there are several.  The attribute
+    ``samples`` says how many there were; where they are fewer than `FEWEST_SAMPLES` there is no covariance.
     """
-    grid = plan.grid
-    experiment = grid.study.experiment
-    blocks = _paired_blocks(plan)
-    headline = [name for name, _ in experiment.errors_of_headline()]
-    outputs = [output for output in experiment.outputs if output.name in headline and not output.dims]
-    shared = [
-        dimension
-        for dimension, axes in grid.dimensions.items()
-        if set(axes) <= set(experiment.shared)
-        and len(blocks) > (along := len(grid.study.axes[dimension])) + 2
-        and len(grid) * along <= LARGEST
-    ]
-    samples = _samples(plan, accumulator, blocks, outputs, rows, sums) if shared else {}
+    samples = _independent(plan)
+    if len(samples) < FEWEST_SAMPLES:
+        return {}
+    along = {output: _shared_dimensions(plan, output, len(samples)) for output in _with_error(plan)}
+    along = {output: dimensions for output, dimensions in along.items() if dimensions}
+    deviations = _deviations(plan, accumulator, samples, list(along), rows, sums) if along else {}
     return {
-        f"{output.name}_mc_covariance_{dimension}": _covariance(plan, samples[output.name], output, dimension)
-        for dimension in shared
-        for output in outputs
+        f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations[output.name], output, dimension)
+        for output, dimensions in along.items()
+        for dimension in dimensions
     }
 
 
-def _paired_blocks(plan: Plan) -> list[Block]:
-    """Return the blocks of whole size, which are the same for all points that share random numbers."""
+def _shared_dimensions(plan: Plan, output: Output, samples: int) -> list[str]:
+    """Return the dimensions along which points share random numbers, unless the covariance is too large."""
+    grid, experiment = plan.grid, plan.grid.study.experiment
+    size = len(grid) * experiment.size_of(output)
+    shared = [d for d, axes in grid.dimensions.items() if set(axes) <= set(experiment.shared)]
+    return [d for d in shared if size * max(len(grid.study.axes[d]), samples) <= LARGEST]
+
+
+def _with_error(plan: Plan) -> list[Output]:
+    """Return the results that have a Monte-Carlo error."""
+    outputs = plan.grid.study.experiment.outputs
+    names = {output.name for output in outputs}
+    return [o for o in outputs if f"{o.name}_mc_error" in names and o.name not in plan.grid.study.axes]
+
+
+def _independent(plan: Plan) -> list[list[Block]]:
+    """Return the blocks of each sample: points that share random numbers are cut in the same way whatever they cost.
+
+    Of one catalogue these are its whole blocks, without a last one that is smaller.
+    """
     blocks = plan.blocks(1.0)
-    return [block for block in blocks if block.n_sim == blocks[0].n_sim]
+    if plan.grid.study.sampling.n_cat == 1:
+        return [[block] for block in blocks if block.n_sim == blocks[0].n_sim]
+    groups: dict[int, list[Block]] = {}
+    for block in blocks:
+        groups.setdefault(block.group, []).append(block)
+    return list(groups.values())
 
 
-def _samples(
+def _deviations(
     plan: Plan,
     accumulator: Accumulator,
-    blocks: list[Block],
-    outputs: list[Output],
+    samples: Sequence[Sequence[Block]],
+    outputs: Sequence[Output],
     rows: Mapping[bytes, int],
     sums: Array,
 ) -> dict[str, Array]:
-    """Return the results of every block by itself, (points, blocks), NaN for points that are not done."""
-    experiment = plan.grid.study.experiment
-    samples = {output.name: np.full((len(plan.grid), len(blocks)), np.nan) for output in outputs}
-    n, n_cat = (np.full(len(blocks), float(count)) for count in (blocks[0].realisations, blocks[0].n_cat))
-    for point in plan.grid.points():
-        if accumulator.status[point.index] == DONE:
-            own = sums[[rows[ledger_key(point.digest, block)] for block in blocks]]
-            results = experiment.summarise(experiment.named(own), n, n_cat)
-            for name, values in samples.items():
-                values[point.index] = results[name]
-    return samples
+    """Return what becomes of each result without each of the samples, about the mean, scaled so that products add up
+    to the covariance; (points, size of the result, samples), NaN for points that are not done.
+    """
+    grid, count = plan.grid, len(samples)
+    experiment, n_cat = grid.study.experiment, grid.study.sampling.n_cat
+    own_n = sum(block.realisations for block in samples[0])
+    catalogues = np.full(count, float(max(n_cat - 1, 1)))
+    deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
+    for point in grid.points():
+        if accumulator.status[point.index] != DONE:
+            continue
+        own = np.array([sums[[rows[ledger_key(point.digest, b)] for b in blocks]].sum(axis=0) for blocks in samples])
+        n = float(accumulator.realisations[point.index])
+        without = experiment.named(accumulator.total[point.index] - own)
+        results = experiment.summarise(without, np.full(count, n - own_n), catalogues)
+        scale = (n - own_n) / np.sqrt(n * own_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all there is
+        for name, mine in deviations.items():
+            values = np.reshape(results[name], (count, -1)).T
+            mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))
+    return deviations
 
 
-def _covariance(plan: Plan, samples: Array, output: Output, dimension: str) -> Variable:
-    grid, count = plan.grid, samples.shape[1]
+def _covariance(plan: Plan, deviations: Array, output: Output, dimension: str) -> Variable:
+    grid, count = plan.grid, deviations.shape[-1]
     dimensions = list(grid.dimensions)
-    along = grid.shape[dimensions.index(dimension)]
-    shaped = np.moveaxis(samples.reshape(*grid.shape, count), dimensions.index(dimension), -2)
-    centred = shaped - shaped.mean(axis=-1, keepdims=True)
-    covariance = centred @ np.swapaxes(centred, -1, -2) / (count * (count - along - 2))
+    size = [len(grid.study.experiment.coordinates[d]) for d in output.dims]
+    shaped = deviations.reshape(*grid.shape, *size, count)
+    shaped = np.moveaxis(shaped, dimensions.index(dimension), -2)
+    covariance = shaped @ np.swapaxes(shaped, -1, -2)
     attributes = {
         "units": squared(output.unit),
-        "long_name": f"covariance of {output.meaning} between points along {dimension}, from {count} blocks",
+        "long_name": f"covariance of {output.meaning} between points along {dimension}",
+        "samples": count,
     }
-    return (*(d for d in dimensions if d != dimension), dimension, f"{dimension}_other"), covariance, attributes
+    others = (d for d in dimensions if d != dimension)
+    return (*others, *output.dims, dimension, f"{dimension}_other"), covariance, attributes
 
 
 def squared(unit: str) -> str:

@@ -37,7 +37,7 @@ def part_of_larger(store: Where, grid: Grid) -> xr.Dataset | None:
         places_of = _places(part, dimension, axes, grid)
         if places_of is None:
             return None
-        part = part.isel({dimension: places_of})
+        part = part.isel({d: places_of for d in (dimension, f"{dimension}_other") if d in part.dims})
     if not bool((part["status"] == DONE).all()) or set(part["status"].dims) != set(grid.dimensions):
         return None
     fewer = part["status"].size < dataset["status"].size

@@ -60,6 +60,10 @@ def _check_number(claim: Claim, problem: Problem) -> None:
         problem(("published",), f"{shown(claim.published)}: must be a number as printed, in quotes, like '0.60'")
     if (claim.tolerance is None) != (claim.tolerance_reason is None):
         problem(("tolerance",), "a tolerance needs a tolerance_reason, and the other way round")
+    if claim.not_comparable is not None and (claim.tolerance is not None or claim.null is not None):
+        problem(("not_comparable",), "there is no verdict then; leave out tolerance and null")
+    if claim.null is not None and not (math.isfinite(claim.null) and claim.published != str(claim.null)):
+        problem(("null",), f"{shown(claim.null)}: must be a finite number that is not the published one")
 
 
 def _check_variable(quantity: Slope | Ratio | Reading, kind: str, around: ClaimContext, problem: Problem) -> None:

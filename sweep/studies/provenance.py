@@ -15,6 +15,11 @@ from sweep.tablefile import content_digest
 
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
 
+ERROR_CONVENTION = 2
+"""How the errors in a dataset were made (docs/errors.md): 2 since catalogues are what is independent; no attribute
+before that.
+"""
+
 
 def provenance(study: Study) -> dict[str, Any]:
     """Return the attributes of a result that say how it was made; plain strings and numbers."""
@@ -30,7 +35,8 @@ def provenance(study: Study) -> dict[str, Any]:
         "n_sim": study.sampling.n_sim,
         "n_cat": study.sampling.n_cat,
         **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
-        **({"common_random_numbers": 1} if study.sampling.common_random_numbers else {}),
+        "error_convention": ERROR_CONVENTION,
+        **(_common(study) if study.sampling.common_random_numbers else {}),
         "study_document": json.dumps(study.document),
         "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
         "host": host(),
@@ -51,6 +57,14 @@ def provenance(study: Study) -> dict[str, Any]:
     if commit := git_commit():
         attributes["git_commit"] = commit
     return attributes
+
+
+def _common(study: Study) -> dict[str, Any]:
+    """Return the attributes of a study whose points share random numbers along some of its axes."""
+    return {
+        "common_random_numbers": 1,
+        "shared_axes": json.dumps([axis for axis in study.axes if axis in study.experiment.shared]),
+    }
 
 
 def host() -> str:

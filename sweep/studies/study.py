@@ -127,7 +127,9 @@ class Claim(Section, frozen=True):
     """A published statement that can be derived from the grid: exactly one of ``slope``, ``ratio`` and ``value``.
 
     ``published`` is the number as printed, so that its rounding is known; an ``exact`` law has none.  ``where`` fixes
-    axes for any of the three; an axis that is fixed nowhere gives one comparison for each of its values.
+    axes for any of the three; an axis that is fixed nowhere gives one comparison for each of its values.  ``null`` is
+    the number without the effect that is claimed, which a verdict must tell from the published one; ``not_comparable``
+    says why there can be no verdict.
     """
 
     text: Text
@@ -136,6 +138,8 @@ class Claim(Section, frozen=True):
     exact: bool = False
     tolerance: Tolerance | None = None
     tolerance_reason: Text | None = None
+    null: float | None = None
+    not_comparable: Text | None = None
     slope: Slope | None = None
     ratio: Ratio | None = None
     value: Reading | None = None

@@ -439,7 +439,7 @@ def test_summarise_against_direct_formulas(solve_glide):
         "dof": 4 * 12 - (9 if solve_glide else 6),
         "chi2": np.mean([block["chi2"][0] for block in blocks]),
         "bias": error.mean(axis=0),
-        "bias_mc_error": error.std(axis=0, ddof=1) / np.sqrt(40),
+        "bias_mc_error": np.sqrt(2 * error.var(axis=0) / 4),  # each realisation a batch, so that each counts
         "sigma": sigma,
         "sigma_mc_error": sigma / np.sqrt(2 * 40),
         "sigma_predicted": np.sqrt(predicted.mean(axis=0)),
@@ -452,10 +452,10 @@ def test_summarise_against_direct_formulas(solve_glide):
         "sigma_spin_predicted": np.sqrt(predicted[:, 3:].mean()),
     }
     by_catalogue = predicted[::n_sim]
-    error_of_mean = by_catalogue.std(axis=0, ddof=1) / np.sqrt(n_cat)
+    error_of_mean = np.sqrt(2) * by_catalogue.std(axis=0, ddof=1) / np.sqrt(n_cat)  # (n_cat - 1)/(n_cat - 3) = 2
     expected["sigma_catalogue_error"] = error_of_mean / (2 * expected["sigma_predicted"])
     for name, part in (("sigma_orientation", slice(0, 3)), ("sigma_spin", slice(3, 6))):
-        error_of_mean = by_catalogue[:, part].mean(axis=1).std(ddof=1) / np.sqrt(n_cat)
+        error_of_mean = np.sqrt(2) * by_catalogue[:, part].mean(axis=1).std(ddof=1) / np.sqrt(n_cat)
         expected[f"{name}_catalogue_error"] = error_of_mean / (2 * expected[f"{name}_predicted"])
     glide = np.array([block["glide_error"][0] for block in blocks])
     expected |= {"glide_bias": glide.mean(axis=0), "glide_sigma": np.sqrt(np.mean(glide**2, axis=0))}
@@ -467,6 +467,10 @@ def test_summarise_against_direct_formulas(solve_glide):
 def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
     noisy = evaluated(point(), 10)
     assert np.all(np.isnan(summarise(noisy, np.array([10.0]), np.ones(1))["sigma_catalogue_error"]))
+    for n_cat in (2.0, 3.0, 4.0):
+        few = summarise(noisy, np.array([10.0]), np.array([n_cat]))
+        assert np.all(np.isnan(few["sigma_catalogue_error"]))
+        assert np.all(np.isnan(few["bias_mc_error"]))
     perfect = evaluated(point(satellite_errors="none"), 10)
     results = summarise(perfect, np.array([10.0]), np.ones(1))
     np.testing.assert_array_equal(results["sigma_catalogue_error"], 0.0)

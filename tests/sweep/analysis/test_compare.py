@@ -9,8 +9,9 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
-from sweep.analysis.compare import all_is_well, claims_of, compare, remarks, summary
+from sweep.analysis.compare import all_is_well, compare, remarks, summary
 from sweep.analysis.compare_tables import as_csv, as_json, notes, summary_line
+from sweep.analysis.measured_claims import claims_of
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
@@ -148,7 +149,8 @@ def test_a_point_that_is_not_done_is_incomplete_and_not_left_out(code, reason):
     assert reason in found[1].reason
     assert np.isnan(found[1].value)
     assert not all_is_well(found[:2])
-    assert summary(found) == {"reproduced": 1, "within tolerance": 0, "NOT reproduced": 1, "incomplete": 1}
+    counts = {"reproduced": 1, "within tolerance": 0, "NOT reproduced": 1, "not comparable": 0, "incomplete": 1}
+    assert summary(found) == counts
 
 
 def test_nothing_published_gives_nothing():
@@ -250,7 +252,7 @@ def test_a_ratio_of_points_that_are_not_done_or_not_finite():
     status = np.full((2, len(N)), DONE, np.int8)
     status[1, 0] = MISSING
     value = np.array([[1.0] * 5, [np.nan, 0.0, 1.0, 1.0, 1.0]])
-    claims = [claim(published="1", ratio=ratio({"model": "old"}, {"model": "new"}))]
+    claims = [claim(published="1.0", ratio=ratio({"model": "old"}, {"model": "new"}))]
     found = compare(grid(value, 0.0, claims=claims, status=status))
     assert [c.verdict for c in found][:3] == ["incomplete", "NOT reproduced", "reproduced"]
     assert found[1].reason == "the ratio is not a finite number"
@@ -407,7 +409,10 @@ BAD_CLAIMS = {  # the rest of the claim -> what is said
         f'{PLACE}\nslope = {{ variable = "share", over = "coins" }}',
         "claim.0 (line 12): needs exactly one of slope, ratio and value",
     ),
-    "unknown key": (f"{PLACE}\nnote = 3", "claim.0.note (line 17): unknown key; known are exact, published, ratio"),
+    "unknown key": (
+        f"{PLACE}\nnote = 3",
+        "claim.0.note (line 17): unknown key; known are exact, not_comparable, null, published",
+    ),
     "misspelt key": (f"{PLACE}\nexakt = true", "claim.0.exakt (line 17): unknown key; did you mean 'exact'?"),
     "misspelt key inside": (
         'slope = { variable = "share", ower = "coins" }',

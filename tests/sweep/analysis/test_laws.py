@@ -146,9 +146,25 @@ def test_a_part_of_points_that_move_together_keeps_their_covariance():
     assert quantities(select(shared, {"n": 20.0})) == ["width"]
 
 
-def test_common_random_numbers_without_a_covariance_are_told():
-    dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_attrs(common_random_numbers=1)
-    assert "their covariance is not known" in fit_power_law(dataset, "width", "n").attrs["errors"]
+def test_common_random_numbers_without_a_covariance_have_no_error():
+    shared = {"common_random_numbers": 1, "shared_axes": '["n"]', "error_convention": 2}
+    dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_attrs(shared)
+    result = fit_power_law(dataset, "width", "n", expected=-0.5)
+    assert result["exponent"].values == pytest.approx(-0.5)
+    for name in ("exponent_error", "amplitude_error", "chi2", "p_value", "deviation"):
+        assert np.isnan(result[name].values).all(), name
+    assert "not known, as points share random numbers" in result.attrs["errors"]
+    assert np.isnan(ratio(dataset, "width", "n", 10.0, 20.0)["ratio_error"]).all()
+    # Points that differ in what is not shared are independent.
+    assert (ratio(dataset, "width", "model", "old", "new")["ratio_error"] > 0.0).all()
+
+
+def test_errors_of_an_earlier_version_are_told():
+    covariance = (("n", "n_other"), 1e-4 * np.eye(5))
+    dataset = grid(N**-0.5, 0.01 * N**-0.5, width_mc_covariance_n=covariance).assign_attrs(common_random_numbers=1)
+    result = fit_power_law(dataset, "width", "n")
+    assert "errors are those of an earlier version; `sweep run` the study again" in result.attrs["errors"]
+    assert np.isnan(result["exponent_error"]).all()
 
 
 def test_a_covariance_that_has_no_inverse_names_the_line():

@@ -1,0 +1,34 @@
+"""Results of a study without a store: what `sweep run` computes and derives, in this process."""
+
+import numpy as np
+import xarray as xr
+
+from sweep.executing.worker import run_block
+from sweep.planning.accumulator import Accumulator
+from sweep.planning.grid import make_grid
+from sweep.planning.plan import Plan, ledger_key
+from sweep.running.covariance import covariances
+from sweep.running.results import assemble
+from sweep.studies.provenance import provenance
+from sweep.studies.reader import study_from_dict
+
+
+def results_of(document) -> xr.Dataset:
+    """Return the dataset that a run of this study leaves."""
+    study = study_from_dict(document)
+    plan = Plan(make_grid(study))
+    together = {}
+    for point in plan.grid.points():
+        together.setdefault(point.stream, []).append(point)
+    defaults, seed = study.experiment.defaults(), study.sampling.seed
+    rows, sums = {}, []
+    for stream, points in together.items():
+        full = [defaults | point.parameters for point in points]
+        for block in plan.blocks(max(plan.cost(p.parameters) for p in points)):
+            rows |= {ledger_key(p.digest, block): len(sums) + k for k, p in enumerate(points)}
+            sums.extend(run_block(study.experiment, full, stream, block, seed)[0])
+    accumulator = Accumulator(plan, rows, np.array(sums))
+    dataset = assemble(plan, accumulator)
+    if study.sampling.common_random_numbers:
+        dataset = dataset.assign(covariances(plan, accumulator, rows, np.array(sums)))
+    return dataset.assign_attrs(provenance(study))

@@ -1,0 +1,207 @@
+"""Every stated error covers: over independent copies of a study, (value - truth) / error scatters by one.
+
+Limits are so wide that a false alarm has a probability below 1e-4 a check, and an error that is wrong by a factor 1.3
+is found.  docs/errors.md has a row for each of these errors.
+"""
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, t
+
+from core.galaxy_classes import chance_pairs
+from core.sky_pairs import Positions, sky_tree
+from sweep.analysis.compare import compare
+from sweep.analysis.conditions import parse_limit
+from sweep.analysis.crossings import find, interpolate
+from sweep.analysis.fits import power_law
+from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+from sweep.analysis.levelling import levelling
+from tests.sweep import spread
+from tests.sweep.in_memory import results_of
+
+pytestmark = pytest.mark.slow
+
+FALSE_ALARM = 1e-4
+COPIES = 400
+X = [1.0, 2.0, 3.0, 5.0, 8.0]
+SPREAD = f"{spread.__file__}:experiment"
+
+
+def assert_covers(pulls, dof=np.inf, independent=None):
+    """Assert that pulls scatter by one, as Student's t of these degrees of freedom scaled to variance one.
+
+    ``pulls`` (copies, ...) may be more than are ``independent``, by default their copies.
+    """
+    pulls = np.asarray(pulls)
+    assert np.all(np.isfinite(pulls))
+    n = independent or len(pulls)
+    tail = FALSE_ALARM / 2.0
+    if dof > 15:
+        low, high = np.sqrt(chi2.ppf([tail, 1.0 - tail], n) / n)
+        assert low < np.sqrt(np.mean(pulls**2)) < high, f"pull {np.sqrt(np.mean(pulls**2)):.3f}"
+    for sigmas in (1.0, 2.0):
+        inside = sigmas if np.isinf(dof) else sigmas * np.sqrt(dof / (dof - 2.0))
+        share = 1.0 - 2.0 * t.sf(inside, min(dof, 1e9))
+        low, high = binom.ppf([tail, 1.0 - tail], n, share) / n
+        covered = np.mean(np.abs(pulls) < sigmas)
+        assert low <= covered <= high, f"{covered:.3f} within {sigmas:g} errors, {share:.3f} expected"
+
+
+def copies_of(law, n_cat, n_sim, common=True):
+    slope = {"variable": "width", "over": "x"}
+    over = {"variable": "width", "of": {"x": 3.0}, "to": {"x": 2.0}}
+    words = {"text": "a law", "source": "the experiment", "published": "-0.5", "exact": True}
+    return results_of(
+        {
+            "title": "Copies",
+            "experiment": SPREAD,
+            "axes": {"x": X, "copy": list(range(COPIES))},
+            "fixed": {"law": law},
+            "sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 17, "common_random_numbers": common},
+            "claim": [words | {"slope": slope}, words | {"published": "0.8164966", "ratio": over}],
+        }
+    )
+
+
+@pytest.fixture(scope="module", params=[(24, 600), (7, 100), (1, 20 * 512 + 100)], ids=["24x600", "7x100", "1x10340"])
+def shared(request):
+    """Points that share random numbers, and the degrees of freedom of their errors: catalogues with two blocks each,
+    few catalogues, and one with twenty whole blocks and a part of one.
+    """
+    n_cat, n_sim = request.param
+    dataset = copies_of("power", n_cat, n_sim)
+    return dataset, (n_cat if n_cat > 1 else 20) - 1
+
+
+def true_width(dataset, x):
+    """Return the width over all catalogues, or that of the one catalogue of each copy, as far as it is known."""
+    if dataset.attrs["n_cat"] > 1:
+        return np.sqrt(spread.MEAN_SQUARE * spread.variance("power", x))
+    return None
+
+
+def test_the_law_through_points_that_share_random_numbers(shared):
+    dataset, dof = shared
+    fits = fit_power_law(dataset, "width", "x", -0.5)
+    assert_covers(fits["deviation"], dof)
+    assert_covers((fits["exponent"] + 0.5) / fits["exponent_error"], dof)
+    truth = true_width(dataset, fits["pivot"].values)
+    if truth is not None:
+        assert_covers((np.log(fits["amplitude"]) - np.log(truth)) / (fits["amplitude_error"] / fits["amplitude"]), dof)
+    if dof > 15:  # chi2 is Hotelling's T^2, and its p-value is uniform
+        assert abs(np.mean(fits["p_value"] < 0.5) - 0.5) < 4.0 * 0.5 / np.sqrt(COPIES)
+        assert np.mean(fits["p_value"] < 0.05) < 0.1
+
+
+def test_ratios_of_points_that_share_random_numbers(shared):
+    dataset, dof = shared
+    of = ratio(dataset, "width", "x", 3.0, 2.0)
+    assert np.all(of["ratio_error"] > 0.0)
+    assert_covers((of["ratio"] - np.sqrt(2.0 / 3.0)) / of["ratio_error"], dof)
+
+
+def test_comparisons_with_claims(shared):
+    dataset, dof = shared
+    found = compare(dataset)
+    for quantity in ("slope of width over x", "width(x=3) / width(x=2)"):
+        assert_covers([c.difference / c.mc_error for c in found if c.quantity == quantity], dof)
+    assert sum(c.quantity.startswith("slope") for c in found) == COPIES
+
+
+def test_crossings_and_interpolations(shared):
+    dataset, dof = shared
+    if dataset.attrs["n_cat"] == 1:
+        pytest.skip("where one catalogue crosses depends on the catalogue")
+    threshold = float(true_width(dataset, 4.0))
+    found = find(dataset, parse_limit(f"width < {threshold!r} mas"), "x")
+    crossed = found["crossings"].values == 1
+    assert crossed.mean() > 0.8
+    if crossed.all():
+        assert_covers(((np.log(found["first"]) - np.log(4.0)) / (found["first_error"] / found["first"])), dof)
+    between = interpolate(dataset, "width", "x", 4.0)
+    relative = between["width_mc_error"] / between["width"]
+    assert_covers((np.log(between["width"]) - np.log(threshold)) / relative, dof)
+
+
+def test_the_diagonal_of_the_covariance_is_the_whole_error(shared):
+    dataset, dof = shared
+    if dataset.attrs["n_cat"] == 1:
+        pytest.skip("the width of one catalogue is its own")
+    variance = np.diagonal(dataset["width_mc_covariance_x"].values, axis1=-2, axis2=-1) * dof / (dof - 2.0)
+    width = dataset["width"].transpose("copy", "x").values
+    assert_covers(np.log(width / true_width(dataset, np.array(X))) / (np.sqrt(variance) / width), dof)
+
+
+def test_levelling_of_points_that_share_random_numbers():
+    dataset = copies_of("levelling", 40, 600)
+    found = fit_levelling(dataset, "width", "x", fall=0.05)
+    truth = {"rate": 0.6, "plateau": np.sqrt(spread.MEAN_SQUARE)}
+    for name, value in truth.items():
+        good = np.isfinite(found[name].values) & (found[f"{name}_error"].values < 0.5 * value)
+        assert good.mean() > 0.95
+        pulls = ((found[name] - value) / found[f"{name}_error"]).values[good]
+        assert_covers(pulls, dof=39)
+
+
+# Independent points
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+def test_the_law_through_independent_points(unknown):
+    rng, x = np.random.default_rng(3), np.array(X)
+    pulls = []
+    for _ in range(1000):
+        error = 0.01 * (1.0 + x / 8.0 if not unknown else np.ones(5))
+        y = 2.0 * x**-0.5 * (1.0 + error * rng.standard_normal(5))
+        law = power_law(x, y, np.zeros(5) if unknown else y * error)
+        pulls.append([(law.exponent + 0.5) / law.exponent_error, np.log(law.amplitude / (2.0 * law.pivot**-0.5))])
+        pulls[-1][1] *= law.amplitude / law.amplitude_error
+    pulls = np.array(pulls) / (np.sqrt(3.0) if unknown else 1.0)  # errors from the scatter: t of 3 degrees of freedom
+    assert_covers(pulls, 3 if unknown else np.inf)
+
+
+def test_levelling_of_independent_points():
+    rng, x = np.random.default_rng(4), np.linspace(1.0, 10.0, 12)
+    truth = np.sqrt(1.0 + 4.0 * np.exp(-0.6 * x))
+    pulls = []
+    for _ in range(300):
+        found = levelling(x, truth * (1.0 + 0.005 * rng.standard_normal(12)), 0.005 * truth, 0.05)
+        pulls.append([(found.rate - 0.6) / found.rate_error, (found.plateau - 1.0) / found.plateau_error])
+        pulls[-1].append((found.end_fall - END_FALL) / found.end_fall_error)
+        pulls[-1].append((found.limit - LIMIT) / found.limit_error)
+    # chi2 of 9 degrees of freedom enlarges errors where it is above 9, never the other way: by 9 % on average
+    assert_covers(1.09 * np.array(pulls))
+
+
+END_FALL = 0.5 * 0.6 * 4.0 * np.exp(-6.0) / (1.0 + 4.0 * np.exp(-6.0))
+LIMIT = np.log(4.0 * (0.5 * 0.6 / 0.05 - 1.0)) / 0.6
+
+
+def test_a_ratio_and_a_crossing_of_independent_points():
+    dataset = copies_of("power", 1, 400, common=False)
+    one = dataset.copy()  # one catalogue each: take its scale out, which is not in the errors
+    one["width"] = one["width"] / dataset["width"] * np.sqrt(1.0 / one["x"])
+    rng = np.random.default_rng(6)
+    one["width"] = one["width"] + one["width"] / np.sqrt(800.0) * rng.standard_normal(one["width"].shape)
+    one["width_mc_error"] = one["width"] / np.sqrt(800.0)
+    of = ratio(one, "width", "x", 8.0, 1.0)
+    assert_covers((of["ratio"] - np.sqrt(1.0 / 8.0)) / of["ratio_error"])
+    at = interpolate(one, "width", "x", 4.0)
+    assert_covers((at["width"] - 0.5) / at["width_mc_error"])
+
+
+# The galaxy search
+
+
+def test_chance_pairs():
+    """Galaxies and stars at random over the sky: how many pairs chance makes is known."""
+    rng = np.random.default_rng(9)
+    radius, n_stars, n_galaxies = 0.01, 400, 400
+
+    def tree(n):
+        ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
+        return sky_tree(Positions(ra, dec, np.zeros(n), np.zeros(n)))
+
+    truth = n_stars * n_galaxies * np.sin(radius / 2.0) ** 2
+    found = [chance_pairs(tree(n_stars), tree(n_galaxies), radius, 0) for _ in range(300)]
+    assert_covers([(each.local - truth) / each.local_error for each in found])
