@@ -52,11 +52,12 @@ HOUSE = {
             "checksums",
             "chunked_rows",
             "ledger",
+            "root",
             "identity",
             "snapshot",
             "failures",
         ),
-        *("store", "repair"),
+        *("opened", "store", "repair"),
     ],
     "sweep.running": [
         *("results", "covariance", "subset", "writer", "run", "reproduce"),

@@ -70,6 +70,8 @@ def check(store: "Location", as_json: bool) -> None:
     for part in () if as_json else (report.identity, report.ledger, report.results):
         for file, problem in part.items():
             click.echo(f"{file}: {problem}")
+    for remark in () if as_json else report.remarks:
+        click.echo(f"{store} {remark}")
     if report:
         click.echo(f"`sweep repair {store}` sets right what can be", err=True)
         sys.exit(EXIT_FAILED_POINTS)

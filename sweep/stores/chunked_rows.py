@@ -124,13 +124,18 @@ class Column:
 
     def described(self, chunks: int) -> bytes:
         """Return the description of the array with so many chunks."""
-        return sealed({**self._codec.document, "shape": [chunks * self.layout.rows, self.layout.width]})
+        document = {**self._codec.document, "shape": [chunks * self.layout.rows, self.layout.width]}
+        return sealed(document, self.description)
 
     def check_description(self, content: bytes | None) -> None:
         """Raise ValueError unless this describes the array with all its chunks."""
-        document = unsealed(content)
-        grid = document["chunk_grid"]["configuration"]["chunk_shape"]
-        if grid != [self.layout.rows, self.layout.width] or document["shape"][0] < len(self):
+        document = unsealed(content, self.description)
+        try:
+            grid = document["chunk_grid"]["configuration"]["chunk_shape"]
+            fits = grid == [self.layout.rows, self.layout.width] and document["shape"][0] >= len(self)
+        except (KeyError, TypeError, IndexError) as error:
+            raise ValueError("it does not describe an array") from error
+        if not fits:
             raise ValueError("it describes another array")
 
     @property

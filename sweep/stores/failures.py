@@ -5,6 +5,7 @@ from typing import Any
 
 from sweep.stores.checksums import unsealed
 
+FILE = "failures/zarr.json"
 MAX_TRACEBACKS = 1000
 TRACEBACK_BYTES = 4096
 DIGEST_BYTES = 16
@@ -39,7 +40,12 @@ def read(content: bytes | None) -> dict[bytes, Record]:
     """Return the failures that a stored document records, none where there is none; raises ValueError for a damaged
     one.
     """
-    return {} if content is None else from_json(unsealed(content)["attributes"]["failures"])
+    if content is None:
+        return {}
+    recorded = unsealed(content, FILE)["attributes"].get("failures")
+    if not isinstance(recorded, dict):
+        raise ValueError("it is no record of failed points")
+    return from_json(recorded)
 
 
 def _end(text: str) -> str:

@@ -1,12 +1,15 @@
 """The ledger of finished blocks: ``index`` says who a row is (32 bytes as `plan.ledger_key`) and at which row of
 ``samples`` its realisations begin (8 bytes), ``sums`` are the block's sums, ``samples`` the realisations themselves,
-where a study keeps them.
+where a study keeps them.  ``digests`` bind them: the digest of a row of the index with its sums (16 bytes), and of the
+same with its samples, so that a chunk that stands where another belongs is found.
 
 They are written in the opposite order, so that a process killed at any instant leaves a ledger that is merely shorter.
 A chunk that is lost costs the rows in it and no other.
 """
 
+import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from hashlib import blake2b
 from typing import Any
 
 import numpy as np
@@ -18,23 +21,40 @@ from sweep.stores.location import Location
 
 KEY_BYTES = 32
 START_BYTES = 8
+DIGEST_BYTES = 16
 FEWEST_ROWS = 64
-CHUNK_BYTES = {"index": 2**20, "sums": 2**21, "samples": 2**22}
+CHUNK_BYTES = {"index": 2**20, "digests": 2**20, "sums": 2**21, "samples": 2**22}
 """Few files for many blocks, against what each flush writes again."""
+
+KINDS: dict[str, tuple[str, float]] = {
+    "samples": ("float64", np.nan),
+    "sums": ("float64", np.nan),
+    "digests": ("uint8", 0),
+    "index": ("uint8", 0),
+}
+"""Kind and fill value of each array, in the order of writing."""
+
+ELSEWHERE = "it holds rows that blocks/index and blocks/digests do not speak of there"
 
 Array = NDArray[np.float64]
 
 
 def shapes_of(experiment: Experiment, *, keep_samples: bool) -> dict[str, list[int]]:
     """Return rows and width of a chunk of each array, as a new store will remember them."""
-    widths = {"index": KEY_BYTES + START_BYTES, "sums": experiment.sums_width}
+    widths = {"index": KEY_BYTES + START_BYTES, "sums": experiment.sums_width, "digests": DIGEST_BYTES}
     if keep_samples:
+        widths["digests"] = 2 * DIGEST_BYTES
         widths["samples"] = experiment.samples_width
     return {name: [_rows(name, width), width] for name, width in widths.items()}
 
 
+def shapes_in(root: Mapping[str, Any]) -> dict[str, list[int]]:
+    """Return those shapes as a root document remembers them."""
+    return dict(json.loads(root["attributes"]["ledger"]))
+
+
 def _rows(name: str, width: int) -> int:
-    row = width if name == "index" else 8 * max(width, 1)
+    row = width if KINDS[name][0] == "uint8" else 8 * max(width, 1)
     return int(max(FEWEST_ROWS, 2 ** int(np.log2(max(1.0, CHUNK_BYTES[name] / row)))))
 
 
@@ -46,7 +66,7 @@ def columns_of(location: Location, shapes: Mapping[str, Sequence[int]], keys: Co
             Layout(f"blocks/{name}", shapes[name][1], shapes[name][0], *kind),
             [key for key in keys if key.startswith(f"blocks/{name}/")],
         )
-        for name, kind in (("samples", ("float64", np.nan)), ("sums", ("float64", np.nan)), ("index", ("uint8", 0)))
+        for name, kind in KINDS.items()
         if name in shapes
     }
 
@@ -69,11 +89,11 @@ class Ledger:
     """Knows the row of every finished block, and appends others."""
 
     def __init__(self, columns: dict[str, Column]) -> None:
-        """Read index and sums; raises DamagedError, OSError."""
+        """Read all but the samples; raises DamagedError, OSError."""
         self._columns = columns
         damaged: dict[str, str] = {}
         read: dict[str, NDArray[Any]] = {}
-        for name in ("index", "sums"):
+        for name in columns.keys() - {"samples"}:
             try:
                 read[name] = columns[name].read()
             except DamagedError as error:
@@ -87,13 +107,32 @@ class Ledger:
         self._sums: Array | None = _as_long_as(read["sums"], self._next)
         keys, starts, counts = rows_of(index)
         self._starts = starts.tolist()
-        whole = index.any(axis=1) & ~np.isnan(self._sums).all(axis=1) & self._sampled(starts, counts)
+        whole = index.any(axis=1) & self._sampled(starts, counts)
+        if "digests" in columns:
+            digests = _as_long_as(read["digests"], self._next)
+            columns["digests"].resume(self._next, digests)
+            whole &= self._bound(index, digests)
+        else:
+            whole &= ~np.isnan(self._sums).all(axis=1)
         self.rows = {keys[row].tobytes(): int(row) for row in np.flatnonzero(whole)}
         self._samples_end = int((starts + counts).max(initial=0)) if "samples" in columns else 0
         columns["index"].resume(self._next, index)
         columns["sums"].resume(self._next, self._sums)
         if "samples" in columns:
             columns["samples"].resume(self._samples_end)
+
+    def _bound(self, index: NDArray[np.uint8], digests: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Return which rows have their own sums; raises DamagedError where there are those of others.
+
+        A row whose sums or digest were not written, or lost, merely does not count.
+        """
+        assert self._sums is not None, "read before"
+        same = (_digests(index, self._sums) == digests[:, :DIGEST_BYTES]).all(axis=1)
+        there = index.any(axis=1) & digests.any(axis=1) & ~np.isnan(self._sums).all(axis=1)
+        if len(wrong := np.flatnonzero(there & ~same)):
+            numbers = sorted(set((wrong // self._columns["sums"].layout.rows).tolist()))
+            raise DamagedError({self._columns["sums"].key(number): ELSEWHERE for number in numbers})
+        return np.asarray(same)
 
     def sums(self) -> Array:
         """Return all rows, (rows, width); `rows` says which is whose."""
@@ -103,15 +142,34 @@ class Ledger:
         return self._sums
 
     def samples(self, key: bytes) -> Array:
-        """Return the kept samples of a finished block, (realisations, width)."""
-        start = self._starts[self.rows[key]]
+        """Return the kept samples of a finished block that was flushed, (realisations, width); raises DamagedError,
+        OSError.
+        """
+        row = self.rows[key]
+        column, start = self._columns["samples"], self._starts[row]
         count = int(_realisations(np.frombuffer(key, dtype=np.uint8))[0])
-        return np.asarray(self._columns["samples"].part(start, start + count))
+        samples = np.asarray(column.part(start, start + count))
+        if "digests" in self._columns:
+            digest = self._columns["digests"].part(row, row + 1)[0, DIGEST_BYTES:]
+            if not np.array_equal(digest, _digests(_index_rows([key], [start]), [samples])[0]):
+                size = column.layout.rows
+                numbers = range(start // size, -(-(start + count) // size))
+                raise DamagedError({column.key(number): ELSEWHERE for number in numbers})
+        return samples
 
     def verify(self) -> None:
         """Raise DamagedError where samples are not what was written; opening did so for the rest."""
-        if "samples" in self._columns:
-            self._columns["samples"].verify()
+        if "samples" not in self._columns:
+            return
+        self._columns["samples"].verify()
+        damaged: dict[str, str] = {}
+        for key in sorted(self.rows, key=self.rows.__getitem__):  # in the order of the samples
+            try:
+                self.samples(key)
+            except DamagedError as error:
+                damaged |= error.files
+        if damaged:
+            raise DamagedError(damaged)
 
     def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array]) -> None:
         """Add finished blocks; durable after `flush`."""
@@ -121,12 +179,30 @@ class Ledger:
             starts = [self._samples_end + end for end in np.cumsum([0, *map(len, samples)]).tolist()]
             self._samples_end = starts.pop()
             self._columns["samples"].append(np.concatenate(samples))
+        index = _index_rows(keys, starts)
         self._columns["sums"].append(sums)
-        index = b"".join(k + start.to_bytes(START_BYTES, "little") for k, start in zip(keys, starts, strict=True))
-        self._columns["index"].append(np.frombuffer(index, dtype=np.uint8).reshape(len(keys), -1))
+        if "digests" in self._columns:
+            bound = [_digests(index, sums), *([_digests(index, samples)] if samples else [])]
+            self._columns["digests"].append(np.concatenate(bound, axis=1))
+        self._columns["index"].append(index)
         self._starts += starts
         self.rows.update(zip(keys, range(self._next, self._next + len(keys)), strict=True))
         self._next += len(keys)
+
+    def bind(self, digests: Column) -> None:
+        """Write all digests, durably, into an array of them, which the ledgers of format 2 do not have."""
+        self.flush()
+        index, sums = self._columns["index"].read(), self.sums()
+        rows = np.zeros((self._next, digests.layout.width), dtype=np.uint8)
+        for key, row in sorted(self.rows.items(), key=lambda item: item[1]):
+            rows[row, :DIGEST_BYTES] = _digests(index[row : row + 1], sums[row : row + 1])
+            if "samples" in self._columns:
+                rows[row, DIGEST_BYTES:] = _digests(index[row : row + 1], [self.samples(key)])
+        digests.resume(0)
+        digests.append(rows)
+        digests.flush()
+        columns = self._columns | {"digests": digests}
+        self._columns = {name: columns[name] for name in KINDS if name in columns}
 
     def flush(self) -> None:
         """Make everything durable, the index last."""
@@ -158,7 +234,22 @@ def _realisations(keys: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.asarray(numbers[:, -2].astype(np.int64) * numbers[:, -1])
 
 
+def _index_rows(keys: Sequence[bytes], starts: Sequence[int]) -> NDArray[np.uint8]:
+    index = b"".join(k + start.to_bytes(START_BYTES, "little") for k, start in zip(keys, starts, strict=True))
+    return np.frombuffer(index, dtype=np.uint8).reshape(len(keys), KEY_BYTES + START_BYTES)
+
+
+def _digests(index: NDArray[np.uint8], values: Iterable[Array]) -> NDArray[np.uint8]:
+    """Return the digest of each row of the index together with its sums or samples, (rows, `DIGEST_BYTES`)."""
+    digests = (
+        blake2b(row.tobytes() + np.asarray(own, dtype="<f8").tobytes(), digest_size=DIGEST_BYTES).digest()
+        for row, own in zip(index, values, strict=True)
+    )
+    return np.frombuffer(b"".join(digests), dtype=np.uint8).reshape(-1, DIGEST_BYTES)
+
+
 def _as_long_as(rows: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return the first rows; those of chunks that are not there are NaN."""
-    missing = np.full((max(0, count - len(rows)), rows.shape[1]), np.nan)
+    """Return the first rows; those of chunks that are not there are NaN, or 0 if they cannot be."""
+    fill = np.nan if rows.dtype.kind == "f" else 0
+    missing = np.full((max(0, count - len(rows)), rows.shape[1]), fill, dtype=rows.dtype)
     return np.concatenate([rows[:count], missing])

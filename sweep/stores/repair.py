@@ -2,7 +2,7 @@
 
 import json
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,22 +12,31 @@ from sweep.contract import SweepError
 from sweep.stores import failures, snapshot
 from sweep.stores.checksums import group_document, sealed, unsealed
 from sweep.stores.chunked_rows import Column, DamagedError
-from sweep.stores.identity import COPY, ROOT, damaged_copy, find_root, readable_copy
-from sweep.stores.ledger import columns_of, damaged_descriptions, rows_of
+from sweep.stores.ledger import Ledger, columns_of, damaged_descriptions, rows_of
 from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.stores.lock import holder, locked
-from sweep.stores.store import FAILURES
+from sweep.stores.opened import UNFINISHED
+from sweep.stores.root import COPY, FORMAT, ROOT, UNBOUND, damaged_copy, find_root, is_bound, is_new, readable_copy
+
+NOT_BOUND = (
+    f"has store format {UNBOUND}, in which nothing says of a chunk where it belongs: files that were exchanged are not "
+    f"found.  The next `sweep run` of the study makes it format {FORMAT}, in which they are"
+)
+CUT_SHORT = "is unfinished: its run ended while it wrote the results; nothing is damaged, and the same `sweep run` goes on"
 
 
 @dataclass(frozen=True)
 class Report:
     """What is wrong with which file: of what says what the store means, of the ledger, of the results, which can be
     written anew from the ledger.
+
+    ``remarks`` are sentences about a store in which nothing is wrong: that it is unfinished, or of an older format.
     """
 
     identity: dict[str, str]
     ledger: dict[str, str]
     results: dict[str, str]
+    remarks: list[str] = field(default_factory=list)
 
     def __bool__(self) -> bool:
         return bool(self.identity or self.ledger or self.results)
@@ -61,10 +70,10 @@ def repair(where: Where, *, break_lock: bool = False) -> list[str]:
             _set_aside(location, file)
         if ROOT in report.identity:
             root = snapshot.root_document({**attributes, "complete": 0, "generation": 0}, {})
-            location.put(ROOT, sealed(root))
+            location.put(ROOT, sealed(root, ROOT))
             done.append(f"{ROOT} was made anew from {COPY}; the results are not in it until `sweep run` writes them")
         if COPY in report.identity:
-            location.put(COPY, sealed(group_document(attributes)))
+            location.put(COPY, sealed(group_document(attributes), COPY))
             done.append(f"{COPY} was made anew from {ROOT}")
         for file in sorted(report.ledger, key=lambda file: not file.startswith("blocks/index/")):
             done.append(_remake(location, file, columns))
@@ -91,27 +100,53 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], dict[str, Column
         report.identity[ROOT] = _problem(location.get(ROOT))
     keys = location.keys()
     columns = columns_of(location, json.loads(attributes["ledger"]), keys)
-    documents = location.get_all([COPY, FAILURES, *(column.description for column in columns.values())])
+    documents = location.get_all([COPY, failures.FILE, *(column.description for column in columns.values())])
     report.ledger.update(damaged_descriptions(columns.values(), documents))
-    report.identity.update({COPY: "it is missing"} if documents[COPY] is None else damaged_copy(documents[COPY]))
+    has_begun = root is None or not is_new(root) or any(column.chunks for column in columns.values())
+    if documents[COPY] is None:
+        report.identity.update({COPY: "it is missing"} if has_begun else {})
+    else:
+        report.identity.update(damaged_copy(documents[COPY]))
     try:
-        failures.read(documents[FAILURES])
+        failures.read(documents[failures.FILE])
     except ValueError as error:
-        report.ledger[FAILURES] = str(error)
+        report.ledger[failures.FILE] = str(error)
     for column in columns.values():
         try:
             column.verify()
         except DamagedError as error:
             report.ledger.update(error.files)
     report.ledger.update(_missing_chunks(columns))
+    if not report.ledger:  # else its rows are read in vain
+        report.ledger.update(_wrong_rows(columns))
     if root is not None:
-        report.results.update(_check_results(location, root))
+        _check_results(location, root, report)
+        if not report and not attributes.get("complete"):
+            report.remarks.append(_unfinished(root))
+        if not is_bound(root):
+            report.remarks.append(NOT_BOUND)
     return report, attributes, columns
+
+
+def _unfinished(root: dict[str, Any]) -> str:
+    done, points = (root["attributes"].get(key) for key in ("points_done", "points"))
+    if is_new(root) or points is None:
+        return UNFINISHED
+    return f"is incomplete: {done} of {points} points were done when the results were last written"
+
+
+def _wrong_rows(columns: dict[str, Column]) -> dict[str, str]:
+    """Return the chunks, each whole, that hold other rows than the ledger speaks of."""
+    try:
+        Ledger(columns).verify()
+    except DamagedError as error:
+        return error.files
+    return {}
 
 
 def _problem(content: bytes | None) -> str:
     try:
-        unsealed(content)
+        unsealed(content, ROOT)
     except ValueError as error:
         return str(error)
     return "it is of another store"
@@ -122,7 +157,8 @@ def _missing_chunks(columns: dict[str, Column]) -> dict[str, str]:
     needed = {name: set(range(len(column) // column.layout.rows)) for name, column in columns.items()}
     with suppress(DamagedError):  # a damaged index is in the report, and must be repaired first
         index = columns["index"].read()
-        needed["sums"] |= set((np.flatnonzero(index.any(axis=1)) // columns["sums"].layout.rows).tolist())
+        for name in columns.keys() - {"index", "samples"}:
+            needed[name] |= set((np.flatnonzero(index.any(axis=1)) // columns[name].layout.rows).tolist())
         if "samples" in columns:
             needed["samples"] |= _chunks_of_samples(index, columns["samples"].layout.rows)
     files = (columns[name].key(number) for name in needed for number in sorted(needed[name] - columns[name].chunks))
@@ -137,20 +173,24 @@ def _chunks_of_samples(index: NDArray[np.uint8], size: int) -> set[int]:
     return {number for start, stop in spans for number in range(start // size, -(-stop // size))}
 
 
-def _check_results(location: Location, root: dict[str, Any]) -> dict[str, str]:
+def _check_results(location: Location, root: dict[str, Any], report: Report) -> None:
+    """Add to a report what is wrong with the files of the results, and whether their last writing was cut short."""
     documents = snapshot.arrays_of(root)
     files = {f"{name}/zarr.json": document for name, document in documents.items()}
-    damaged: dict[str, str] = {}
+    cut_short = False
     for file, content in location.get_all(files).items():
         try:
-            if content is None or json.loads(content) != files[file]:
-                damaged[file] = "it is missing" if content is None else "it is not as the root document has it"
+            document = None if content is None else snapshot.array_document(content, file, root)
         except ValueError as error:
-            damaged[file] = str(error)
+            report.results[file] = str(error)
+            continue
+        if document is None:
+            report.results[file] = "it is missing"
+        cut_short |= document not in (None, files[file])  # whole, but of a writing that the root does not know yet
     for name, document in documents.items():  # array by array: never all in memory
-        one = {name: document}
-        damaged |= snapshot.damaged_chunks(one, location.get_all(snapshot.chunk_keys(one)))
-    return damaged
+        report.results.update(snapshot.damaged_chunks(root, location.get_all(snapshot.chunk_keys({name: document}))))
+    if cut_short:
+        report.remarks.append(CUT_SHORT)
 
 
 def _remake(location: Location, file: str, columns: dict[str, Column]) -> str:

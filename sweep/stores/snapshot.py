@@ -23,6 +23,12 @@ from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
+from sweep.stores.checksums import SEAL, content_checksum, unsealed
+from sweep.stores.root import is_bound
+
+CHECKSUMS = "chunk_checksums"
+"""The attribute of the root document by which it means certain chunks and no others."""
+
 CHUNK_BYTES = 2**22
 CODECS = {"bytes", "vlen-utf8", "zstd", "crc32c"}
 """All that is ever written, and so all that is ever decoded."""
@@ -44,9 +50,12 @@ class Encoded:
         """Return what tells it from another, whatever the names of its chunks."""
         plain = {**self.document, "chunk_key_encoding": None}
         found = blake2b(json.dumps(plain, sort_keys=True).encode())
-        for place in sorted(self.chunks):
-            found.update(blake2b(self.chunks[place]).digest())
+        found.update("".join(self.checksums()).encode())
         return found.digest()
+
+    def checksums(self) -> list[str]:
+        """Return those of its chunks, in the order of `chunk_places`."""
+        return [content_checksum(self.chunks[place]) for place in chunk_places(self.document)]
 
     def named(self, encoding: int) -> "Encoded":
         """Return the same with chunks under one of the two sets of names."""
@@ -81,10 +90,11 @@ def encode(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, Encoded]]:
 def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> xr.Dataset:
     """Return the dataset of a root document and the contents of `chunk_keys`, in memory.
 
-    Raises ValueError that names a file which is missing or not what was written.
+    Raises ValueError that names a file which is missing or not what the root document means.
     """
-    if any(content is None for content in contents.values()):
-        raise ValueError(_in_words(damaged_chunks(arrays_of(root), contents)))
+    checksums = chunk_checksums(root)
+    if any(not _is_meant(content, checksums.get(key)) for key, content in contents.items()):
+        raise ValueError(_in_words(damaged_chunks(root, contents)))
     files: dict[str, Any] = {
         key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
     }
@@ -95,7 +105,8 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> xr.
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
     except Exception as error:  # each codec of Zarr has its own
-        raise ValueError(_in_words(damaged_chunks(arrays_of(root), contents)) or str(error)) from error
+        raise ValueError(_in_words(damaged_chunks(root, contents)) or str(error)) from error
+    dataset.attrs.pop(CHECKSUMS, None)
     return dataset
 
 
@@ -103,15 +114,20 @@ def _in_words(damaged: Mapping[str, str]) -> str:
     return "; ".join(f"{key}: {problem}" for key, problem in damaged.items())
 
 
-def damaged_chunks(documents: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
-    """Return what is wrong with which of the files that `chunk_keys` names."""
+def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
+    """Return what is wrong with which of the ``contents`` of files that `chunk_keys` names."""
     damaged: dict[str, str] = {}
-    for name, document in documents.items():
+    checksums = chunk_checksums(root)
+    for name, document in arrays_of(root).items():
+        places = {chunk_key(name, document, place): place for place in chunk_places(document)}
+        if places.keys().isdisjoint(contents):
+            continue
         files: dict[str, Any] = {"zarr.json": cpu.Buffer.from_bytes(json.dumps(document).encode())}
         array = zarr.open_array(MemoryStore(files), mode="r")
-        for place in chunk_places(document):
-            key = chunk_key(name, document, place)
-            content = contents.get(key)
+        for key, place in places.items():
+            if key not in contents:
+                continue
+            content = contents[key]
             if content is None:
                 damaged[key] = "it is missing"
                 continue
@@ -120,13 +136,43 @@ def damaged_chunks(documents: Mapping[str, Any], contents: Mapping[str, bytes | 
                 _ = array.blocks[place] if place else array[...]
             except Exception as error:  # each codec of Zarr has its own
                 damaged[key] = " ".join(str(error).split()) or type(error).__name__
+            else:
+                if not _is_meant(content, checksums.get(key)):
+                    damaged[key] = "it is whole, but not the chunk that the root document means"
     return damaged
+
+
+def _is_meant(content: bytes | None, checksum: str | None) -> bool:
+    return content is not None and checksum in (None, content_checksum(content))
+
+
+def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:
+    """Return the checksum of each chunk by the name of its file; nothing for a store of format 2."""
+    by_name = json.loads(root["attributes"].get(CHECKSUMS, "{}"))
+    return {
+        chunk_key(name, document, place): checksum
+        for name, document in arrays_of(root).items()
+        if name in by_name
+        for place, checksum in zip(chunk_places(document), by_name[name], strict=True)
+    }
 
 
 def root_document(attributes: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document of the store's root: attributes, and a copy of the documents of all arrays of the dataset."""
     copies = {"kind": "inline", "must_understand": False, "metadata": dict(documents)}
     return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes), "consolidated_metadata": copies}
+
+
+def array_document(content: bytes, file: str, root: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document that a file ``NAME/zarr.json`` holds, which is for those who read without that of the root.
+
+    Raises ValueError where it is not one that was written there.
+    """
+    if not is_bound(root) and json.loads(content) == arrays_of(root).get(file.removesuffix("/zarr.json")):
+        return dict(json.loads(content))  # of format 2, and has no checksum
+    document = unsealed(content, file)
+    del document["attributes"][SEAL]
+    return document
 
 
 def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

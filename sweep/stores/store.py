@@ -11,51 +11,39 @@ import xarray as xr
 
 from sweep.contract import Array, SweepError
 from sweep.stores import failures, snapshot
-from sweep.stores.checksums import group_document, sealed, unsealed
+from sweep.stores.checksums import group_document, sealed
 from sweep.stores.chunked_rows import DamagedError
-from sweep.stores.identity import COPY, REPAIR, ROOT, damaged_copy, differences, find_root, identity, read_root
-from sweep.stores.ledger import Ledger, columns_of, damaged_descriptions
+from sweep.stores.identity import differences, identity
+from sweep.stores.ledger import columns_of
 from sweep.stores.location import Location, Where, located, reading, writing
+from sweep.stores.opened import OpenStore, damaged_ledger
+from sweep.stores.root import COPY, ROOT, find_root, is_bound, read_root
 from sweep.studies.study import Study
 
-FAILURES = "failures/zarr.json"
 RESERVED = {"blocks", "failures"}
 MOST_UNWRITTEN = 2**26
 """Bytes of sums and samples that may wait for the next flush."""
-
-ATTEMPTS = 20
-"""How often a reader begins anew because the dataset was replaced while it was read."""
 
 
 class Store:
     """An open store of one study: what is done, appending to it, and writing the dataset."""
 
-    def __init__(self, where: Where, study: Study) -> None:
-        """Open the ledger; raises SweepError as `read_attributes`, or where files of it are damaged."""
+    def __init__(self, where: Where, study: Study, root: Mapping[str, Any] | None = None) -> None:
+        """Open the ledger, whose ``root`` document may have been read; raises SweepError as `read_attributes`, or where
+        files of it are damaged.
+        """
         self.location, self.study = located(where), study
-        root = read_root(self.location)
+        root = root or read_root(self.location)
         self.attributes: dict[str, Any] = root["attributes"]
-        shapes = json.loads(self.attributes["ledger"])
-        expected = json.loads(identity(study)["ledger"])
-        if {name: width for name, (_, width) in shapes.items()} != {n: width for n, (_, width) in expected.items()}:
+        widths, expected = (
+            {name: width for name, (_, width) in json.loads(told["ledger"]).items() if name != "digests"}
+            for told in (self.attributes, identity(study))
+        )
+        if widths != expected:
             raise SweepError("the ledger's rows have other lengths; the store was made by another version", str(where))
-        damaged: dict[str, str] = {}
-        with reading(self.location):
-            keys = self.location.keys()
-            columns = columns_of(self.location, shapes, keys)
-            documents = self.location.get_all([COPY, FAILURES, *(c.description for c in columns.values())])
-            damaged |= damaged_descriptions(columns.values(), documents)
-            damaged |= damaged_copy(documents[COPY])
-            try:
-                self.failures = failures.read(documents[FAILURES])
-                self._ledger = Ledger(columns)
-            except ValueError as error:
-                damaged[FAILURES] = str(error)
-            except DamagedError as error:
-                damaged |= error.files
-        if damaged:
-            raise _damaged_ledger(self.location, damaged)
-        self._copied = None if documents[COPY] is None else unsealed(documents[COPY])["attributes"]
+        self._is_bound = is_bound(root)
+        opened = OpenStore(self.location, root).ledger()
+        self._ledger, self.failures, self._copied, keys = opened.ledger, opened.failures, opened.copy, opened.keys
         self.rows = self._ledger.rows
         self._failures_changed = False
         self._unwritten = 0
@@ -79,7 +67,7 @@ class Store:
             with reading(self.location):
                 return self._ledger.samples(key)
         except DamagedError as error:
-            raise _damaged_ledger(self.location, error.files) from error
+            raise damaged_ledger(self.location, error.files) from error
 
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
@@ -87,7 +75,7 @@ class Store:
             with reading(self.location):
                 self._ledger.verify()
         except DamagedError as error:
-            raise _damaged_ledger(self.location, error.files) from error
+            raise damaged_ledger(self.location, error.files) from error
 
     def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array] = ()) -> None:
         """Add finished blocks, with their samples if the study keeps them; they are durable after the next `flush`."""
@@ -113,7 +101,7 @@ class Store:
         with writing(self.location):
             if self._failures_changed:
                 document = group_document({"failures": failures.as_json(self.failures)})
-                self.location.put(FAILURES, sealed(document))
+                self.location.put(failures.FILE, sealed(document, failures.FILE))
                 self._failures_changed = False
             self._ledger.flush()
             self._unwritten = 0
@@ -121,27 +109,46 @@ class Store:
     def write(self, dataset: xr.Dataset) -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
         attributes, arrays = snapshot.encode(dataset)
-        attributes |= identity(self.study) | {
-            "ledger": self.attributes["ledger"],
-            "generation": self.attributes.get("generation", 0) + 1,
-        }
         digests = {name: array.digest() for name, array in arrays.items()}
         named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
+        attributes |= identity(self.study) | {
+            "ledger": self._bound_shapes(),
+            "generation": self.attributes.get("generation", 0) + 1,
+            snapshot.CHECKSUMS: json.dumps({name: array.checksums() for name, array in named.items()}),
+        }
         documents = {name: array.document for name, array in named.items()}
         in_use = {*snapshot.chunk_keys(documents), *snapshot.chunk_keys(self._documents)}
         described, gone = (
             {f"{n}/zarr.json" for n in names} for names in (documents, set(self._documents) - set(documents))
         )
         with writing(self.location):
+            self._bind(json.loads(attributes["ledger"]))
             self.keep_copy(attributes)
             self._delete(self._files - in_use - described - gone)
             self._write_arrays(
                 {name: array for name, array in named.items() if self._digests.get(name) != digests[name]}
             )
-            self.location.put(ROOT, sealed(snapshot.root_document(attributes, documents)))
+            self.location.put(ROOT, sealed(snapshot.root_document(attributes, documents), ROOT))
             self._delete(gone)
         self._files = in_use | described
         self._documents, self._digests, self.attributes = documents, digests, attributes
+
+    def _bound_shapes(self) -> str:
+        """Return the shapes of the ledger's arrays as a store remembers them, with those digests that it may lack."""
+        shapes = json.loads(self.attributes["ledger"])
+        return json.dumps({"digests": json.loads(identity(self.study)["ledger"])["digests"]} | shapes)
+
+    def _bind(self, shapes: Mapping[str, Sequence[int]]) -> None:
+        """Add what a store of format 2 lacks, before its root document becomes one of today's."""
+        if not self._is_bound:
+            columns = columns_of(self.location, shapes, self.location.keys("blocks/"))
+            self._ledger.bind(columns["digests"])
+            for column in columns.values():
+                if column.chunks:
+                    self.location.put(column.description, column.described(len(column) // column.layout.rows))
+            self._failures_changed = bool(self.failures)
+            self.flush()
+            self._is_bound = True
 
     def _delete(self, keys: Iterable[str]) -> None:
         for key in keys:
@@ -158,13 +165,16 @@ class Store:
         """Write values, and then the status that speaks of them, for those who read without the root document."""
         for names in (set(arrays) - {"status"}, {"status"} & set(arrays)):
             self.location.put_all({k: content for name in names for k, content in arrays[name].files(name).items()})
-            self.location.put_all({f"{n}/zarr.json": json.dumps(arrays[n].document).encode() for n in names})
+            described = {f"{name}/zarr.json": arrays[name].document for name in names}
+            self.location.put_all({file: sealed(document, file) for file, document in described.items()})
 
     def keep_copy(self, attributes: Mapping[str, Any]) -> None:
         """Keep a copy of what the store means in the ledger, if the study has changed since the last one."""
-        if self._copied is None or self._copied.get("study_digest") != attributes.get("study_digest"):
-            copied = {key: value for key, value in attributes.items() if key not in ("failures", "generation")}
-            self.location.put(COPY, sealed(group_document(copied)))
+        decisive = ("study_digest", "linksweep_format", "ledger")
+        if self._copied is None or any(self._copied.get(key) != attributes.get(key) for key in decisive):
+            left_out = ("failures", "generation", snapshot.CHECKSUMS)
+            copied = {key: value for key, value in attributes.items() if key not in left_out}
+            self.location.put(COPY, sealed(group_document(copied), COPY))
             self._copied = copied
 
 
@@ -174,11 +184,12 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
     Raises SweepError where something else is there, results that cannot be mixed with this study's, or damaged ones.
     """
     location = located(where)
-    if check_store(location, study):
+    root = _find(location, study)
+    if root is None:
+        root = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
         with writing(location):
-            root = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
-            location.put(ROOT, sealed(root))
-    store = Store(location, study)
+            location.put(ROOT, sealed(root, ROOT))
+    store = Store(location, study, root)
     with writing(location):
         store.keep_copy(store.attributes)
     return store
@@ -186,19 +197,23 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
 
 def existing_store(where: Where, study: Study) -> Store | None:
     """Return the store at a place if there is one, without writing; raises SweepError as `create_or_resume`."""
-    location = located(where)
-    return None if check_store(location, study) else Store(location, study)
+    root = _find(located(where), study)
+    return None if root is None else Store(where, study, root)
 
 
 def check_store(where: Where, study: Study) -> bool:
     """Return whether a place is free; raises SweepError unless it is, or holds results that this study can be mixed
     with.
     """
+    return _find(located(where), study) is None
+
+
+def _find(location: Location, study: Study) -> dict[str, Any] | None:
+    """Return the root document at a place, None where it is free; raises SweepError as `check_store`."""
     names = {*study.axes, *study.experiment.coordinates}
     names |= {output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs)}
     if taken := sorted(RESERVED & names):
         raise SweepError(f"no axis or result can be named {', '.join(taken)}: a store has a group of that name")
-    location = located(where)
     root = find_root(location)
     if root is None and (obstacle := location.obstacle()):
         raise SweepError(obstacle, str(location))
@@ -207,7 +222,7 @@ def check_store(where: Where, study: Study) -> bool:
             ["holds results of a different study, which would be mixed up; give another store with -o", *different],
             str(location),
         )
-    return root is None
+    return root
 
 
 def read_attributes(where: Where) -> dict[str, Any]:
@@ -216,48 +231,9 @@ def read_attributes(where: Where) -> dict[str, Any]:
     return attributes
 
 
-def finished_blocks(where: Where) -> int:
-    """Return how many blocks the ledger of a store holds, whatever its dataset says; raises SweepError as
-    `read_attributes`, and where the ledger is damaged.
-    """
-    location = located(where)
-    shapes = json.loads(read_attributes(location)["ledger"])
-    try:
-        with reading(location):
-            columns = columns_of(location, shapes, location.keys("blocks/"))
-            return int(columns["index"].read().any(axis=1).sum())
-    except DamagedError as error:
-        raise _damaged_ledger(location, error.files) from error
-
-
 def open_dataset(where: Where) -> xr.Dataset:
     """Return the labelled dataset of a store, in memory, as one writing of it left it, whatever a run does meanwhile.
 
     Raises SweepError as `read_attributes`, if there is none yet or if it is damaged.
     """
-    location = located(where)
-    root = read_root(location)
-    for _ in range(ATTEMPTS):
-        problem: ValueError | None = None
-        try:
-            with reading(location):
-                dataset = snapshot.decode(root, location.get_all(snapshot.chunk_keys(snapshot.arrays_of(root))))
-        except ValueError as error:
-            problem = error
-        before, root = root, read_root(location)
-        if root == before:
-            break
-    else:
-        raise SweepError("is being written faster than it can be read; try again", str(location))
-    if problem is not None:
-        rewrite = "`sweep run` the study again to write them anew from the ledger"
-        raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(location)) from problem
-    if not dataset.data_vars:
-        raise SweepError("has no results yet; `sweep run` the study to go on", str(location))
-    return dataset
-
-
-def _damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:
-    problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
-    problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
-    return SweepError(problems, str(location))
+    return OpenStore(where).dataset()

@@ -80,6 +80,6 @@ def test_a_damaged_record_is_named(tmp_path, study, failures):
     file = tmp_path / "s.zarr" / "failures" / "zarr.json"
     document = json.loads(file.read_text())
     document["attributes"]["failures"] = failures
-    file.write_bytes(sealed(document))
+    file.write_bytes(sealed(document, "failures/zarr.json"))
     with pytest.raises(SweepError, match=r"failures/zarr.json is damaged \(it is no record of failed points"):
         open_store(tmp_path / "s.zarr", study)

@@ -1,0 +1,112 @@
+"""A store as it stands, opened once by its root document: the dataset that this means, and the ledger.
+
+Nothing here writes, and nothing imports what a store names.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.stores import failures, snapshot
+from sweep.stores.checksums import unsealed
+from sweep.stores.chunked_rows import DamagedError
+from sweep.stores.ledger import Ledger, columns_of, damaged_descriptions, shapes_in
+from sweep.stores.location import Location, Where, located, reading
+from sweep.stores.root import COPY, REPAIR, damaged_copy, is_bound, is_new, read_root
+
+ATTEMPTS = 20
+"""How often a reader begins anew because the dataset was replaced while it was read."""
+
+UNFINISHED = (
+    "is unfinished: its run has just begun, or ended before it wrote results; nothing is damaged, "
+    "and the same `sweep run` goes on"
+)
+
+
+@dataclass(frozen=True)
+class OpenLedger:
+    """The ledger with the failures beside it, the copy of the root's attributes in it, and all files of the store."""
+
+    ledger: Ledger
+    failures: dict[bytes, failures.Record]
+    copy: dict[str, Any] | None
+    keys: list[str]
+
+
+class OpenStore:
+    """A store of which the root document was read."""
+
+    def __init__(self, where: Where, root: Mapping[str, Any] | None = None) -> None:
+        """Read the root document unless it is given; raises SweepError unless a store of a known format is there."""
+        self.location = located(where)
+        self.root = dict(root or read_root(self.location))
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What the root document says."""
+        attributes: dict[str, Any] = self.root["attributes"]
+        return attributes
+
+    def dataset(self) -> xr.Dataset:
+        """Return the labelled dataset, in memory, as one writing of it left it, whatever a run does meanwhile.
+
+        Raises SweepError if there is none yet or if it is damaged.
+        """
+        for _ in range(ATTEMPTS):
+            problem: ValueError | None = None
+            dataset = xr.Dataset()
+            try:
+                with reading(self.location):
+                    chunks = self.location.get_all(snapshot.chunk_keys(snapshot.arrays_of(self.root)))
+                    dataset = snapshot.decode(self.root, chunks)
+            except ValueError as error:
+                problem = error
+            if problem is None and is_bound(self.root):
+                break  # these are the very chunks that the root document means
+            before, self.root = self.root, read_root(self.location)
+            if self.root == before:
+                break
+        else:
+            raise SweepError("is being written faster than it can be read; try again", str(self.location))
+        if problem is not None:
+            rewrite = "`sweep run` the study again to write them anew from the ledger"
+            raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(self.location)) from problem
+        if not dataset.data_vars:
+            words = UNFINISHED if is_new(self.root) else "has no results; `sweep run` the study to go on"
+            raise SweepError(words, str(self.location))
+        return dataset
+
+    def ledger(self) -> OpenLedger:
+        """Return the ledger; raises SweepError that names the files of it which are damaged."""
+        damaged: dict[str, str] = {}
+        ledger: Ledger | None = None
+        found: dict[bytes, failures.Record] = {}
+        with reading(self.location):
+            keys = self.location.keys()
+            columns = columns_of(self.location, shapes_in(self.root), keys)
+            files = [COPY, failures.FILE, *(column.description for column in columns.values())]
+            documents = self.location.get_all(files)
+            damaged |= damaged_descriptions(columns.values(), documents)
+            damaged |= damaged_copy(documents[COPY])
+            try:
+                found = failures.read(documents[failures.FILE])
+            except ValueError as error:
+                damaged[failures.FILE] = str(error)
+            try:
+                ledger = Ledger(columns)
+            except DamagedError as error:
+                damaged |= error.files
+        if damaged or ledger is None:
+            raise damaged_ledger(self.location, damaged)
+        copy = None if documents[COPY] is None else unsealed(documents[COPY], COPY)["attributes"]
+        return OpenLedger(ledger, found, copy, keys)
+
+
+def damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:
+    """Return the error that names damaged files of a ledger, and what to do."""
+    problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
+    problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
+    return SweepError(problems, str(location))

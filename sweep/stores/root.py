@@ -1,0 +1,110 @@
+"""The root document, which says what a store means, and its copy in the ledger in case the root is damaged."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from sweep.contract import SweepError
+from sweep.stores.checksums import unsealed
+from sweep.stores.location import Location, reading
+
+FORMAT = 3
+UNBOUND = 2
+"""The format before: nothing in it says which chunk belongs where.  It is read, and the next writing makes it `FORMAT`."""
+
+ROOT, COPY = "zarr.json", "blocks/zarr.json"
+
+REPAIR = "`sweep repair {}` sets right what can be"
+MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
+"""What only the documents of a store hold, however damaged one of them is."""
+
+
+def read_root(location: Location) -> dict[str, Any]:
+    """Return the root document; raises SweepError unless a whole linksweep store of a known format is there."""
+    root = find_root(location)
+    if root is None:
+        raise SweepError("no store there", str(location))
+    return root
+
+
+def find_root(location: Location) -> dict[str, Any] | None:
+    """Return the root document, None where nothing is; raises SweepError as `read_root`."""
+    where = str(location)
+    with reading(location):
+        content = location.get(ROOT)
+        if content is None:
+            if location.is_free():
+                return None
+            if obstacle := location.obstacle():
+                raise SweepError(obstacle, where)
+        try:
+            root = unsealed(content, ROOT)
+            check_format(root["attributes"], where)
+            return root
+        except (ValueError, KeyError) as error:
+            if readable_copy(location) is not None:
+                problem = "it is another document" if isinstance(error, KeyError) else error
+                raise SweepError(f"{ROOT} is damaged ({problem}); {REPAIR.format(where)}", where) from error
+            _refuse_other_formats(content or b"", where)
+            raise SweepError(_without_meaning(location, content or b""), where) from error
+
+
+def _without_meaning(location: Location, content: bytes) -> str:
+    """Say what a place is that has neither a whole root document nor a copy of one."""
+    lost = "so that nothing tells what the numbers mean; bring one back from a backup, or run the study into a new"
+    if location.get("blocks/index/zarr.json") is not None or location.get(COPY) is not None:
+        return f"{ROOT} and its copy {COPY} are both damaged, {lost} store with -o"
+    if any(mark in content for mark in MARKS):
+        return f"{ROOT} is damaged and has no copy yet, {lost} store with -o; no results were in it"
+    return "is not a store of linksweep (foreign or half-made); nothing was changed"
+
+
+def check_format(attributes: Mapping[str, Any], where: str) -> None:
+    """Raise SweepError for a store of a format that this version does not read; KeyError for what is no store."""
+    version = attributes["linksweep_format"]
+    if version not in (FORMAT, UNBOUND):
+        age = "newer: upgrade with `pip install -U linksweep`" if isinstance(version, int) and version > FORMAT else ""
+        age = age or "older, from before the first release: run the study into a new store with -o"
+        raise SweepError(
+            f"has store format {version}; this version of linksweep reads formats {UNBOUND} and {FORMAT}. It is {age}",
+            where,
+        )
+
+
+def is_bound(root: Mapping[str, Any]) -> bool:
+    """Return whether a store says of each of its chunks where it belongs."""
+    return bool(root["attributes"]["linksweep_format"] != UNBOUND)
+
+
+def is_new(root: Mapping[str, Any]) -> bool:
+    """Return whether no results were written to a store yet: a run has just begun, or ended in its first moment."""
+    return not root["attributes"].get("generation")
+
+
+def readable_copy(location: Location) -> dict[str, Any] | None:
+    """Return the ledger's copy of a store's attributes; None where it is missing, damaged or of another format."""
+    try:
+        attributes = unsealed(location.get(COPY), COPY)["attributes"]
+    except ValueError:
+        return None
+    return dict(attributes) if attributes.get("linksweep_format") in (FORMAT, UNBOUND) else None
+
+
+def damaged_copy(content: bytes | None) -> dict[str, str]:
+    """Return what is wrong with the ledger's copy, nothing where it was not written yet."""
+    try:
+        if content is not None:
+            unsealed(content, COPY)
+        return {}
+    except ValueError as error:
+        return {COPY: str(error)}
+
+
+def _refuse_other_formats(content: bytes, where: str) -> None:
+    """Raise SweepError for a document of another format, which may have its checksum elsewhere."""
+    try:
+        attributes = json.loads(content)["attributes"]
+        if isinstance(attributes["linksweep_format"], int):
+            check_format(attributes, where)
+    except (ValueError, KeyError, TypeError):
+        return
