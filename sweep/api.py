@@ -11,6 +11,7 @@ import xarray as xr
 from sweep.executing.choose import Resources
 from sweep.executing.execute import GUARD, NO_LIMITS, Limits
 from sweep.running.run import Progress, Silent, run_study
+from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
@@ -44,7 +45,7 @@ def run(
     resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
     dataset, failures = run_study(loaded, place, resources, progress or Silent())
     if failures:
-        log.warning("%d points of %s failed, the first at %s", len(failures), place, next(iter(failures.items())))
+        log.warning("%s: %s", place, failed_points(failures))
     return dataset
 
 

@@ -110,5 +110,5 @@ def run_with_progress(
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             end_stopped(stop.signal)
-        progress.finish(len(failures), store)
+        progress.finish(failures, store)
         return dataset, failures

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Experiment, Point
+from sweep.contract import Experiment, NotFiniteError, Point, ResultError, check_finite, checked
 from sweep.executing.deadlines import Deadlines, TimeLimitError
 from sweep.load import load_experiment
 from sweep.planning.plan import Block, generators
@@ -110,18 +110,27 @@ def _try(
     except TimeLimitError:
         result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
         return False
-    except Exception as error:  # a point that fails must not take others with it
-        reason = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
-        result.failures.update(dict.fromkeys(rows, reason))
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
+        result.failures.update(dict.fromkeys(rows, failure_of(error)))
         return False
     result.sums[rows] = sums
     if task.keep_samples:
         result.samples.update(zip(rows, samples, strict=True))
     for row in rows:
         result.failures.pop(row, None)
-        if np.isnan(result.sums[row]).any() and (names := _nan_results(experiment, result.sums[row], unit.block)):
-            result.failures[row] = Failure("NaN", f"{', '.join(names)}: not a number")
     return True
+
+
+def failure_of(error: BaseException) -> Failure:
+    """Return why a point failed, from what was raised."""
+    if isinstance(error, NotFiniteError):
+        return Failure("NaN", str(error))
+    if isinstance(error, ResultError):
+        return Failure("exception", str(error))
+    text = str(error)
+    return Failure("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
 
 
 def too_long(task: Task, trace: str) -> Failure:
@@ -146,32 +155,32 @@ def joined(results: Sequence[TaskResult]) -> TaskResult:
     )
 
 
-def _nan_results(experiment: Experiment, row: NDArray[np.float64], block: Block) -> list[str]:
-    """Return the headline results (all, if there are none) that these sums make NaN; some sums may be NaN rightly."""
-    n, n_cat = np.array([float(block.realisations)]), np.array([float(block.n_cat)])
-    results = experiment.summarise(experiment.named(row[None]), n, n_cat)
-    headline = [output.name for output in experiment.outputs if output.headline] or list(results)
-    return [name for name in headline if np.isnan(results[name]).any()]
-
-
 def run_block(
     experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int, keep_samples: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, where
     they are to be kept, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
     the outputs.
+
+    Raises ResultError where these are not what is declared or not finite, and whatever the experiment raises.
     """
-    evaluate = experiment.samples if keep_samples and experiment.samples is not None else experiment.evaluate
     kept = experiment.sample_outputs if keep_samples else ()
+    evaluate = experiment.samples if kept and experiment.samples is not None else experiment.evaluate
+    who = "samples" if kept else "evaluate"
+    shapes = {name: (len(points), *shape) for name, shape in experiment.sums.items()}
+    shapes_kept = {o.name: (len(points), block.n_sim, *experiment.shape_of(o)) for o in kept}
     total = np.zeros((len(points), experiment.sums_width))
     samples: list[NDArray[np.float64]] = []
     for rng, catalogue_rng in _streams(stream, block, seed):
         drawn = evaluate(points, block.n_sim, rng, catalogue_rng)
-        rows = [np.asarray(drawn[name]).reshape(len(points), -1) for name in experiment.sums]
-        total += np.concatenate(rows, axis=1, dtype=np.float64)
+        sums = checked(who, drawn, "sum", shapes, beside=list(shapes_kept))
+        check_finite(sums, experiment.nan_sums)
+        total += np.concatenate([array.reshape(len(points), -1) for array in sums.values()], axis=1)
         if kept:
-            shape = (len(points), block.n_sim, -1)
-            samples.append(np.concatenate([np.reshape(drawn[o.name], shape) for o in kept], axis=2))
+            realisations = checked(who, drawn, "sample output", shapes_kept, beside=list(shapes))
+            check_finite(realisations, [output.name for output in kept if output.nan])
+            flat = [array.reshape(len(points), block.n_sim, -1) for array in realisations.values()]
+            samples.append(np.concatenate(flat, axis=2))
     return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))
 
 

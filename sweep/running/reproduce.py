@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from sweep.contract import Experiment, SweepError, shown, suggest
 from sweep.executing.worker import run_block
-from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator
+from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator, failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
 from sweep.planning.work_queue import Pending
@@ -74,6 +74,8 @@ def compute(plan: Plan) -> xr.Dataset:
                 rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
                 for point, row in zip(work.points, rows, strict=True):
                     pending.add(plan.work((point,), block) for block in accumulator.add(point, work.block, row))
+    for problem in failing(accumulator, np.flatnonzero(accumulator.status == DONE).tolist()).values():
+        raise problem
     return assemble(plan, accumulator)
 
 

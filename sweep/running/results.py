@@ -29,8 +29,7 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
     results: Mapping[str, Array] = {}
     if done.any():
         n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        sums = experiment.named(accumulator.total[done])
-        results = experiment.summarise(sums, accumulator.realisations[done].astype(float), n_cat)
+        results = experiment.results(accumulator.total[done], accumulator.realisations[done].astype(float), n_cat)
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already

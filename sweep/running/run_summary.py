@@ -3,7 +3,7 @@
 import heapq
 from array import array
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from sweep.executing.worker import TaskResult
 from sweep.planning.grid import GridPoint, describe
@@ -12,12 +12,37 @@ from sweep.running.eta import in_words
 from sweep.studies.study import Study
 
 NAMED = 5
-"""So many of the slowest points are named."""
+"""So many of the slowest points are named, and reasons for which points failed."""
+
+LONGEST_REASON = 200
+"""Characters of a reason in the last line of a run."""
 
 
 def counted(n: int, noun: str) -> str:
     """Return a count with its noun: '1 point', '2 points'."""
     return f"{n:,} {noun}{'' if n == 1 else 's'}"
+
+
+def failed_points(failures: Mapping[str, str]) -> str:
+    """Return how many points failed and why, from messages by place: '3 points failed: 2 x KeyError: 'y', for example
+    at sky=clear; ValueError: no sun, at sky=dark'.
+    """
+    counts = Counter(failures.values())
+    first = {message: place for place, message in reversed(list(failures.items()))}
+    reasons = [
+        f"{n} x {_short(message)}, for example at {first[message]}"
+        if n > 1
+        else f"{_short(message)}, at {first[message]}"
+        for message, n in counts.most_common(NAMED)
+    ]
+    if len(counts) > NAMED:
+        reasons.append(f"{len(counts) - NAMED} other reasons")
+    return f"{counted(len(failures), 'point')} failed: {'; '.join(reasons)}"
+
+
+def _short(message: str) -> str:
+    line = message.strip().partition("\n")[0]
+    return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]}..."
 
 
 class RunSummary:
@@ -28,7 +53,6 @@ class RunSummary:
         self.done = PlanSize(0, 0, 0, 0.0)
         self.busy = 0.0
         self._study = study
-        self._failed: dict[int, str] = {}
         self._seconds = array("d")  # by the point's index: a dictionary would be large for a large grid
         self._slowest: dict[int, GridPoint] = {}
 
@@ -37,10 +61,8 @@ class RunSummary:
         self.done += done
         points = [point for work in works for point in work.points]
         self.busy += float(result.seconds.sum())
-        for number, (point, seconds) in enumerate(zip(points, result.seconds.tolist(), strict=True)):
+        for point, seconds in zip(points, result.seconds.tolist(), strict=True):
             self._count(point, seconds)
-            if (failure := result.failures.get(number)) is not None:
-                self._failed.setdefault(point.index, failure.kind)
 
     def _count(self, point: GridPoint, seconds: float) -> None:
         if point.index >= len(self._seconds):
@@ -71,7 +93,3 @@ class RunSummary:
             )
             lines.append(f"slowest: {'; '.join(slowest)}")
         return lines
-
-    def kinds(self) -> str:
-        """Return in words how points failed in this run: '2 exception, 1 killed'."""
-        return ", ".join(f"{n} {kind}" for kind, n in sorted(Counter(self._failed.values()).items()))

@@ -177,7 +177,7 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     progress = TerminalProgress(study)
     progress.start(Survey(size, PlanSize(0, 0, 0, 0.0), size), "this process", 1)
     work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
-    taken = Taken(PlanSize(0, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), ())
+    taken = Taken(PlanSize(0, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), (), {})
     spoken = []
     for second in range(1, seconds + 1):
         clock = float(second)
