@@ -12,7 +12,7 @@ GROUND = [
     *("sweep.interrupt", "sweep.contract.errors", "sweep.contract.units", "sweep.contract.parameter"),
     "sweep.contract.output",
     *("sweep.contract.declaration", "sweep.contract.checked", "sweep.contract.experiment", "sweep.contract.__init__"),
-    *("sweep.load", "sweep.tablefile"),
+    *("sweep.sources", "sweep.load", "sweep.tablefile"),
 ]
 HOUSE = {
     "core": [

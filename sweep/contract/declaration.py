@@ -167,7 +167,7 @@ def _names(
             yield f"{kind} {name!r}: this name is for {added[name]}; take another"
         elif name in first and not (name in decided and (first[name], kind) == ("parameter", "output")):
             same = first[name] == kind
-            yield f"{kind} {name!r}: " + ("is declared twice" if same else f"is the name of a {first[name]} too")
+            yield f"{kind} {name!r}: " + ("is declared twice" if same else f"is the name of {_a_word(first[name])} too")
         first.setdefault(name, kind)
 
 

@@ -30,7 +30,8 @@ class PointBlock:
 class Task:
     """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too.
 
-    With ``time_limit_s``, for a block of one point, the process must be one that may be ended.
+    ``source_digest`` names the sources of the experiment, which were provided or are in its file.  With
+    ``time_limit_s``, for a block of one point, the process must be one that may be ended.
     """
 
     experiment_reference: str
@@ -38,6 +39,7 @@ class Task:
     units: tuple[PointBlock, ...]
     keep_samples: bool = False
     time_limit_s: float | None = None
+    source_digest: str | None = None
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
 
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     """Yield the result of each unit of a task; no more of a point that took too long is tried."""
-    experiment = load_experiment(task.experiment_reference)
+    experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     defaults = experiment.defaults()
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in task.units:

@@ -8,8 +8,10 @@ from threadpoolctl import threadpool_limits
 
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.isolated import run_guarded
-from sweep.executing.versions import Identity, differences, identity_like
+from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import Task, TaskResult, run_task
+from sweep.load import provide
+from sweep.sources import Sources
 
 PLUGIN = "linksweep"
 
@@ -33,6 +35,20 @@ class TaskPlugin(WorkerPlugin):
         self._limits.restore_original_limits()
 
 
+class SourcesPlugin(WorkerPlugin):
+    """Brings the sources of an experiment's file and of its local modules, which a worker may not have."""
+
+    idempotent = True
+
+    def __init__(self, sources: Sources) -> None:
+        self._sources = sources
+        self.name = f"{PLUGIN}-{sources.path}-{sources.digest}"
+
+    def setup(self, worker: Any) -> None:
+        """Let the worker load the experiment."""
+        provide(self._sources)
+
+
 @dataclass(frozen=True)
 class Answer:
     """What a worker says: its address, in what it differs from the client, and the result if this decides no number."""
@@ -49,7 +65,7 @@ def run_on_worker(task: Task, expected: Identity, guarded: bool, memory_limit: i
     With ``guarded`` in a child process, of so many bytes at most (None: as many as the worker may have).
     """
     worker = get_worker()
-    found = identity_like(expected, task.experiment_reference)
+    found = identity(task.experiment_reference, task.source_digest)
     deciding = differences(expected.deciding, found.deciding)
     others = differences(expected.others, found.others)
     if deciding:
