@@ -53,7 +53,7 @@ HOUSE = {
             "snapshot",
             "failures",
         ),
-        *("store", "repair"),
+        *("store", "code", "repair"),
     ],
     "sweep.running": [
         *("results", "covariance", "subset", "writer", "run", "reproduce"),

@@ -80,6 +80,12 @@ def assemble_samples(
     return variables
 
 
+def code_variable(plan: Plan, codes: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
+    """Return which code made each point, for a store that several have made."""
+    meaning = "code that made the point: its place, from 1, in the attribute code; 0 none, -1 several"
+    return _variable(plan.grid, codes, Output("code", "", meaning))
+
+
 def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
     attributes = _attributes(output)
     if output.headline:

@@ -17,7 +17,8 @@ from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import Plan, PlanSize, Work
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
-from sweep.running.results import assemble, assemble_samples
+from sweep.running.results import assemble, assemble_samples, code_variable
+from sweep.stores.code import codes_of_points, records_of
 from sweep.stores.store import Store
 from sweep.studies.provenance import host, now, provenance
 
@@ -112,6 +113,9 @@ class Writer:
             dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
             dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.sums()))
+        if len(records := records_of(self.store.attributes)) > 1:
+            codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
+            dataset = dataset.assign(code=code_variable(self.plan, codes))
         points = int(np.count_nonzero(self.accumulator.status != EXCLUDED))
         done = int(np.count_nonzero(self.accumulator.status == DONE))
         dataset.attrs = self._provenance | {

@@ -95,6 +95,11 @@ class Ledger:
         if "samples" in columns:
             columns["samples"].resume(self._samples_end)
 
+    @property
+    def next_row(self) -> int:
+        """The row that the next block gets."""
+        return self._next
+
     def sums(self) -> Array:
         """Return all rows, (rows, width); `rows` says which is whose."""
         self.flush()
