@@ -37,7 +37,7 @@ HOUSE = {
     ],
     "sweep.planning": ["point_cache", "unused", "grid", "plan", "accumulator", "work_queue"],
     "sweep.executing": [
-        *("deadlines", "worker", "versions", "clock", "isolated", "worker_plugin", "execute"),
+        *("captured", "deadlines", "worker", "versions", "clock", "isolated", "worker_plugin", "execute"),
         *("forkserver", "dask_executor", "clusterfile", "local_cluster", "clusters", "choose"),
     ],
     "sweep.stores": [

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Experiment, NotFiniteError, Point, ResultError, check_finite, checked
+from sweep.executing.captured import Captured, captured
 from sweep.executing.deadlines import Deadlines, TimeLimitError
 from sweep.load import load_experiment
 from sweep.planning.plan import Block, generators
@@ -57,13 +58,14 @@ class TaskResult:
     took, (rows,).
 
     ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
-    samples are kept to these, (realisations, width).
+    samples are kept to these, (realisations, width), ``said`` the first row of a unit to what was printed in it.
     """
 
     sums: NDArray[np.float64]
     seconds: NDArray[np.float64]
     failures: dict[int, Failure] = field(default_factory=dict)
     samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    said: dict[int, Captured] = field(default_factory=dict)
 
 
 def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
@@ -87,9 +89,12 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
         rows = [row for row in range(len(unit.points)) if row not in result.failures]
         begun = time.perf_counter()
         points = [defaults | unit.points[row] for row in rows]
-        if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
-            for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
-                _try(experiment, [point], [row], unit, task, result, deadlines)
+        with captured() as said:
+            if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
+                for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
+                    _try(experiment, [point], [row], unit, task, result, deadlines)
+        if said.printed or said.warnings:
+            result.said[rows[0]] = said
         result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
         late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
         given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
@@ -154,6 +159,7 @@ def joined(results: Sequence[TaskResult]) -> TaskResult:
         np.concatenate([result.seconds for result in results]),
         {first + row: why for first, r in zip(starts, results, strict=False) for row, why in r.failures.items()},
         {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
+        {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
+from sweep.executing.captured import no_standard_output
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.isolated import run_guarded
 from sweep.executing.versions import Identity, differences, identity
@@ -29,6 +30,8 @@ class TaskPlugin(WorkerPlugin):
         """Set the limits when the plugin reaches a worker."""
         self._limits = threadpool_limits(1)
         self.deadlines = Deadlines()
+        if getattr(worker, "nanny", None):  # a process of its own
+            no_standard_output()
 
     def teardown(self, worker: Any) -> None:
         """Give the threads back."""

@@ -81,6 +81,8 @@ class TerminalProgress:
         self._summary.take(works, result, taken.done)
         self._points += taken.done.points
         self._tell_points(taken)
+        if result.said:
+            self._tell_what_was_said(works, result)
         if self._bar is not None:
             total = (self._bar.tasks[0].total or 0.0) + taken.more.cost
             self._bar.update(self._task, advance=taken.done.cost, total=total, description=self._description())
@@ -102,6 +104,14 @@ class TerminalProgress:
             else:
                 SENTENCES.debug("%s: done", place)
 
+    def _tell_what_was_said(self, works: Sequence[Work], result: TaskResult) -> None:
+        points = [point for work in works for point in work.points]
+        for row, said in result.said.items():
+            place = describe(self._study, points[row].parameters)
+            self._summary.warned(place, said.warnings)
+            for line in said.printed.splitlines():
+                RECORD.info("%s: printed: %s", place, line)
+
     def say(self, text: str) -> None:
         """Tell the user a sentence."""
         SENTENCES.info(text)
@@ -119,6 +129,8 @@ class TerminalProgress:
         if self._begun is not None:
             for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}"):
                 self.say(line)
+            for line in self._summary.warnings():
+                SENTENCES.warning(line)
         if failures:
             SENTENCES.error(
                 f"{failed_points(failures)}; "

@@ -55,6 +55,8 @@ class RunSummary:
         self._study = study
         self._seconds = array("d")  # by the point's index: a dictionary would be large for a large grid
         self._slowest: dict[int, GridPoint] = {}
+        self._warnings: Counter[str] = Counter()
+        self._first_warned: dict[str, str] = {}
 
     def take(self, works: Sequence[Work], result: TaskResult, done: PlanSize) -> None:
         """Count a task's result."""
@@ -93,3 +95,18 @@ class RunSummary:
             )
             lines.append(f"slowest: {'; '.join(slowest)}")
         return lines
+
+    def warned(self, place: str, warnings: Mapping[str, int]) -> None:
+        """Count warnings that came up at a point."""
+        self._warnings.update(warnings)
+        for text in warnings:
+            self._first_warned.setdefault(text, place)
+
+    def warnings(self) -> list[str]:
+        """Return a line for each different warning: how often, and where first."""
+        lines = [
+            f"warned {'once' if n == 1 else f'{n:,} times, first'} at {self._first_warned[text]}: {_short(text)}"
+            for text, n in self._warnings.most_common(NAMED)
+        ]
+        more = len(self._warnings) - NAMED
+        return [*lines, f"warned of {more} other things"] if more > 0 else lines
