@@ -168,4 +168,5 @@ link = Experiment(
     check=check,
     cost=cost,
     shared=SHARED,
+    nan_sums=("glide_error", "glide_squares"),
 )

@@ -284,6 +284,7 @@ def _with_errors(
             unit,
             f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; NaN below 5",
             dims,
+            nan=True,
         ),
     ]
 
@@ -316,6 +317,7 @@ OUTPUTS = (
         _EACH,
         "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of one; NaN for 2 to 4",
         ("component",),
+        nan=True,
     ),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),
     Output(
@@ -324,8 +326,20 @@ OUTPUTS = (
         "mean chi2 of the solution; dof is its expectation for inverse-variance weights of uncorrelated errors",
     ),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
-    Output("glide_sigma", "mas / yr", "RMS of estimate - truth of a glide that was solved for", ("glide_component",)),
-    Output("glide_bias", "mas / yr", "mean of estimate - truth of a glide that was solved for", ("glide_component",)),
+    Output(
+        "glide_sigma",
+        "mas / yr",
+        "RMS of estimate - truth of a glide that was solved for",
+        ("glide_component",),
+        nan=True,
+    ),
+    Output(
+        "glide_bias",
+        "mas / yr",
+        "mean of estimate - truth of a glide that was solved for",
+        ("glide_component",),
+        nan=True,
+    ),
 )
 
 SAMPLE_OUTPUTS = (Output("estimate", _EACH, "estimate of each realisation, where a study keeps them", ("component",)),)

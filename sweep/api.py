@@ -11,6 +11,7 @@ import xarray as xr
 from sweep.executing.choose import Resources
 from sweep.executing.execute import GUARD, NO_LIMITS, Limits
 from sweep.running.run import Progress, Silent, run_study
+from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
@@ -29,22 +30,28 @@ def run(
     cluster: str | Path | None = None,
     limits: Limits = NO_LIMITS,
     progress: Progress | None = None,
+    accept_code: bool = False,
+    fresh: bool = False,
 ) -> xr.Dataset:
     """Run a study and return its results; the same call after an interruption goes on where it stopped.
 
     ``study`` is the name of a built-in study, a TOML file, a mapping of the same shape, or a `Study`.  The store is
     ``results/NAME.zarr`` unless given.  ``workers``, ``pool``, ``scheduler``, ``cluster`` and ``limits`` say what to
-    run on, as the options of ``sweep run`` do; nothing is printed unless ``progress`` does.  Points that failed are NaN
-    in the dataset, its ``status`` and its attribute ``failures`` tell why, and a warning is logged.
+    run on, as the options of ``sweep run`` do; nothing is printed unless ``progress`` does.  A store that other code
+    made is refused; with ``accept_code`` it is continued and says for each point which code made it, with ``fresh`` it
+    is replaced.  Points that failed are NaN in the dataset, its ``status`` and its attribute ``failures`` tell why, and
+    a warning is logged.
+
     Raises SweepError for bad input, before anything is written.
     """
     _leave_a_worker_that_runs_its_script()
     loaded = _study(study)
     place = located(store or Path("results") / f"{loaded.name}.zarr")
     resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
-    dataset, failures = run_study(loaded, place, resources, progress or Silent())
+    watching = progress or Silent()
+    dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
     if failures:
-        log.warning("%d points of %s failed, the first at %s", len(failures), place, next(iter(failures.items())))
+        log.warning("%s: %s", place, failed_points(failures))
     return dataset
 
 

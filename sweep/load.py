@@ -1,37 +1,56 @@
-"""Finds experiments and functions by their references, ``module:attribute`` or ``path/to/file.py:attribute``."""
+"""Finds experiments and functions by their references, ``module:attribute`` or ``path/to/file.py:attribute``, and tells
+which code they are.
+"""
 
-import hashlib
 import importlib
-import importlib.machinery
-import importlib.util
+import json
 import sys
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from sweep.contract import Experiment, SweepError, shown
+from sweep.sources import OURS, Sources, forget_module, make_module, read_sources
 
-DIGEST = "__linksweep_source_digest__"
+SOURCES = "__linksweep_sources__"
+"""The attribute by which a module of a file knows what it was made of."""
+
+_provided: dict[tuple[str, str], Sources] = {}
+"""Sources that another process has sent, by path and digest: the file itself may not be here, or be another one."""
 
 
-def load_experiment(reference: str, folder: Path | None = None) -> Experiment:
+def load_experiment(reference: str, folder: Path | None = None, digest: str | None = None) -> Experiment:
     """Return the Experiment that a reference names; a file's path is relative to ``folder``.
 
+    With the ``digest`` of its sources those are taken that were provided, if any were, whatever the file holds now.
     Raises SweepError where the module, the file or the attribute does not exist or is something else.
     """
-    _, found = _find(reference, folder)
+    _, found = _find(reference, folder, digest)
     if not isinstance(found, Experiment):
         raise _is_no("an Experiment", reference, found)
     return found
 
 
+def read_experiment(reference: str, folder: Path) -> Experiment:
+    """Return an Experiment as its file and local modules are now, whatever was loaded before; raises SweepError as
+    `load_experiment`.
+    """
+    absolute = absolute_reference(reference, folder)
+    loaded = sources_of(absolute)
+    if loaded is not None and _read(Path(loaded.path)).digest != loaded.digest:
+        forget(absolute)
+    return load_experiment(absolute)
+
+
 @dataclass(frozen=True)
 class SourceFunction:
     """A function of a user's: found by its reference in whichever process calls it, and known by the digest of the file
-    that it stands in.
+    that it stands in and of the local modules which that imports.
 
     Calling it raises SweepError where that file is gone or another one than when it was loaded.
     """
@@ -53,10 +72,11 @@ def load_function(reference: str, folder: Path | None = None) -> SourceFunction:
     """
     absolute = absolute_reference(reference, folder or Path.cwd())
     module, found = _find(absolute)
-    if _digest(module) != getattr(module, DIGEST, _digest(module)):  # a file that has changed since it was read
+    digest = _digest(module)
+    if SOURCES in vars(module) and digest != vars(module)[SOURCES].digest:  # a file that has changed since it was read
         forget(absolute)
         module, found = _find(absolute)
-    digest = _digest(module)
+        digest = _digest(module)
     if not callable(found):
         raise _is_no("a function", reference, found)
     if digest is None:
@@ -75,25 +95,42 @@ def _function(wanted: SourceFunction) -> Callable[..., Any]:
 
 
 def _digest(module: ModuleType) -> str | None:
-    """Return the digest of a module's file as it is now; None where it has none in Python."""
+    """Return the digest of a module's source as it is now; None where it has none in Python."""
     path = getattr(module, "__file__", None)
     if path is None or not str(path).endswith(".py") or not Path(path).is_file():
         return None
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:12]
+    return (
+        read_sources(Path(path)).digest
+        if SOURCES in vars(module)
+        else Sources("", {"": Path(path).read_bytes()}).digest
+    )
 
 
-def _find(reference: str, folder: Path | None = None) -> tuple[ModuleType, object]:
+def _find(reference: str, folder: Path | None = None, digest: str | None = None) -> tuple[ModuleType, object]:
     """Return the module of a reference and what it names there, None for nothing."""
     place, colon, attribute = reference.rpartition(":")
     if not colon or not place or not attribute:
         raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
     try:
-        module = _module_of_file(place, folder) if place.endswith(".py") else importlib.import_module(place)
+        module = _module_of_file(place, folder, digest) if place.endswith(".py") else importlib.import_module(place)
         return module, getattr(module, attribute, None)
     except SweepError:
         raise
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
-        raise SweepError(f"{shown(reference)}: cannot be imported: {type(error).__name__}: {error}") from error
+        where = _line_of(error)
+        text = error.msg if isinstance(error, SyntaxError) else str(error)
+        message = f"{type(error).__name__}{f': {text}' if text else ''}"
+        raise SweepError(f"{shown(reference)}: cannot be imported: {where}{message}") from error
+
+
+def _line_of(error: BaseException) -> str:
+    """Return the file and line of a user's code at which an exception was raised, as the beginning of a sentence."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}, line {error.lineno}: "
+    ours = str(Path(__file__).parent)
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
+    own = [frame for frame in frames if not frame.filename.startswith(ours)]
+    return f"{own[-1].filename}, line {own[-1].lineno}: " if own else ""
 
 
 def _is_no(wanted: str, reference: str, found: object) -> SweepError:
@@ -108,42 +145,119 @@ def absolute_reference(reference: str, folder: Path) -> str:
     return f"{(folder / place).resolve()}:{attribute}" if place.endswith(".py") else reference
 
 
-def source_digest(reference: str) -> str | None:
-    """Return the digest of the file that a loaded experiment came from, as it was then; None for one of a module."""
+def sources_of(reference: str, digest: str | None = None) -> Sources | None:
+    """Return what a loaded experiment's file and local modules were when they were loaded; None for one of a module."""
     place, _, _ = reference.rpartition(":")
-    return getattr(sys.modules.get(place), DIGEST, None) if place.endswith(".py") else None
+    if not place.endswith(".py"):
+        return None
+    for key in (place, f"{place}@{digest}"):
+        found: Sources | None = getattr(sys.modules.get(key), SOURCES, None)
+        if found is not None and digest in (None, found.digest):
+            return found
+    return None
+
+
+def source_digest(reference: str) -> str | None:
+    """Return the digest of a loaded experiment's sources; None for one of a module."""
+    sources = sources_of(reference)
+    return None if sources is None else sources.digest
+
+
+def provide(sources: Sources) -> None:
+    """Let this process load an experiment from sources that another one has sent."""
+    _provided[sources.path, sources.digest] = sources
 
 
 def forget(reference: str) -> None:
-    """Let an experiment's file be read anew when it is loaded again; does nothing for one of a module."""
+    """Let an experiment's file and local modules be read anew when it is loaded again; does nothing for one of a
+    module.
+    """
     place, _, _ = reference.rpartition(":")
     if place.endswith(".py"):
-        sys.modules.pop(place, None)
+        forget_module(place)
 
 
-class _Loader(importlib.machinery.SourceFileLoader):
-    """Loads a module without leaving a ``__pycache__`` beside it."""
+def code_of(reference: str, experiment: Experiment, digest: str | None = None) -> dict[str, str]:
+    """Return what decides the numbers of a loaded experiment beside its version: source files, defaults, versions of
+    packages.
 
-    def set_data(self, path: str, data: Any, *, _mode: int = 0o666) -> None:
-        """Write nothing."""
+    Of an experiment in an installed distribution this is the distribution's version; what linksweep brings itself is
+    known by the version of the experiment alone.
+    """
+    code: dict[str, str] = {}
+    place = reference.rpartition(":")[0]
+    sources = sources_of(reference, digest)
+    if sources is None and place.partition(".")[0] not in OURS:
+        sources = _sources_of_module(place)
+        if sources is None:
+            names = packages_distributions().get(place.partition(".")[0], [])
+            code |= {f"package {name}": _version(name) for name in sorted(set(names))}
+    if sources is not None:
+        code |= {f"file {name}": text for name, text in sources.digests.items()}
+        defaults = {p.name: json.dumps(p.written_default(), default=str) for p in experiment.parameters}
+        code |= {f"default of {name}": text for name, text in defaults.items()}
+    return code | {f"package {name}": _version(name) for name in experiment.packages}
 
 
-def _module_of_file(place: str, folder: Path | None) -> ModuleType:
-    path = (folder or Path.cwd()) / place
-    name = str(path.resolve())
-    if name in sys.modules:
-        return sys.modules[name]
-    if not path.is_file():
-        raise SweepError(f"there is no file {shown(str(path))}")
-    spec = importlib.util.spec_from_file_location(name, path, loader=_Loader(name, str(path)))
-    if spec is None or spec.loader is None:
-        raise SweepError(f"{path} is not a Python file")
-    module = importlib.util.module_from_spec(spec)
-    setattr(module, DIGEST, hashlib.sha256(path.read_bytes()).hexdigest()[:12])
-    sys.modules[name] = module
+def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
+    """Return a phrase for everything in which code differs; ``was`` and ``now`` say where the two are."""
+    phrases = []
+    for name in sorted({*old, *new}):
+        before, after = old.get(name), new.get(name)
+        if before == after:
+            continue
+        if before is None or after is None:
+            phrases.append(f"{name} is only {was if after is None else now}")
+        elif name.startswith("file "):
+            phrases.append(f"{name} has changed")
+        else:
+            phrases.append(f"{name} is {before} {was}, {after} {now}")
+    return phrases
+
+
+def _sources_of_module(name: str) -> Sources | None:
+    """Return the sources of a module that is not in an installed distribution, with what it imports beside its top
+    package; None for one that is, or that is not in Python.
+    """
+    path = getattr(sys.modules.get(name), "__file__", None)
+    if path is None or not path.endswith(".py") or {"site-packages", "dist-packages"} & set(Path(path).parts):
+        return None
+    file = Path(path).resolve()
+    above = name.count(".") + (file.name == "__init__.py")
+    return read_sources(file, file.parents[above])
+
+
+def _version(package: str) -> str:
     try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _read(path: Path) -> Sources:
+    try:
+        return read_sources(path)
+    except OSError as error:
+        raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def _module_of_file(place: str, folder: Path | None, digest: str | None) -> ModuleType:
+    path = ((folder or Path.cwd()) / place).resolve()
+    key = str(path)
+    loaded = sys.modules.get(key)
+    if loaded is not None and digest in (None, loaded.__dict__[SOURCES].digest):
+        return loaded
+    sources = _provided.get((key, digest)) if digest is not None else None
+    if sources is not None:
+        key = f"{key}@{digest}"
+        if key in sys.modules:
+            return sys.modules[key]
+    else:
+        if loaded is not None:  # an earlier one, and the wanted one may be in the file by now
+            forget_module(key)
+        if not path.is_file():
+            raise SweepError(f"there is no file {shown(str(path))}")
+        sources = _read(path)
+    module = make_module(sources, key)
+    setattr(module, SOURCES, sources)
     return module

@@ -34,6 +34,12 @@ break_lock_option = click.option(
     help="Go on although another host seems to write to the store; make sure that it does not.",
 )
 
+accept_code_option = click.option(
+    "--accept-code",
+    is_flag=True,
+    help="Go on with a store that other code has made; each point then says which code made it.",
+)
+
 
 def _located(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
     """Turn what names a store, or several, into places; nothing while a shell completes."""

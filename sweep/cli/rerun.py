@@ -9,7 +9,7 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import break_lock_option, json_option, resource_options, store_argument
+from sweep.cli.options import accept_code_option, break_lock_option, json_option, resource_options, store_argument
 from sweep.cli.output import print_table
 from sweep.cli.running import run_with_progress
 
@@ -22,9 +22,12 @@ if TYPE_CHECKING:
 @store_argument
 @resource_options
 @break_lock_option
+@accept_code_option
 @watching_options
 @json_option
-def retry(store: "Location", resources: "Resources", break_lock: bool, watching: Watching, as_json: bool) -> None:
+def retry(
+    store: "Location", resources: "Resources", break_lock: bool, accept_code: bool, watching: Watching, as_json: bool
+) -> None:
     """Compute the failed points in STORE again, and only those.
 
     \b
@@ -33,7 +36,7 @@ def retry(store: "Location", resources: "Resources", break_lock: bool, watching:
     from sweep.running.reproduce import study_of
 
     dataset, failures = run_with_progress(
-        study_of(store), store, resources, watching, retry=True, break_lock=break_lock
+        study_of(store), store, resources, watching, retry=True, break_lock=break_lock, accept_code=accept_code
     )
     print_table(dataset, "json" if as_json else "text")
     if failures:
@@ -68,6 +71,8 @@ def reproduce(store: "Location", at: str, debug: bool, as_json: bool) -> None:
             pdb.post_mortem(error.__traceback__)
         sys.exit(EXIT_FAILED_POINTS)
     print_table(again.dataset.assign_attrs(title=again.place, complete=1), "json" if as_json else "text")
+    for sentence in again.other_code:
+        click.echo(f"computed by other code than the store was: {sentence}", err=True)
     if again.differences is None:
         click.echo(f"{again.place} is {again.stored} in {store}; there is nothing to compare with", err=True)
     elif not again.differences:

@@ -9,6 +9,7 @@ import click
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, told, watching_options
 from sweep.cli.options import (
+    accept_code_option,
     break_lock_option,
     json_option,
     load,
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 @study_options
 @resource_options
 @break_lock_option
+@accept_code_option
+@click.option("--fresh", is_flag=True, help="Replace the store that is there, whatever study and code it is of.")
 @watching_options
 @click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
 @json_option
@@ -40,6 +43,8 @@ def run(
     store: "Location | None",
     resources: "Resources",
     break_lock: bool,
+    accept_code: bool,
+    fresh: bool,
     watching: Watching,
     dry_run: bool,
     as_json: bool,
@@ -57,7 +62,9 @@ def run(
     if dry_run:
         print_plan(loaded, path, resources.workers, as_json)
         return
-    dataset, failures = run_with_progress(loaded, path, resources, watching, break_lock=break_lock)
+    dataset, failures = run_with_progress(
+        loaded, path, resources, watching, break_lock=break_lock, accept_code=accept_code, fresh=fresh
+    )
     print_table(dataset, "json" if as_json else "text")
     if failures:
         sys.exit(EXIT_FAILED_POINTS)
@@ -93,6 +100,8 @@ def run_with_progress(
     *,
     retry: bool = False,
     break_lock: bool = False,
+    accept_code: bool = False,
+    fresh: bool = False,
 ) -> tuple[Any, dict[str, str]]:
     """Run a study with progress and a summary shown; an interruption ends the command."""
     from sweep.executing.choose import expect
@@ -106,9 +115,9 @@ def run_with_progress(
     bar = watching.level < logging.ERROR
     with a_signal_ends_the_command(), told(watching), TerminalProgress(study, bar) as progress:
         try:
-            dataset, failures = run_study(study, store, resources, progress, retry, break_lock)
+            dataset, failures = run_study(study, store, resources, progress, retry, break_lock, accept_code, fresh)
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             end_stopped(stop.signal)
-        progress.finish(len(failures), store)
+        progress.finish(failures, store)
         return dataset, failures

@@ -12,9 +12,10 @@ from distributed import Client, Future, KilledWorker
 from sweep.contract import SweepError
 from sweep.executing.clock import Clock, wake
 from sweep.executing.execute import Limits, Results, Say, Take, make_task
-from sweep.executing.versions import Identity, differences, identity, identity_like
+from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import Failure, TaskResult, failed
-from sweep.executing.worker_plugin import PLUGIN, Answer, TaskPlugin, run_on_worker
+from sweep.executing.worker_plugin import PLUGIN, Answer, SourcesPlugin, TaskPlugin, run_on_worker
+from sweep.load import source_digest, sources_of
 from sweep.planning.plan import Work
 from sweep.studies.study import Study
 
@@ -68,12 +69,14 @@ class DaskExecutor:
         reference = self._study.experiment_reference
         try:
             self._client.register_plugin(TaskPlugin(), name=PLUGIN)
+            if (sources := sources_of(reference)) is not None:
+                self._client.register_plugin(SourcesPlugin(sources))
             # Where there is no worker yet, an adaptive cluster starts one for this.
-            probe = self._client.submit(identity_like, self._expected, reference, pure=False)
+            probe = self._client.submit(identity, reference, source_digest(reference), pure=False)
             probe.add_done_callback(self._finished.put)
             while not self._next():
                 pass
-            found = self._client.run(identity_like, self._expected, reference, on_error="return")
+            found = self._client.run(identity, reference, source_digest(reference), on_error="return")
         except SweepError:
             raise
         except Exception as error:  # whatever keeps a worker from importing what it is sent

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 from sweep.executing.isolated import run_guarded
 from sweep.executing.versions import identity
 from sweep.executing.worker import PointBlock, Task, TaskResult, run_task
+from sweep.load import source_digest
 from sweep.planning.plan import Work
 from sweep.studies.study import Study
 
@@ -62,7 +63,8 @@ def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS) -> Ta
         )
         for work in works
     )
-    return Task(study.experiment_reference, study.sampling.seed, units, study.sampling.keep_samples, limits.time_s)
+    reference, sampling = study.experiment_reference, study.sampling
+    return Task(reference, sampling.seed, units, sampling.keep_samples, limits.time_s, source_digest(reference))
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from sweep.contract import SweepError
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import Failure, PointBlock, Task, TaskResult, failed, joined, run_units, too_long
-from sweep.load import load_experiment
+from sweep.load import load_experiment, provide, sources_of
 
 TRIES = 2
 """So often a block may end its child: with the worker that it ended before that makes three times."""
@@ -37,7 +37,7 @@ def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> Tas
     Raises SweepError where the child cannot start or is not as ``expected``.
     """
     parts = [_Part(unit) for unit in task.units]
-    width = load_experiment(task.experiment_reference).sums_width
+    width = load_experiment(task.experiment_reference, digest=task.source_digest).sums_width
     while pending := [part for part in parts if part.result is None]:
         death = _run_child(task, pending, expected, memory_limit)
         if death is None:
@@ -82,7 +82,7 @@ def _run_child(task: Task, parts: Sequence[_Part], expected: Identity, memory_li
         overfull = False
         try:
             answers = Connection(os.dup(process.stdout.fileno()), writable=False)
-            process.stdin.write(pickle.dumps(todo))
+            process.stdin.write(pickle.dumps((sources_of(task.experiment_reference, task.source_digest), todo)))
             process.stdin.flush()
             measured = psutil.Process(process.pid)
             waiting = iter(parts)
@@ -143,10 +143,13 @@ def child() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     faulthandler.enable(all_threads=False)  # says where it was when it ends
     faulthandler.register(signal.SIGALRM, all_threads=False, chain=True)
-    task: Task = pickle.load(sys.stdin.buffer)
+    task: Task
+    sources, task = pickle.load(sys.stdin.buffer)
+    if sources is not None:
+        provide(sources)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        answers.send(identity(task.experiment_reference))
+        answers.send(identity(task.experiment_reference, task.source_digest))
     except SweepError as error:
         answers.send(error)
         return

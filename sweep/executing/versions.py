@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
-from sweep.load import forget, load_experiment, source_digest
+from sweep.load import code_of, load_experiment
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
@@ -19,26 +19,15 @@ class Identity:
     others: Mapping[str, str]
 
 
-def identity(reference: str) -> Identity:
+def identity(reference: str, digest: str | None = None) -> Identity:
     """Return what this process would compute an experiment with; raises SweepError as `load_experiment`."""
-    experiment = load_experiment(reference)
+    experiment = load_experiment(reference, digest=digest)
     deciding = {name: _version(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
-    if digest := source_digest(reference):
-        deciding[f"file {reference.rpartition(':')[0]}"] = f"with digest {digest}"
+    for name, text in code_of(reference, experiment, digest).items():
+        deciding[name] = f"with digest {text}" if name.startswith("file ") else text
     others = {"python": platform.python_version(), "machine": platform.machine()}
     return Identity(deciding, others | {name: _version(name) for name in OTHERS})
-
-
-def identity_like(expected: Identity, reference: str) -> Identity:
-    """Return this process's identity, after reading an experiment's file anew where it is not the expected one: it may
-    have changed since a worker that lives long read it.
-    """
-    found = identity(reference)
-    if found.deciding != expected.deciding:
-        forget(reference)
-        found = identity(reference)
-    return found
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:

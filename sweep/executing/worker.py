@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Experiment, Point
+from sweep.contract import Experiment, NotFiniteError, Point, ResultError, check_finite, checked
+from sweep.executing.captured import Captured, captured
 from sweep.executing.deadlines import Deadlines, TimeLimitError
 from sweep.load import load_experiment
 from sweep.planning.plan import Block, generators
@@ -30,7 +31,8 @@ class PointBlock:
 class Task:
     """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too.
 
-    With ``time_limit_s``, for a block of one point, the process must be one that may be ended.
+    ``source_digest`` names the sources of the experiment, which were provided or are in its file.  With
+    ``time_limit_s``, for a block of one point, the process must be one that may be ended.
     """
 
     experiment_reference: str
@@ -38,6 +40,7 @@ class Task:
     units: tuple[PointBlock, ...]
     keep_samples: bool = False
     time_limit_s: float | None = None
+    source_digest: str | None = None
 
 
 @dataclass(frozen=True)
@@ -55,13 +58,14 @@ class TaskResult:
     took, (rows,).
 
     ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
-    samples are kept to these, (realisations, width).
+    samples are kept to these, (realisations, width), ``said`` the first row of a unit to what was printed in it.
     """
 
     sums: NDArray[np.float64]
     seconds: NDArray[np.float64]
     failures: dict[int, Failure] = field(default_factory=dict)
     samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    said: dict[int, Captured] = field(default_factory=dict)
 
 
 def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
@@ -74,7 +78,7 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
 
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     """Yield the result of each unit of a task; no more of a point that took too long is tried."""
-    experiment = load_experiment(task.experiment_reference)
+    experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     defaults = experiment.defaults()
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in task.units:
@@ -85,9 +89,12 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
         rows = [row for row in range(len(unit.points)) if row not in result.failures]
         begun = time.perf_counter()
         points = [defaults | unit.points[row] for row in rows]
-        if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
-            for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
-                _try(experiment, [point], [row], unit, task, result, deadlines)
+        with captured() as said:
+            if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
+                for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
+                    _try(experiment, [point], [row], unit, task, result, deadlines)
+        if said.printed or said.warnings:
+            result.said[rows[0]] = said
         result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
         late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
         given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
@@ -110,18 +117,27 @@ def _try(
     except TimeLimitError:
         result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
         return False
-    except Exception as error:  # a point that fails must not take others with it
-        reason = Failure("exception", f"{type(error).__name__}: {error}", traceback.format_exc())
-        result.failures.update(dict.fromkeys(rows, reason))
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
+        result.failures.update(dict.fromkeys(rows, failure_of(error)))
         return False
     result.sums[rows] = sums
     if task.keep_samples:
         result.samples.update(zip(rows, samples, strict=True))
     for row in rows:
         result.failures.pop(row, None)
-        if np.isnan(result.sums[row]).any() and (names := _nan_results(experiment, result.sums[row], unit.block)):
-            result.failures[row] = Failure("NaN", f"{', '.join(names)}: not a number")
     return True
+
+
+def failure_of(error: BaseException) -> Failure:
+    """Return why a point failed, from what was raised."""
+    if isinstance(error, NotFiniteError):
+        return Failure("NaN", str(error))
+    if isinstance(error, ResultError):
+        return Failure("exception", str(error))
+    text = str(error)
+    return Failure("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
 
 
 def too_long(task: Task, trace: str) -> Failure:
@@ -143,15 +159,8 @@ def joined(results: Sequence[TaskResult]) -> TaskResult:
         np.concatenate([result.seconds for result in results]),
         {first + row: why for first, r in zip(starts, results, strict=False) for row, why in r.failures.items()},
         {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
+        {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
     )
-
-
-def _nan_results(experiment: Experiment, row: NDArray[np.float64], block: Block) -> list[str]:
-    """Return the headline results (all, if there are none) that these sums make NaN; some sums may be NaN rightly."""
-    n, n_cat = np.array([float(block.realisations)]), np.array([float(block.n_cat)])
-    results = experiment.summarise(experiment.named(row[None]), n, n_cat)
-    headline = [output.name for output in experiment.outputs if output.headline] or list(results)
-    return [name for name in headline if np.isnan(results[name]).any()]
 
 
 def run_block(
@@ -160,18 +169,26 @@ def run_block(
     """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, where
     they are to be kept, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
     the outputs.
+
+    Raises ResultError where these are not what is declared or not finite, and whatever the experiment raises.
     """
-    evaluate = experiment.samples if keep_samples and experiment.samples is not None else experiment.evaluate
     kept = experiment.sample_outputs if keep_samples else ()
+    evaluate = experiment.samples if kept and experiment.samples is not None else experiment.evaluate
+    who = "samples" if kept else "evaluate"
+    shapes = {name: (len(points), *shape) for name, shape in experiment.sums.items()}
+    shapes_kept = {o.name: (len(points), block.n_sim, *experiment.shape_of(o)) for o in kept}
     total = np.zeros((len(points), experiment.sums_width))
     samples: list[NDArray[np.float64]] = []
     for rng, catalogue_rng in _streams(stream, block, seed):
         drawn = evaluate(points, block.n_sim, rng, catalogue_rng)
-        rows = [np.asarray(drawn[name]).reshape(len(points), -1) for name in experiment.sums]
-        total += np.concatenate(rows, axis=1, dtype=np.float64)
+        sums = checked(who, drawn, "sum", shapes, beside=list(shapes_kept))
+        check_finite(sums, experiment.nan_sums)
+        total += np.concatenate([array.reshape(len(points), -1) for array in sums.values()], axis=1)
         if kept:
-            shape = (len(points), block.n_sim, -1)
-            samples.append(np.concatenate([np.reshape(drawn[o.name], shape) for o in kept], axis=2))
+            realisations = checked(who, drawn, "sample output", shapes_kept, beside=list(shapes))
+            check_finite(realisations, [output.name for output in kept if output.nan])
+            flat = [array.reshape(len(points), block.n_sim, -1) for array in realisations.values()]
+            samples.append(np.concatenate(flat, axis=2))
     return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))
 
 

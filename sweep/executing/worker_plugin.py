@@ -6,10 +6,13 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
+from sweep.executing.captured import no_standard_output
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.isolated import run_guarded
-from sweep.executing.versions import Identity, differences, identity_like
+from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import Task, TaskResult, run_task
+from sweep.load import provide
+from sweep.sources import Sources
 
 PLUGIN = "linksweep"
 
@@ -27,10 +30,26 @@ class TaskPlugin(WorkerPlugin):
         """Set the limits when the plugin reaches a worker."""
         self._limits = threadpool_limits(1)
         self.deadlines = Deadlines()
+        if getattr(worker, "nanny", None):  # a process of its own
+            no_standard_output()
 
     def teardown(self, worker: Any) -> None:
         """Give the threads back."""
         self._limits.restore_original_limits()
+
+
+class SourcesPlugin(WorkerPlugin):
+    """Brings the sources of an experiment's file and of its local modules, which a worker may not have."""
+
+    idempotent = True
+
+    def __init__(self, sources: Sources) -> None:
+        self._sources = sources
+        self.name = f"{PLUGIN}-{sources.path}-{sources.digest}"
+
+    def setup(self, worker: Any) -> None:
+        """Let the worker load the experiment."""
+        provide(self._sources)
 
 
 @dataclass(frozen=True)
@@ -49,7 +68,7 @@ def run_on_worker(task: Task, expected: Identity, guarded: bool, memory_limit: i
     With ``guarded`` in a child process, of so many bytes at most (None: as many as the worker may have).
     """
     worker = get_worker()
-    found = identity_like(expected, task.experiment_reference)
+    found = identity(task.experiment_reference, task.source_digest)
     deciding = differences(expected.deciding, found.deciding)
     others = differences(expected.others, found.others)
     if deciding:

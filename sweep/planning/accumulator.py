@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sweep.contract import Array, Value
+from sweep.contract import Array, Value, check_finite
 from sweep.planning.grid import GridPoint
 from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, ledger_key
 
@@ -176,9 +176,10 @@ class Accumulator:
             return parts
         n_sim = self.plan.realisations(cost, parts)
         n = np.array([float(sampling.n_cat * n_sim)])
-        results = study.experiment.summarise(
-            study.experiment.named(self.total[index : index + 1]), n, np.array([float(sampling.n_cat)])
-        )
+        try:
+            results = study.experiment.results(self.total[index : index + 1], n, np.array([float(sampling.n_cat)]))
+        except Exception:  # of a user's function: the point ends here, and `failing` says why
+            return parts
         with np.errstate(divide="ignore", invalid="ignore"):
             errors = [np.abs(results[e] / results[value]) for value, e in study.experiment.errors_of_headline()]
         worst = max(float(np.max(error)) for error in errors)
@@ -186,6 +187,22 @@ class Accumulator:
             return parts
         needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
         return min(max(parts + 1, self.plan.parts(cost, needed)), self.plan.parts(cost, sampling.most))
+
+
+def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Exception]:
+    """Return those of some points whose results cannot be made of their sums or are not finite, and why."""
+    experiment = accumulator.plan.grid.study.experiment
+    n = accumulator.realisations[list(indices)].astype(float)
+    n_cat = np.full(len(indices), float(accumulator.plan.grid.study.sampling.n_cat))
+    try:
+        results = experiment.results(accumulator.total[list(indices)], n, n_cat)
+        check_finite(results, experiment.nan_outputs())
+    except Exception as error:  # whatever a user's function raises
+        if len(indices) == 1:
+            return {indices[0]: error}
+        half = len(indices) // 2
+        return failing(accumulator, indices[:half]) | failing(accumulator, indices[half:])
+    return {}
 
 
 def _cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:

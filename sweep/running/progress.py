@@ -3,7 +3,7 @@
 import logging
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import TracebackType
 
@@ -18,7 +18,7 @@ from sweep.planning.accumulator import Survey
 from sweep.planning.grid import describe
 from sweep.planning.plan import Work
 from sweep.running.eta import Eta, in_words
-from sweep.running.run_summary import RunSummary
+from sweep.running.run_summary import RunSummary, failed_points
 from sweep.running.writer import Taken
 from sweep.studies.study import Study
 
@@ -81,7 +81,9 @@ class TerminalProgress:
         self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
         self._summary.take(works, result, taken.done)
         self._points += taken.done.points
-        self._tell_points(works, result, taken)
+        self._tell_points(taken)
+        if result.said:
+            self._tell_what_was_said(works, result)
         if self._bar is not None:
             total = (self._bar.tasks[0].total or 0.0) + taken.more.cost
             self._bar.update(self._task, advance=taken.done.cost, total=total, description=self._description())
@@ -94,17 +96,22 @@ class TerminalProgress:
         """Take the bar away."""
         self._end_bar()
 
-    def _tell_points(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
-        if result.failures:
-            points = [point for work in works for point in work.points]
-            failed = {points[number].index: failure for number, failure in result.failures.items()}
+    def _tell_points(self, taken: Taken) -> None:
         for point in taken.ended:
             place = describe(self._study, point.parameters)
-            if result.failures and (failure := failed.get(point.index)) is not None:
+            if (failure := taken.failed.get(point.index)) is not None:
                 SENTENCES.debug("%s: failed (%s)", place, failure.kind)
                 RECORD.error("%s: failed (%s): %s\n%s", place, failure.kind, failure.message, failure.traceback)
             else:
                 SENTENCES.debug("%s: done", place)
+
+    def _tell_what_was_said(self, works: Sequence[Work], result: TaskResult) -> None:
+        points = [point for work in works for point in work.points]
+        for row, said in result.said.items():
+            place = describe(self._study, points[row].parameters)
+            self._summary.warned(place, said.warnings)
+            for line in said.printed.splitlines():
+                RECORD.info("%s: printed: %s", place, line)
 
     def say(self, text: str) -> None:
         """Tell the user a sentence."""
@@ -117,16 +124,17 @@ class TerminalProgress:
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
-    def finish(self, failures: int, store: object) -> None:
-        """Say what the run took, and how to look closer at points that failed."""
+    def finish(self, failures: Mapping[str, str], store: object) -> None:
+        """Say what the run took, and why points failed (``failures`` by their place), and how to look closer."""
         self._end_bar()
         if self._begun is not None:
             for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}"):
                 self.say(line)
+            for line in self._summary.warnings():
+                SENTENCES.warning(line)
         if failures:
-            kinds = self._summary.kinds()
             SENTENCES.error(
-                f"{counted(failures, 'point')} failed{f' ({kinds})' if kinds else ''}; "
+                f"{failed_points(failures)}; "
                 f"`sweep status {store}` names them and says why, `sweep retry {store}` tries them again, "
                 f"`sweep reproduce {store} --at ...` runs one here"
             )

@@ -10,11 +10,12 @@ from threadpoolctl import threadpool_limits
 
 from sweep.contract import Experiment, SweepError, shown, suggest
 from sweep.executing.worker import run_block
-from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator
+from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator, failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
 from sweep.planning.work_queue import Pending
 from sweep.running.results import assemble
+from sweep.stores.code import differences_of_code
 from sweep.stores.location import Where
 from sweep.stores.store import open_dataset, read_attributes
 from sweep.studies.axes import parse_places, parse_value
@@ -28,13 +29,15 @@ MAX_NAMED = 10
 class Reproduction:
     """One point again: its results, and the variables that differ from those in the store in any bit.
 
-    ``differences`` is None where the store has no results of the point, ``stored`` the word for its status there.
+    ``differences`` is None where the store has no results of the point, ``stored`` the word for its status there,
+    ``other_code`` says in what the code of now differs from that of the store.
     """
 
     place: str
     dataset: xr.Dataset
     stored: str
     differences: dict[str, tuple[Any, Any]] | None
+    other_code: list[str]
 
 
 def study_of(store: Where) -> Study:
@@ -55,11 +58,12 @@ def reproduce(store: Where, at: str) -> Reproduction:
     result = compute(Plan(Grid(alone)))
     stored = open_dataset(store).isel(_indices(study, place))
     status = int(stored["status"])
+    other_code = differences_of_code(read_attributes(store), study)
     differences = None
     if status == DONE:
         pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
         differences = {name: pair for name, pair in pairs.items() if not _same_bits(*pair)}
-    return Reproduction(describe(study, place), result, STATUS_WORDS[status], differences)
+    return Reproduction(describe(study, place), result, STATUS_WORDS[status], differences, other_code)
 
 
 def compute(plan: Plan) -> xr.Dataset:
@@ -74,6 +78,8 @@ def compute(plan: Plan) -> xr.Dataset:
                 rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
                 for point, row in zip(work.points, rows, strict=True):
                     pending.add(plan.work((point,), block) for block in accumulator.add(point, work.block, row))
+    for problem in failing(accumulator, np.flatnonzero(accumulator.status == DONE).tolist()).values():
+        raise problem
     return assemble(plan, accumulator)
 
 

@@ -29,8 +29,7 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
     results: Mapping[str, Array] = {}
     if done.any():
         n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        sums = experiment.named(accumulator.total[done])
-        results = experiment.summarise(sums, accumulator.realisations[done].astype(float), n_cat)
+        results = experiment.results(accumulator.total[done], accumulator.realisations[done].astype(float), n_cat)
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already
@@ -79,6 +78,12 @@ def assemble_samples(
         variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, attributes)
         column += size
     return variables
+
+
+def code_variable(plan: Plan, codes: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
+    """Return which code made each point, for a store that several have made."""
+    meaning = "code that made the point: its place, from 1, in the attribute code; 0 none, -1 several"
+    return _variable(plan.grid, codes, Output("code", "", meaning))
 
 
 def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:

@@ -17,9 +17,10 @@ from sweep.planning.plan import Plan, Work
 from sweep.planning.work_queue import Pending
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
+from sweep.stores.code import as_json, check_code, continued, differences_of_code, records_of
 from sweep.stores.location import Where
 from sweep.stores.lock import locked
-from sweep.stores.store import Store, check_store, create_or_resume, existing_store
+from sweep.stores.store import CODE, Store, check_store, create_or_resume, existing_store, replace_store
 from sweep.studies.provenance import provenance
 from sweep.studies.study import Study
 
@@ -61,7 +62,9 @@ def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
     input.
     """
     plan = Plan(make_grid(study))
-    return plan, _accumulator(plan, existing_store(store, study)).survey
+    opened = existing_store(store, study)
+    check_code(store, study)
+    return plan, _accumulator(plan, opened).survey
 
 
 def run_study(
@@ -71,18 +74,26 @@ def run_study(
     progress: Progress | None = None,
     retry: bool = False,
     break_lock: bool = False,
+    accept_code: bool = False,
+    fresh: bool = False,
 ) -> tuple[xr.Dataset, dict[str, str]]:
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
     The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
     ``retry`` they, and only they, are computed again.  Where the store holds a larger study it is left as it is, and
-    these points of it are returned.  Raises SweepError for bad input before anything is written, and for a store that
+    these points of it are returned.  A store that other code made is continued with ``accept_code`` only; ``fresh``
+    replaces whatever store is there.  Raises SweepError for bad input before anything is written, and for a store that
     another process writes to (``break_lock`` as `locked` says); RunInterruptedError on SIGINT, SIGTERM and SIGHUP with
     everything that was finished in the store.
     """
     progress = progress or Silent()
     plan = Plan(make_grid(study))
+    if fresh:
+        with locked(store, break_lock=break_lock):
+            replace_store(store, study, provenance(study))
     check_store(store, study)
+    if not accept_code:
+        check_code(store, study)
     if not retry and (part := part_of_larger(store, plan.grid)) is not None:
         progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
         return part, {}
@@ -97,6 +108,7 @@ def run_study(
         with choose_executor(study, accumulator.survey.pending.cost, resources, progress.say) as (place, run):
             opened = opened or create_or_resume(store, study, provenance(study))
             opened.verify()
+            _record_code(opened, study, progress)
             if unused := len(opened.rows) - accumulator.survey.held.blocks:
                 progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
             pending = Pending(plan, accumulator)
@@ -120,6 +132,20 @@ def run_study(
                 with suppress(SweepError):
                     writer.store.flush()
                 raise
+
+
+def _record_code(store: Store, study: Study, progress: Progress) -> None:
+    """Write down which code makes the blocks from now on, and say so where it is news."""
+    records = continued(records_of(store.attributes), store.next_row, study)
+    if CODE not in store.attributes:
+        if not records[-1].code:
+            return  # what linksweep brings is known by its version
+        if store.next_row:
+            progress.say(f"{store.location} does not say which code made it; it is taken to be that of now")
+    elif store.next_row:
+        for sentence in differences_of_code(store.attributes, study):
+            progress.say(f"other code goes on with {store.location}: {sentence}")
+    store.record_code(as_json(records))
 
 
 def _forgive(store: Store | None, plan: Plan) -> frozenset[bytes]:

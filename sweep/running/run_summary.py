@@ -3,7 +3,7 @@
 import heapq
 from array import array
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from sweep.executing.worker import TaskResult
 from sweep.formatting import counted
@@ -13,7 +13,32 @@ from sweep.running.eta import in_words
 from sweep.studies.study import Study
 
 NAMED = 5
-"""So many of the slowest points are named."""
+"""So many of the slowest points are named, and reasons for which points failed."""
+
+LONGEST_REASON = 200
+"""Characters of a reason in the last line of a run."""
+
+
+def failed_points(failures: Mapping[str, str]) -> str:
+    """Return how many points failed and why, from messages by place: '3 points failed: 2 x KeyError: 'y', for example
+    at sky=clear; ValueError: no sun, at sky=dark'.
+    """
+    counts = Counter(failures.values())
+    first = {message: place for place, message in reversed(list(failures.items()))}
+    reasons = [
+        f"{n} x {_short(message)}, for example at {first[message]}"
+        if n > 1
+        else f"{_short(message)}, at {first[message]}"
+        for message, n in counts.most_common(NAMED)
+    ]
+    if len(counts) > NAMED:
+        reasons.append(f"{len(counts) - NAMED} other reasons")
+    return f"{counted(len(failures), 'point')} failed: {'; '.join(reasons)}"
+
+
+def _short(message: str) -> str:
+    line = message.strip().partition("\n")[0]
+    return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]}..."
 
 
 class RunSummary:
@@ -24,19 +49,18 @@ class RunSummary:
         self.done = PlanSize(0, 0, 0, 0.0)
         self.busy = 0.0
         self._study = study
-        self._failed: dict[int, str] = {}
         self._seconds = array("d")  # by the point's index: a dictionary would be large for a large grid
         self._slowest: dict[int, GridPoint] = {}
+        self._warnings: Counter[str] = Counter()
+        self._first_warned: dict[str, str] = {}
 
     def take(self, works: Sequence[Work], result: TaskResult, done: PlanSize) -> None:
         """Count a task's result."""
         self.done += done
         points = [point for work in works for point in work.points]
         self.busy += float(result.seconds.sum())
-        for number, (point, seconds) in enumerate(zip(points, result.seconds.tolist(), strict=True)):
+        for point, seconds in zip(points, result.seconds.tolist(), strict=True):
             self._count(point, seconds)
-            if (failure := result.failures.get(number)) is not None:
-                self._failed.setdefault(point.index, failure.kind)
 
     def _count(self, point: GridPoint, seconds: float) -> None:
         if point.index >= len(self._seconds):
@@ -68,6 +92,17 @@ class RunSummary:
             lines.append(f"slowest: {'; '.join(slowest)}")
         return lines
 
-    def kinds(self) -> str:
-        """Return in words how points failed in this run: '2 exception, 1 killed'."""
-        return ", ".join(f"{n} {kind}" for kind, n in sorted(Counter(self._failed.values()).items()))
+    def warned(self, place: str, warnings: Mapping[str, int]) -> None:
+        """Count warnings that came up at a point."""
+        self._warnings.update(warnings)
+        for text in warnings:
+            self._first_warned.setdefault(text, place)
+
+    def warnings(self) -> list[str]:
+        """Return a line for each different warning: how often, and where first."""
+        lines = [
+            f"warned {'once' if n == 1 else f'{n:,} times, first'} at {self._first_warned[text]}: {_short(text)}"
+            for text, n in self._warnings.most_common(NAMED)
+        ]
+        more = len(self._warnings) - NAMED
+        return [*lines, f"warned of {more} other things"] if more > 0 else lines

@@ -4,20 +4,21 @@ then.
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
 
-from sweep.executing.worker import Failure, TaskResult
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING, Accumulator
+from sweep.executing.worker import Failure, TaskResult, failure_of
+from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING, Accumulator, failing
 from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import Plan, PlanSize, Work
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
-from sweep.running.results import assemble, assemble_samples
+from sweep.running.results import assemble, assemble_samples, code_variable
+from sweep.stores.code import codes_of_points, records_of
 from sweep.stores.store import Store
 from sweep.studies.provenance import host, now, provenance
 
@@ -35,11 +36,14 @@ MAX_FAILURES_NAMED = 1000
 
 @dataclass(frozen=True)
 class Taken:
-    """How much a task did, how much more its results made known, and the points that it finished or failed."""
+    """How much a task did, how much more its results made known, the points that it finished or failed, and why these
+    failed, by their index.
+    """
 
     done: PlanSize
     more: PlanSize
     ended: tuple[GridPoint, ...]
+    failed: Mapping[int, Failure]
 
 
 class Writer:
@@ -64,6 +68,7 @@ class Writer:
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
         self._long_write = False
+        self._refuse_results(np.flatnonzero(accumulator.status == DONE).tolist())
 
     def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
         """Add a task's results."""
@@ -85,6 +90,8 @@ class Writer:
                     ends = self.accumulator.status[point.index] == DONE
                 if ends:
                     ended.append(point)
+            failed = {points[row][0].index: failure for row, failure in result.failures.items()}
+            failed |= self._refuse_results([p.index for p in ended if self.accumulator.status[p.index] == DONE])
             self._pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples)
@@ -93,7 +100,7 @@ class Writer:
                 self._flushed = clock
         if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
             self.write()
-        return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended))
+        return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended), failed)
 
     def write(self, final: bool = False) -> xr.Dataset:
         """Write the labelled dataset of everything taken so far, and return it."""
@@ -106,6 +113,9 @@ class Writer:
             dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
             dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.sums()))
+        if len(records := records_of(self.store.attributes)) > 1:
+            codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
+            dataset = dataset.assign(code=code_variable(self.plan, codes))
         points = int(np.count_nonzero(self.accumulator.status != EXCLUDED))
         done = int(np.count_nonzero(self.accumulator.status == DONE))
         dataset.attrs = self._provenance | {
@@ -140,15 +150,27 @@ class Writer:
         )
         return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in failed}
 
+    def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
+        """Let those of some finished points fail whose results are not what the experiment declares; return why."""
+        found = failing(self.accumulator, indices) if indices else {}
+        failures = {index: failure_of(error) for index, error in found.items()}
+        for index, failure in failures.items():
+            self.accumulator.fail(index)
+            self._record(self.plan.grid.point(index), failure)
+        return failures
+
     def _fail(self, point: GridPoint, failure: Failure) -> bool:
         """Record why a point cannot be computed; return whether it was not given up already."""
         if self.accumulator.status[point.index] != MISSING:
             return False
         self.accumulator.fail(point.index)
+        self._record(point, failure)
+        return True
+
+    def _record(self, point: GridPoint, failure: Failure) -> None:
         record = {"kind": failure.kind, "message": failure.message, "traceback": failure.traceback}
         place = describe(self.plan.grid.study, point.parameters)
         self.store.fail(point.digest, {"place": place, **record, "host": host(), "when": now()})
-        return True
 
 
 def _size(works: Sequence[Work], points: int) -> PlanSize:

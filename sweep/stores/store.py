@@ -21,6 +21,9 @@ from sweep.stores.root import COPY, ROOT, find_root, is_bound, read_root
 from sweep.studies.study import Study
 
 RESERVED = {"blocks", "failures"}
+CODE = "code"
+"""The attribute that tells which code made the rows of the ledger."""
+
 MOST_UNWRITTEN = 2**26
 """Bytes of sums and samples that may wait for the next flush."""
 
@@ -113,6 +116,7 @@ class Store:
         named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
         attributes |= identity(self.study) | {
             "ledger": self._bound_shapes(),
+            **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
             "generation": self.attributes.get("generation", 0) + 1,
             snapshot.CHECKSUMS: json.dumps({name: array.checksums() for name, array in named.items()}),
         }
@@ -168,6 +172,22 @@ class Store:
             described = {f"{name}/zarr.json": arrays[name].document for name in names}
             self.location.put_all({file: sealed(document, file) for file, document in described.items()})
 
+    @property
+    def next_row(self) -> int:
+        """The row of the ledger that the next block gets."""
+        return self._ledger.next_row
+
+    def record_code(self, code: str) -> None:
+        """Remember, before anything of it is computed, which code makes the blocks from now on."""
+        if self.attributes.get(CODE) == code:
+            return
+        root = read_root(self.location)
+        root["attributes"][CODE] = self.attributes[CODE] = code
+        with writing(self.location):
+            self.location.put(ROOT, sealed({key: value for key, value in root.items() if key != "checksum"}))
+            self._copied = None
+            self.keep_copy(self.attributes)
+
     def keep_copy(self, attributes: Mapping[str, Any]) -> None:
         """Keep a copy of what the store means in the ledger, if the study has changed since the last one."""
         decisive = ("study_digest", "linksweep_format", "ledger")
@@ -193,6 +213,26 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
     with writing(location):
         store.keep_copy(store.attributes)
     return store
+
+
+def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> None:
+    """Begin a store anew: remove the ledger and the results of the one that is there.
+
+    Files that linksweep did not write are left alone.  Raises SweepError where something else than a store is.
+    """
+    location = located(where)
+    root = find_root(location)
+    if root is None:
+        return
+    with writing(location):
+        keys = location.keys()
+        arrays = snapshot.leftovers(keys, snapshot.arrays_of(root))
+        ours = {*arrays, *(key for key in keys if key.partition("/")[0] in RESERVED)}
+        # The index first: killed from here on, the old store is one that has lost its blocks.
+        for key in sorted(ours, key=lambda key: not key.startswith("blocks/index/c/")):
+            location.delete(key)
+        fresh = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
+        location.put(ROOT, sealed(fresh))
 
 
 def existing_store(where: Where, study: Study) -> Store | None:

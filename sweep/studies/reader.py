@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from sweep.contract import Experiment, SweepError, Value, shown, suggest
-from sweep.load import absolute_reference, load_experiment
+from sweep.load import absolute_reference, read_experiment
 from sweep.studies.axes import axis_values, override
 from sweep.studies.claims import ClaimContext, checked_claim
 from sweep.studies.definitions import defined_values
@@ -169,9 +169,10 @@ class _Reader:
 
     def _experiment(self, form: Form) -> Experiment | None:
         try:
-            return load_experiment(form.experiment, self.path.parent)
+            return read_experiment(form.experiment, self.path.parent)
         except SweepError as error:
-            self.problems.add(("experiment",), str(error))
+            for problem in error.problems:
+                self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)
             return None
 
     def _fixed(self, experiment: Experiment, form: Form, name: str, raw: object) -> Value:

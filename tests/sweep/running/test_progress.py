@@ -10,12 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from sweep.cli import main
-from sweep.executing.worker import Failure, TaskResult
+from sweep.executing.worker import TaskResult
 from sweep.planning.accumulator import Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Block, PlanSize, Work
 from sweep.running.progress import SENTENCES, TerminalProgress
-from sweep.running.run_summary import RunSummary
+from sweep.running.run_summary import RunSummary, failed_points
 from sweep.running.writer import Taken
 from sweep.studies.reader import study_from_dict
 
@@ -177,7 +177,7 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     progress = TerminalProgress(study)
     progress.start(Survey(size, PlanSize(0, 0, 0, 0.0), size), "this process", 1)
     work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
-    taken = Taken(PlanSize(0, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), ())
+    taken = Taken(PlanSize(0, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), (), {})
     spoken = []
     for second in range(1, seconds + 1):
         clock = float(second)
@@ -210,15 +210,13 @@ def test_the_account_names_the_slowest_of_many_points(coins):
     assert f"{seconds.sum():,.1f} s of work" in account.summary(100.0)[0]
 
 
-def test_the_account_counts_failed_points_by_kind(coins):
-    study = study_from_dict(coins)
-    account = RunSummary(study)
-    for point, kind in zip(make_grid(study).points(), ("killed", "exception", "killed"), strict=False):
-        work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
-        for _ in range(2):
-            result = TaskResult(np.zeros((1, 2)), np.zeros(1), {0: Failure(kind, "")})
-            account.take([work], result, PlanSize(0, 1, 1, 1.0))
-    assert account.kinds() == "1 exception, 2 killed"
+def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
+    failures = {"sky=a,tilt=10": "KeyError: 'y'", "sky=a,tilt=20": "no sun", "sky=b,tilt=10": "KeyError: 'y'"}
+    expected = "3 points failed: 2 x KeyError: 'y', for example at sky=a,tilt=10; no sun, at sky=a,tilt=20"
+    assert failed_points(failures) == expected
+    many = {f"n={n}": f"reason {n}" for n in range(8)}
+    assert failed_points(many).endswith("; 3 other reasons")
+    assert len(failed_points({"n=1": "x" * 10_000 + "\nand more"})) < 300
 
 
 def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_sweep):

@@ -1,0 +1,37 @@
+"""The contract between the platform and an experiment: declared parameters, declared outputs, one function for a block.
+
+This package and NumPy are all that an experiment needs; the platform knows nothing of what is inside one.
+"""
+
+from sweep.contract.checked import Array, NotFiniteError, ResultError, check_finite, checked
+from sweep.contract.errors import FEW, DefinitionError, SweepError, shown, suggest
+from sweep.contract.experiment import Evaluate, Experiment, Summarise
+from sweep.contract.output import Output
+from sweep.contract.parameter import Define, Function, Kind, Named, Parameter, Point, Value
+from sweep.contract.samples import FEWEST_SAMPLES, small_sample_factor
+
+__all__ = [
+    "FEW",
+    "FEWEST_SAMPLES",
+    "Array",
+    "Define",
+    "DefinitionError",
+    "Evaluate",
+    "Experiment",
+    "Function",
+    "Kind",
+    "Named",
+    "NotFiniteError",
+    "Output",
+    "Parameter",
+    "Point",
+    "ResultError",
+    "Summarise",
+    "SweepError",
+    "Value",
+    "check_finite",
+    "checked",
+    "shown",
+    "small_sample_factor",
+    "suggest",
+]

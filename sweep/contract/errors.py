@@ -1,0 +1,57 @@
+"""Errors that are shown to a user as sentences, and how they show values and guess at misspelt words."""
+
+import difflib
+import reprlib
+from collections.abc import Sequence
+from typing import Any
+
+FEW = 20
+"""As many names as a message may list."""
+
+
+class SweepError(Exception):
+    """Bad input or a state that the user must know of; ``problems`` holds one sentence each, ``where`` a file or
+    command.
+    """
+
+    def __init__(self, problems: str | Sequence[str], where: str = "") -> None:
+        self.problems = [problems] if isinstance(problems, str) else list(problems)
+        self.where = where
+        super().__init__("\n".join(self.problems))
+
+
+class _Short(reprlib.Repr):
+    """A repr of bounded length and depth, also of integers so large that Python refuses to print them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel = 3
+        self.maxstring = self.maxother = 60
+
+    def repr_int(self, x: int, level: int) -> str:
+        return super().repr_int(x, level) if x.bit_length() <= 1100 else f"an integer of {x.bit_length()} bits"
+
+    def repr_Named(self, x: Any, level: int) -> str:  # noqa: N802 (the name is reprlib's)
+        return self.repr_str(x.name, level)
+
+
+def shown(value: object) -> str:
+    """Return a value as messages show it: its repr, cut short where it is long or deep."""
+    return _Short().repr(value)
+
+
+class DefinitionError(ValueError):
+    """A definition of a value that is wrong; ``problems`` holds (key, sentence) for each mistake, with an empty key for
+    the whole.
+    """
+
+    def __init__(self, problems: Sequence[tuple[str, str]]) -> None:
+        self.problems = list(problems)
+        super().__init__("; ".join(f"{key}: {sentence}" if key else sentence for key, sentence in problems))
+
+
+def suggest(word: str, known: Sequence[str]) -> str:
+    """Return '; did you mean ...?' for a misspelt word, or the list of what is known if it is short."""
+    if close := difflib.get_close_matches(word, known, n=1, cutoff=0.65):
+        return f"; did you mean {close[0]!r}?"
+    return f"; known are {', '.join(sorted(known))}" if len(known) <= FEW else ""

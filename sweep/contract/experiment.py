@@ -1,0 +1,158 @@
+"""What the platform sweeps: declared parameters, sums and outputs, and the functions that make them."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from sweep.contract.checked import Array, checked
+from sweep.contract.declaration import problems
+from sweep.contract.errors import SweepError, shown, suggest
+from sweep.contract.output import Output
+from sweep.contract.parameter import Parameter, Point, Value
+
+
+class Evaluate(Protocol):
+    """The function that does the work of one block for one catalogue."""
+
+    def __call__(
+        self,
+        points: Sequence[Point],
+        n_sim: int,
+        rng: np.random.Generator,
+        catalogue_rng: np.random.Generator,
+    ) -> Mapping[str, Any]:
+        """Return sums over ``n_sim`` realisations, each of shape (len(points), *shape declared in `Experiment.sums`).
+
+        ``rng`` belongs to this block; ``catalogue_rng`` is the same for all blocks of one catalogue (an outer draw
+        that several blocks share).  All randomness must come from these two.  ``points`` differ in parameters that are
+        `Experiment.shared` and are to use the same random numbers; elsewhere there is one at a time.  The sums of a
+        point must not depend, not in the last bit, on the others.
+        """
+        ...
+
+
+class Summarise(Protocol):
+    """The function that turns merged sums into results."""
+
+    def __call__(self, sums: Mapping[str, Array], n: Array, n_cat: Array) -> Mapping[str, Array]:
+        """Return every declared output, shape (points, *dims), from sums of shape (points, ...) over n realisations
+        each.
+
+        ``n`` and ``n_cat`` (points,) count realisations and catalogues; all are at least 1.
+        """
+        ...
+
+
+def _no_problem(point: Point) -> str | None:
+    return None
+
+
+def _all_matter(point: Point) -> Mapping[str, str]:
+    return {}
+
+
+def _one(point: Point) -> float:
+    return 1.0
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What the platform sweeps.
+
+    ``sums`` gives the shape of each additive quantity that ``evaluate`` returns; ``nan_sums`` names those that may be
+    NaN or infinite.  ``coordinates`` are the labels of each dimension that an output uses, ``component_units`` the unit
+    of each label where they differ.  ``check`` is a sentence about a point that cannot be computed (None if it can),
+    ``cost`` the random numbers drawn per realisation.  ``unused`` gives the parameters that change nothing at a point,
+    each with the reason; it is asked about points that can be computed only, and a study that sets such a parameter is
+    refused.  ``samples``, for studies that keep them, returns what ``evaluate`` does and the realisations that it adds
+    up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names parameters that do not change the
+    random numbers that a block draws, only what is made of them.  ``packages`` are distributions whose versions decide
+    the numbers.  A new ``version`` says that the same parameters now give other numbers: stores of another version are
+    not continued.
+
+    Raises SweepError with all that is wrong in the declaration.
+    """
+
+    name: str
+    version: int
+    parameters: tuple[Parameter, ...]
+    sums: Mapping[str, tuple[int, ...]]
+    outputs: tuple[Output, ...]
+    evaluate: Evaluate
+    summarise: Summarise
+    coordinates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    component_units: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    samples: Evaluate | None = None
+    sample_outputs: tuple[Output, ...] = ()
+    check: Callable[[Point], str | None] = _no_problem
+    unused: Callable[[Point], Mapping[str, str]] = _all_matter
+    cost: Callable[[Point], float] = _one
+    shared: tuple[str, ...] = ()
+    nan_sums: tuple[str, ...] = ()
+    packages: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise SweepError with all that is wrong in the declaration."""
+        if found := problems(self):
+            raise SweepError(found, f"experiment {shown(self.name)}")
+
+    def parameter(self, name: str) -> Parameter:
+        """Return the declared parameter; raises ValueError with a suggestion for an unknown name."""
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise ValueError(f"unknown parameter {shown(name)}{suggest(name, [p.name for p in self.parameters])}")
+
+    def defaults(self) -> dict[str, Value]:
+        """Return the default of every parameter."""
+        return {p.name: p.default for p in self.parameters}
+
+    @property
+    def samples_width(self) -> int:
+        """Number of floats of one kept realisation."""
+        return sum(self.size_of(output) for output in self.sample_outputs)
+
+    def named(self, rows: Array) -> dict[str, Array]:
+        """Return sums by name, each of shape (rows, *shape), from rows of `sums_width` numbers."""
+        pieces: dict[str, Array] = {}
+        start = 0
+        for name, shape in self.sums.items():
+            size = math.prod(shape)
+            pieces[name] = rows[:, start : start + size].reshape(-1, *shape)
+            start += size
+        return pieces
+
+    def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
+        """Return every output, (points, *dims), from rows of `sums_width` sums over n realisations of n_cat catalogues.
+
+        Raises ResultError where `summarise` returns something else, and whatever it raises.
+        """
+        expected = {output.name: (len(rows), *self.shape_of(output)) for output in self.outputs}
+        return checked("summarise", self.summarise(self.named(rows), n, n_cat), "output", expected)
+
+    def nan_outputs(self) -> list[str]:
+        """Return the outputs whose values may be NaN or infinite."""
+        return [output.name for output in self.outputs if output.nan]
+
+    def errors_of_headline(self) -> list[tuple[str, str]]:
+        """Return the headline outputs that have a Monte-Carlo error, and its name: ``X`` and ``X_mc_error``."""
+        names = {output.name for output in self.outputs}
+        headline = [output.name for output in self.outputs if output.headline]
+        return [(name, f"{name}_mc_error") for name in headline if f"{name}_mc_error" in names]
+
+    def shape_of(self, output: Output) -> tuple[int, ...]:
+        """Return the shape of one value of an output."""
+        return tuple(len(self.coordinates[dim]) for dim in output.dims)
+
+    def size_of(self, output: Output) -> int:
+        """Return the number of floats of one value of an output."""
+        return math.prod(self.shape_of(output))
+
+    @cached_property
+    def sums_width(self) -> int:
+        """Number of floats in one block's sums."""
+        return sum(math.prod(shape) for shape in self.sums.values())

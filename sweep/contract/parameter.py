@@ -1,0 +1,161 @@
+"""A declared parameter of an experiment, and the values that it may have."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from sweep.contract.errors import shown, suggest
+
+Value = Any  # of a parameter: bool, int, float, str, a tuple, a table file, or None
+Point = Mapping[str, Any]
+"""A point's parameters by name, every declared one with a value."""
+
+HUGE = 1e300
+"""No parameter is as large: beyond it arithmetic overflows."""
+
+Kind = Literal["float", "int", "str", "bool", "vector", "map", "file"]
+
+
+class Function(Protocol):
+    """A function from a user's module or file, by its name and the digest of its source."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in its source."""
+        ...
+
+    @property
+    def digest(self) -> str:
+        """The digest of its source."""
+        ...
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call it."""
+        ...
+
+
+@dataclass(frozen=True)
+class Named:
+    """A value of a parameter that a study defines under a name of its own.
+
+    ``identity`` is JSON of everything in it that decides a number; equal identities are equal values, whatever their
+    names.  ``value`` is what the experiment made of the definition.
+    """
+
+    name: str = field(compare=False)
+    identity: str
+    value: Any = field(compare=False, repr=False)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+class Define(Protocol):
+    """What an experiment makes of a study's table [define.PARAMETER.NAME]."""
+
+    def __call__(self, table: Mapping[str, Any], load: Callable[[str], Function]) -> tuple[Any, Mapping[str, Any]]:
+        """Return the value and everything that decides a number in it, as JSON knows it.
+
+        ``load`` returns the function at ``module:function`` or ``file.py:function``.  Raises DefinitionError for a
+        wrong table, SweepError where a function cannot be loaded.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: its kind, unit (as astropy writes it), default, allowed values and a one-line meaning.
+
+    A default of None means that the experiment decides (the meaning says how).  ``minimum`` and ``maximum`` are
+    inclusive, ``above`` is not.  A "vector" has three components, a "map" is a table of strings, and of a "file" the
+    experiment gets an object that gives the columns of the table in it.  With ``define`` a study may define further
+    choices of a "str"; ``defined`` are those of one study, and the experiment gets them as they stand there.  Pictures
+    show the ``symbol`` where there is one, as Matplotlib sets it.
+    """
+
+    name: str
+    kind: Kind
+    default: Value
+    meaning: str
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    symbol: str = ""
+    define: Define | None = field(default=None, compare=False, repr=False)
+    defined: tuple[Named, ...] = ()
+
+    @property
+    def may_be_axis(self) -> bool:
+        """Whether its values can be those of an axis."""
+        return self.kind not in ("vector", "map", "file")
+
+    def written_default(self) -> Any:
+        """Return the default as a study writes it."""
+        if isinstance(self.default, tuple):
+            return dict(self.default) if self.kind == "map" else list(self.default)
+        return self.default.item() if isinstance(self.default, np.generic) else self.default
+
+    def parse(self, raw: object) -> Value:
+        """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
+        if self.kind == "str":
+            known = (*self.choices, *(named.name for named in self.defined))
+            if not isinstance(raw, str) or (self.choices and raw not in known):
+                hint = suggest(raw, known) if isinstance(raw, str) and self.choices else ""
+                raise ValueError(
+                    f"{self.name} = {shown(raw)}: must be {self.allowed()}{hint if 'did you mean' in hint else ''}"
+                )
+            return next((named for named in self.defined if named.name == raw), raw)
+        if self.kind == "bool":
+            if not isinstance(raw, bool):
+                raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")
+            return raw
+        if self.kind == "map":
+            if not isinstance(raw, dict) or not all(isinstance(text, str) for text in raw.values()):
+                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+            return tuple(sorted(raw.items()))
+        if self.kind == "file":
+            if not isinstance(raw, str):
+                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+            return raw
+        if self.kind == "vector":
+            if not isinstance(raw, (list, tuple)) or len(raw) != 3:
+                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+            return tuple(self._number(x) for x in raw)
+        number = self._number(raw)
+        return int(number) if self.kind == "int" else number
+
+    def _number(self, raw: object) -> float:
+        if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # NaN is not < either
+            number = float(raw) + 0.0  # no negative zero: it would be another point
+            whole = self.kind != "int" or (number == raw and number.is_integer())
+            above_floor = self.minimum is None or number >= self.minimum
+            above_open = self.above is None or number > self.above
+            if whole and above_floor and above_open and (self.maximum is None or number <= self.maximum):
+                return number
+        raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+
+    def allowed(self) -> str:
+        """Return in words what values are allowed."""
+        if self.choices:
+            further = "" if self.define is None or self.defined else f", or of [define.{self.name}.NAME]"
+            known = (*self.choices, *(named.name for named in self.defined))
+            return "one of " + ", ".join(repr(c) for c in known) + further
+        words = {
+            "float": "a finite number",
+            "int": "an integer",
+            "str": "a string",
+            "bool": "true or false",
+            "vector": "a list of three finite numbers",
+            "map": 'a table of strings, { quantity = "column" }',
+            "file": "the path of a table",
+        }[self.kind]
+        bounds = [
+            f"{symbol} {bound:g}"
+            for symbol, bound in ((">=", self.minimum), (">", self.above), ("<=", self.maximum))
+            if bound is not None
+        ]
+        return words + (" " + " and ".join(bounds) if bounds else "") + (f" [{self.unit}]" if self.unit else "")

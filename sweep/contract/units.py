@@ -1,0 +1,49 @@
+"""Whether a text is a unit that readers of results will understand: one that astropy knows."""
+
+import re
+
+FAMILIAR = frozenset(
+    [
+        *(
+            "m",
+            "cm",
+            "mm",
+            "km",
+            "g",
+            "kg",
+            "s",
+            "min",
+            "h",
+            "d",
+            "yr",
+            "Hz",
+            "K",
+            "mol",
+            "J",
+            "W",
+            "N",
+            "V",
+            "A",
+            "Pa",
+        ),
+        *("rad", "deg", "arcmin", "arcsec", "mas", "uas", "mag", "pc", "kpc", "au", "eV"),
+    ]
+)
+"""Told without astropy, whose import takes longer than a command that needs nothing else of it."""
+
+
+def unit_problem(text: object) -> str | None:
+    """Return what is wrong with a unit, None if nothing is."""
+    if not isinstance(text, str):
+        return f"the unit {text!r} is no text"
+    known = all(word in FAMILIAR for word in re.findall(r"[^\W\d]+", text)) and re.fullmatch(r"[\w\s/(),-]*", text)
+    if known and not re.search(r"/\s*([/),]|$)", text) and text.count("(") == text.count(")"):
+        return None
+    from astropy.units import Unit
+
+    try:
+        Unit(text)
+    except (ValueError, TypeError) as error:
+        hint = str(error).partition("Did you mean ")[2].partition("?")[0]
+        return f"the unit {text!r} is none that astropy knows{f'; did you mean {hint}?' if hint else ''}"
+    return None

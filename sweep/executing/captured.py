@@ -1,0 +1,118 @@
+"""Keeps what an experiment prints, and what it is warned of, apart from standard output, thread by thread."""
+
+import io
+import os
+import sys
+import threading
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TextIO
+
+MOST_PRINTED = 10_000
+"""Characters of one block that are kept."""
+
+MOST_WARNINGS = 100
+"""Different warnings of one block that are kept."""
+
+
+@dataclass
+class Captured:
+    """What was printed, and how often was warned of what."""
+
+    printed: str = ""
+    warnings: Counter[str] = field(default_factory=Counter)
+
+    def write(self, text: str) -> None:
+        """Keep a text, as far as there is room."""
+        self.printed += text[: MOST_PRINTED - len(self.printed)]
+
+    def warn(self, text: str) -> None:
+        """Count a warning."""
+        if text in self.warnings or len(self.warnings) < MOST_WARNINGS:
+            self.warnings[text] += 1
+
+
+class _Routes(io.TextIOBase):
+    """Standard output and warnings of this process while some of its threads are captured."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._threads: dict[int, Captured] = {}
+        self._before: TextIO | None = None
+        self._restore = ExitStack()
+
+    def begin(self, captured: Captured) -> None:
+        """Capture the calling thread."""
+        with self._lock:
+            if not self._threads:
+                self._before, sys.stdout = sys.stdout, self
+                self._restore.enter_context(warnings.catch_warnings())
+                seldom = ("default", "module", "once")  # each is counted; what is ignored or an error stays so
+                filters = [
+                    ("always", *rest) if action in seldom else (action, *rest) for action, *rest in warnings.filters
+                ]
+                warnings.filters[:] = filters  # type: ignore[index]
+                warnings.simplefilter("always", append=True)
+                self._showwarning = warnings.showwarning
+                warnings.showwarning = self._warn  # type: ignore[assignment]
+            self._threads[threading.get_ident()] = captured
+
+    def end(self) -> None:
+        """Capture the calling thread no more."""
+        with self._lock:
+            del self._threads[threading.get_ident()]
+            if not self._threads:
+                self._restore.close()
+                if sys.stdout is self and self._before is not None:
+                    sys.stdout = self._before
+
+    def write(self, text: str) -> int:
+        """Take what a thread prints; that of one which an experiment has started goes to one under way."""
+        if (captured := self._of_this_thread()) is not None:
+            captured.write(text)
+        elif self._before is not None:
+            self._before.write(text)
+        return len(text)
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    def _of_this_thread(self) -> Captured | None:
+        with self._lock:
+            own = self._threads.get(threading.get_ident())
+            return own if own is not None else next(iter(self._threads.values()), None)
+
+    def _warn(self, message: Any, category: type[Warning], filename: str, lineno: int, *rest: Any) -> None:
+        if (captured := self._of_this_thread()) is not None:
+            captured.warn(f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})")
+        else:
+            self._showwarning(message, category, filename, lineno, *rest)
+
+
+_routes = _Routes()
+
+
+@contextmanager
+def captured() -> Iterator[Captured]:
+    """Give what this thread prints in this block, and the warnings."""
+    found = Captured()
+    _routes.begin(found)
+    try:
+        yield found
+    finally:
+        _routes.end()
+
+
+def no_standard_output() -> None:
+    """Let whatever this process, which has nothing to say there, writes to its standard output go to standard error:
+    also code in C, and programs that it starts.
+    """
+    os.dup2(2, 1)

@@ -1,0 +1,190 @@
+"""The source of a user's file and of the modules beside it that it imports, and modules made of it that no other file
+of the same names gets mixed up with.
+"""
+
+import ast
+import builtins
+import hashlib
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.machinery import ModuleSpec
+from pathlib import Path, PurePosixPath
+from types import ModuleType
+from typing import Any
+
+OURS = ("core", "sweep", "sweeps", "linksweep")
+"""Never looked for beside a user's file."""
+
+_lock = threading.RLock()
+
+
+@dataclass(frozen=True)
+class Sources:
+    """A file, by its absolute path, and the local modules that it imports: contents by path relative to its folder."""
+
+    path: str
+    files: Mapping[str, bytes]
+
+    @cached_property
+    def digests(self) -> dict[str, str]:
+        """The digest of each file."""
+        return {name: hashlib.sha256(content).hexdigest()[:12] for name, content in self.files.items()}
+
+    @property
+    def digest(self) -> str:
+        """The digest of all: that of the file where it imports nothing local."""
+        if len(self.digests) == 1:
+            return next(iter(self.digests.values()))
+        return hashlib.sha256(repr(sorted(self.digests.items())).encode()).hexdigest()[:12]
+
+    @property
+    def name(self) -> str:
+        """The name of the file's module."""
+        return Path(self.path).stem
+
+
+def read_sources(path: Path, folder: Path | None = None) -> Sources:
+    """Return a file with all modules that it and these import from its ``folder``, wherever their import statements
+    stand; raises OSError where the file cannot be read.
+    """
+    folder = folder or path.parent
+    main = path.relative_to(folder).as_posix()
+    files = {main: path.read_bytes()}
+    todo = [main]
+    while todo:
+        name = todo.pop()
+        for found in _imported_files(folder, name, files[name]):
+            if found not in files:
+                files[found] = (folder / found).read_bytes()
+                todo.append(found)
+    return Sources(str(path), {main: files.pop(main), **dict(sorted(files.items()))})
+
+
+def _imported_files(folder: Path, name: str, content: bytes) -> list[str]:
+    """Return the files of a folder that the import statements of one of them name."""
+    try:
+        nodes = list(ast.walk(ast.parse(content)))
+    except (SyntaxError, ValueError, RecursionError):  # told when it is executed
+        return []
+    package = _dotted(name) if name.endswith("__init__.py") else _dotted(name).rpartition(".")[0]
+    modules: list[str] = []
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parts = package.split(".") if package else []
+                around = parts[: len(parts) - node.level + 1]
+                base = ".".join([*around, *([base] if base else [])])
+            modules += [base, *(f"{base}.{alias.name}" if base else alias.name for alias in node.names)]
+    found = []
+    for module in modules:
+        parts = module.split(".")
+        if parts[0] in OURS:
+            continue
+        for end in range(1, len(parts) + 1):
+            stem = PurePosixPath(*parts[:end])
+            found += [f for f in (f"{stem}.py", f"{stem}/__init__.py") if f != name and (folder / f).is_file()][-1:]
+    return found
+
+
+def _dotted(name: str) -> str:
+    return name.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def make_module(sources: Sources, key: str) -> ModuleType:
+    """Return the module of a file, executed, as ``sys.modules[key]``; raises whatever it raises.
+
+    An import statement in it, or in a local module, finds the local modules of these sources first, as a script's does;
+    they are known to nobody else.
+    """
+    with _lock:
+        return _Modules(sources, key).load(sources.name)
+
+
+def forget_module(key: str) -> None:
+    """Drop a module that was made, and its local modules."""
+    with _lock:
+        for name in [name for name in sys.modules if name == key or name.startswith(f"{key}//")]:
+            del sys.modules[name]
+
+
+class _Modules:
+    """The modules of some sources, by their names in import statements."""
+
+    def __init__(self, sources: Sources, key: str) -> None:
+        self._key, self._folder = key, Path(sources.path).parent
+        self._main = sources.name
+        main = Path(sources.path).name
+        self._files = {_dotted(name): name for name in sources.files if name != main} | {self._main: main}
+        self._contents = sources.files
+        packages = {".".join(name.split(".")[:end]) for name in self._files for end in range(1, name.count(".") + 1)}
+        self._packages = packages | {name for name, file in self._files.items() if file.endswith("__init__.py")}
+        self._names = self._packages | set(self._files)
+        self._loaded: dict[str, ModuleType] = {}
+
+    def load(self, name: str) -> ModuleType:
+        """Return a module, executed once, with the packages around it."""
+        with _lock:
+            if name in self._loaded:
+                return self._loaded[name]
+            if name not in self._names:
+                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+            around, _, last = name.rpartition(".")
+            package = self.load(around) if around else None
+            if name in self._loaded:  # by the package
+                return self._loaded[name]
+            module = self._execute(name)
+            if package is not None:
+                setattr(package, last, module)
+            return module
+
+    def _execute(self, name: str) -> ModuleType:
+        key = self._key if name == self._main else f"{self._key}//{name}"
+        module = ModuleType(key)
+        module.__spec__ = ModuleSpec(key, None, is_package=name in self._packages)
+        module.__package__ = ""
+        module.__dict__["__builtins__"] = vars(builtins) | {"__import__": self._importer(name)}
+        if name in self._packages:
+            module.__path__ = []
+        sys.modules[key] = self._loaded[name] = module
+        try:
+            if (file := self._files.get(name)) is not None:  # else a folder without __init__.py
+                module.__file__ = str(self._folder / file)
+                exec(compile(self._contents[file], module.__file__, "exec", dont_inherit=True), module.__dict__)
+        except BaseException:
+            del sys.modules[key], self._loaded[name]
+            raise
+        return module
+
+    def _importer(self, module: str) -> Any:
+        """Return what an import statement of a module calls."""
+        package = module if module in self._packages else module.rpartition(".")[0]
+
+        def import_module(
+            name: str,
+            globals: Any = None,  # noqa: A002 (the names are Python's)
+            locals: Any = None,  # noqa: A002
+            fromlist: Sequence[str] | None = (),
+            level: int = 0,
+        ) -> ModuleType:
+            whole = name
+            if level:
+                parts = package.split(".") if package else []
+                whole = ".".join([*parts[: len(parts) - level + 1], *([name] if name else [])])
+            top = whole.partition(".")[0]
+            if top not in self._names or top in OURS or (not level and whole == module == self._main):
+                return builtins.__import__(name, globals, locals, fromlist or (), level)
+            found = self.load(whole)
+            if not fromlist:
+                return self.load(top)
+            for attribute in fromlist:
+                if not hasattr(found, attribute) and f"{whole}.{attribute}" in self._names:
+                    self.load(f"{whole}.{attribute}")
+            return found
+
+        return import_module

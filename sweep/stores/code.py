@@ -1,0 +1,88 @@
+"""Which code made the blocks of a store: a record for each, with the first row of the ledger that it made."""
+
+import json
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweep.contract import SweepError
+from sweep.load import code_differences, code_of
+from sweep.planning.accumulator import DONE, Accumulator
+from sweep.planning.plan import Plan, ledger_key
+from sweep.stores.identity import find_root
+from sweep.stores.location import Where, located
+from sweep.stores.store import CODE, finished_blocks
+from sweep.studies.study import Study
+
+UNKNOWN, SEVERAL = 0, -1
+"""What made a point that is not done, or whose blocks different codes made."""
+
+
+class CodeRecord(NamedTuple):
+    """Code that made the rows of a ledger from one on, up to those of the next record."""
+
+    first_row: int
+    code: Mapping[str, str]
+
+
+def records_of(attributes: Mapping[str, Any]) -> list[CodeRecord]:
+    """Return the records of a store in their order; none for a store that keeps none yet."""
+    return [CodeRecord(**record) for record in json.loads(attributes.get(CODE, "[]"))]
+
+
+def as_json(records: Sequence[CodeRecord]) -> str:
+    """Return records as an attribute holds them."""
+    return json.dumps([record._asdict() for record in records])
+
+
+def differences_of_code(attributes: Mapping[str, Any], study: Study) -> list[str]:
+    """Say in what a study's code differs from that which made the last blocks of a store; nothing if it does not, or if
+    the store does not know.
+    """
+    records = records_of(attributes)
+    now = code_of(study.experiment_reference, study.experiment)
+    return code_differences(records[-1].code, now, "in the store", "now") if records else []
+
+
+def check_code(where: Where, study: Study) -> None:
+    """Raise SweepError where there is a store whose blocks were made by other code than a study's."""
+    location = located(where)
+    root = find_root(location)
+    if root is not None and (found := differences_of_code(root["attributes"], study)) and finished_blocks(location):
+        raise SweepError(
+            [
+                "was made by other code, whose numbers would be mixed up with those of today's; --accept-code goes on "
+                "and records for each point which code made it, --fresh starts anew, -o names another store",
+                *found,
+            ],
+            str(location),
+        )
+
+
+def continued(records: Sequence[CodeRecord], rows: int, study: Study) -> list[CodeRecord]:
+    """Return the records of a ledger of so many rows when a study's code goes on with it."""
+    now = code_of(study.experiment_reference, study.experiment)
+    before = [record for record in records if record.first_row < rows]  # later ones have made nothing
+    if before and before[-1].code == now:
+        return before
+    return [*before, CodeRecord(rows if before else 0, now)]
+
+
+def codes_of_points(
+    plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], records: Sequence[CodeRecord]
+) -> NDArray[np.int32]:
+    """Return for each point the number of the record, from 1, of the code that made it."""
+    codes = np.full(len(plan.grid), UNKNOWN, dtype=np.int32)
+    starts = [record.first_row for record in records]
+    n_cat = plan.grid.study.sampling.n_cat
+    for point in plan.grid.points():
+        if accumulator.status[point.index] == DONE:
+            cost = plan.cost(point.parameters)
+            parts = range(plan.parts(cost, int(accumulator.realisations[point.index]) // n_cat))
+            keys = (ledger_key(point.digest, block) for block in plan.blocks(cost, parts))
+            made_by = {bisect_right(starts, rows[key]) for key in keys}
+            codes[point.index] = made_by.pop() if len(made_by) == 1 else SEVERAL
+    return codes

@@ -1,0 +1,194 @@
+"""Code is part of what a number is: a store made by other code is refused, continued on request, or replaced."""
+
+import json
+import shutil
+
+import pytest
+
+from sweep.executing.choose import Resources
+from sweep.running.reproduce import reproduce
+from sweep.stores.store import open_dataset, read_attributes
+from tests.sweep.user import write_experiment, write_study
+
+HELPED = {
+    "before": "import helper\n",
+    "evaluate": '{"total": [n_sim * helper.value(p["rate"]) for p in points]}',
+}
+
+
+@pytest.fixture
+def folder(tmp_path, sweep):
+    """A folder with a store of two points, by an experiment that imports a helper, which imports another."""
+    write_experiment(tmp_path, **HELPED)
+    (tmp_path / "helper.py").write_text("import deeper\n\n\ndef value(rate):\n    return deeper.FACTOR * rate\n")
+    (tmp_path / "deeper.py").write_text("FACTOR = 1.0\n")
+    write_study(tmp_path)
+    code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
+    assert code == 0, err
+    return tmp_path
+
+
+def change(folder, kind):
+    """Change the code, and return what should be named."""
+    if kind == "body":
+        write_experiment(
+            folder, **HELPED | {"evaluate": '{"total": [100 * n_sim * helper.value(1.0) for p in points]}'}
+        )
+        return "file user.py has changed"
+    if kind == "default":
+        parameters = 'Parameter("rate", "float", 1.0, "rate"), Parameter("kind", "int", 7, "which")'
+        write_experiment(folder, **HELPED | {"parameters": parameters})
+        return "default of kind is 0 in the store, 7 now"
+    name = f"{kind}.py"
+    (folder / name).write_text((folder / name).read_text().replace("FACTOR", "FACTOR  ").replace("1.0", "100.0"))
+    return f"file {name} has changed"
+
+
+@pytest.mark.parametrize("kind", ["body", "default", "helper", "deeper"])
+def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, folder, sweep):
+    named = change(folder, kind)
+    write_study(folder, "rate = [1.0, 2.0, 3.0]")
+    before = {path: path.read_bytes() for path in (folder / "s.zarr").rglob("*") if path.is_file()}
+    for command in (("run", "s.toml", "-o", "s.zarr"), ("plan", "s.toml", "-o", "s.zarr"), ("retry", "s.zarr")):
+        code, out, err = sweep(*command, cwd=folder)
+        assert (code, out) == (2, "")
+        assert "was made by other code" in err
+        assert named in err
+        assert "--accept-code" in err
+    assert before == {path: path.read_bytes() for path in (folder / "s.zarr").rglob("*") if path.is_file()}
+    code, out, _ = sweep("show", "s.zarr", cwd=folder)
+    assert code == 0  # what there is can be read
+    code, out, _ = sweep("status", "s.zarr", cwd=folder)
+    assert code == 0
+
+
+def test_accepted_code_is_told_for_each_point(folder, sweep):
+    named = change(folder, "deeper")
+    write_study(folder, "rate = [1.0, 2.0, 3.0]")
+    code, _, err = sweep("run", "s.toml", "-o", "s.zarr", "--accept-code", cwd=folder)
+    assert code == 0
+    assert named in err
+    dataset = open_dataset(folder / "s.zarr")
+    assert dataset["mean"].values.tolist() == [1.0, 2.0, 300.0]
+    assert dataset["code"].values.tolist() == [1, 1, 2]
+    first, second = json.loads(dataset.attrs["code"])
+    assert first["code"]["file deeper.py"] != second["code"]["file deeper.py"]
+    assert first["code"]["file user.py"] == second["code"]["file user.py"]
+    write_study(folder, "rate = [1.0, 2.0, 3.0, 4.0]")  # and the same code again needs no flag
+    assert sweep("run", "s.toml", "-o", "s.zarr", cwd=folder)[0] == 0
+    assert open_dataset(folder / "s.zarr")["code"].values.tolist() == [1, 1, 2, 2]
+    assert len(json.loads(read_attributes(folder / "s.zarr")["code"])) == 2
+    change(folder, "body")
+    write_study(folder, "rate = [1.0]", "n_sim = 600")  # blocks of 512: one is kept, or all are new
+    code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=folder)
+    assert code == 2
+
+
+def test_a_point_that_several_codes_made_says_so(folder, sweep):
+    write_study(folder, "rate = [1.0]", "n_sim = 1024")
+    assert sweep("run", "s.toml", "-o", "t.zarr", cwd=folder)[0] == 0
+    change(folder, "deeper")
+    write_study(folder, "rate = [1.0, 2.0]", "n_sim = 2048")
+    assert sweep("run", "s.toml", "-o", "t.zarr", "--accept-code", cwd=folder)[0] == 0
+    dataset = open_dataset(folder / "t.zarr")
+    assert dataset["code"].values.tolist() == [-1, 2]
+    assert dataset["mean"].values.tolist() == [50.5, 200.0]
+
+
+def test_fresh_replaces_a_store_and_nothing_else(folder, sweep):
+    change(folder, "deeper")
+    write_study(folder, "rate = [2.0, 3.0]")
+    (folder / "s.zarr" / "notes.txt").write_text("mine")
+    code, _, err = sweep("run", "s.toml", "-o", "s.zarr", "--fresh", cwd=folder)
+    assert code == 0, err
+    dataset = open_dataset(folder / "s.zarr")
+    assert dataset["mean"].values.tolist() == [200.0, 300.0]
+    assert "code" not in dataset
+    assert (folder / "s.zarr" / "notes.txt").read_text() == "mine"
+    assert sweep("check", "s.zarr", cwd=folder)[0] == 0
+    (folder / "other").mkdir()
+    (folder / "other" / "thesis.txt").write_text("years of work")
+    for place in ("other", "helper.py"):
+        code, _, _ = sweep("run", "s.toml", "-o", place, "--fresh", cwd=folder)
+        assert code == 2
+    assert (folder / "other" / "thesis.txt").read_text() == "years of work"
+    assert sorted(path.name for path in (folder / "other").iterdir()) == ["thesis.txt"]
+    assert sweep("run", "s.toml", "-o", "none.zarr", "--fresh", cwd=folder)[0] == 0
+
+
+def test_reproduce_says_that_the_code_is_another(folder, sweep):
+    named = change(folder, "deeper")
+    code, _, err = sweep("reproduce", "s.zarr", "--at", "rate=2.0", cwd=folder)
+    assert code == 1
+    assert named in err
+    assert "differs from s.zarr in mean" in err
+
+
+def test_a_store_without_a_record_is_adopted_and_says_so(folder, sweep, monkeypatch):
+    import sweep.running.run as running
+    from sweep.studies.reader import load_study
+
+    with monkeypatch.context() as patched:  # as 0.1 wrote it
+        patched.setattr(running, "_record_code", lambda *arguments: None)
+        running.run_study(load_study(str(folder / "s.toml")), folder / "old.zarr", Resources(pool="serial"))
+    assert "code" not in read_attributes(folder / "old.zarr")
+    write_study(folder, "rate = [1.0, 2.0, 3.0]")
+    code, _, err = sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)
+    assert code == 0
+    assert "does not say which code made it; it is taken to be that of now" in err
+    change(folder, "helper")
+    (folder / "helper.py").write_text("def value(rate):\n    return 5.0\n")
+    assert sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)[0] == 2
+
+
+def test_versions_of_declared_packages_count(folder, sweep):
+    (site := folder / "site").mkdir()
+    write_experiment(folder, rest='packages=("numpy",),')
+    assert sweep("run", "s.toml", "-o", "p.zarr", cwd=folder)[0] == 0
+    store = folder / "p.zarr"
+    (record,) = json.loads(read_attributes(store)["code"])
+    import numpy as np
+
+    assert record["code"]["package numpy"] == np.__version__
+    shutil.rmtree(site)
+
+
+def test_a_python_process_that_runs_twice_sees_the_change(folder):
+    from sweep.studies.reader import load_study
+
+    first = load_study(str(folder / "s.toml")).experiment
+    again = load_study(str(folder / "s.toml")).experiment
+    assert again is first
+    change(folder, "deeper")
+    changed = load_study(str(folder / "s.toml")).experiment
+    assert changed.evaluate([{"rate": 1.0}], 1, None, None) == {"total": [100.0]}
+    assert reproduce(folder / "s.zarr", "rate=2.0").other_code == ["file deeper.py has changed"]
+
+
+def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, sweep):
+    from sweep.studies.reader import load_study
+
+    loaded = []
+    for number in (1, 2):
+        folder = tmp_path / str(number)
+        write_experiment(folder, **HELPED | {"evaluate": "total(points, n_sim)", "before": LATE})
+        (folder / "helper.py").write_text(f"FACTOR = {number}.0\n")
+        (folder / "late.py").write_text(f"import helper\nPLUS = {number}00.0\nassert helper.FACTOR == {number}\n")
+        loaded.append(load_study(str(write_study(folder))).experiment)
+    assert [e.evaluate([{"rate": 1.0}], 1, None, None)["total"] for e in loaded] == [[101.0], [202.0]]
+    for pool in (("--pool", "serial"), ("--workers", "1"), ("--pool", "threads", "--workers", "2")):
+        for number in (1, 2):
+            folder = tmp_path / str(number)
+            code, _, err = sweep("run", f"{number}/s.toml", "-o", "x.zarr", "--fresh", *pool, cwd=tmp_path)
+            assert code == 0, err
+            expected = [n * number + 100.0 * number for n in (1.0, 2.0)]
+            assert open_dataset(tmp_path / "x.zarr")["mean"].values.tolist() == expected
+
+
+LATE = """
+import helper
+
+def total(points, n_sim):
+    from late import PLUS
+    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
+"""
