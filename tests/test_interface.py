@@ -81,10 +81,10 @@ where: xr.Dataset = linksweep.find(dataset, "average < 1", along="mean")
 @pytest.mark.slow  # mypy reads the types of xarray, Dask and all that they import
 def test_a_users_script_sees_the_types(tmp_path):
     (tmp_path / "good.py").write_text(TYPED)
-    (tmp_path / "bad.py").write_text('import linksweep\nlinksweep.run(3)\nlinksweep.open("s.zarr").spell\n')
+    (tmp_path / "bad.py").write_text('import linksweep\nlinksweep.run(3)\nlinksweep.plot("s.zarr")\n')
     done = python(tmp_path, "-m", "mypy", "--strict", "--cache-dir", tmp_path / "cache", "good.py", "bad.py")
     assert 'bad.py:2: error: Argument 1 to "run" has incompatible type "int"' in done.stdout
-    assert 'bad.py:3: error: "Dataset" has no attribute "spell"' in done.stdout
+    assert 'bad.py:3: error: Argument 1 to "plot" has incompatible type "str"' in done.stdout
     assert "good.py" not in done.stdout
 
 

@@ -11,7 +11,7 @@ import xarray as xr
 from core.experiment import link
 
 SPIN = ["omega_x", "omega_y", "omega_z"]
-SLOWEST_S = 600  # a hang, not a speed limit
+SLOWEST_S = 1700  # a hang, not a speed limit
 
 # Metz & Geffert 2004, Table 2: N, full VLBI errors, halved [mas/yr]
 TABLE_2 = np.array(
