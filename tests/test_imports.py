@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 # ground, but for those of the roof.  Inside a package only a cycle is wrong.
 GROUND = "sweep"
 PACKAGES = [
-    *("linksweep._own_packages", GROUND, "core"),
+    *("linksweep._own_packages", "sweep.contract", GROUND, "core"),
     *("sweep.studies", "sweep.planning", "sweep.executing", "sweep.stores", "sweep.running"),
     *("sweep.analysis", "sweep.paper", "sweep.plots", "sweep.report", "sweep.search", "sweep.cli"),
     *("sweep.api", "linksweep.__init__", "sweep.__init__", "sweep.__main__", "linksweep.__main__"),
@@ -85,13 +85,13 @@ def test_imports_point_down(name):
             assert not above, f"{name} imports {other}"
         if name.startswith("core.") and top == "sweep":
             assert name in KNOWS_THE_CONTRACT, f"{name} imports {other}"
-            assert other == "sweep.contract", f"{name} imports {other}"
+            assert is_in(other, ["sweep.contract"]), f"{name} imports {other}"
         if name.startswith("core.") and top not in ("core", "sweep"):
             assert top in CORE_MAY_USE, f"{name} imports {other}"
         if name.startswith("sweep.") and top == "core":
             assert is_in(name, KNOWS_THE_CORE), f"{name} imports {other}"
         if is_in(name, ["sweep.search"]) and top == "sweep" and not is_in(other, ["sweep.search"]):
-            assert other in SEARCH_MAY_USE, f"{name} imports {other}"
+            assert is_in(other, SEARCH_MAY_USE), f"{name} imports {other}"
         if is_in(other, ["sweep.search"]) and not is_in(name, ["sweep.search"]):
             assert name in KNOWS_THE_SEARCH, f"{name} imports {other}"
         if top in ONLY_IN:
