@@ -23,6 +23,10 @@ def triad(ra: Array, dec: Array) -> Triad:
 
     ``ra`` and ``dec`` are in radians, of any one shape ``(...)``.  At a pole p is the limit along the given ``ra``.
     Source: Metz & Geffert 2004, Eqs. 1-3 (after Murray 1983).
+
+    >>> at_the_equinox = triad(np.array(0.0), np.array(0.0))
+    >>> [(vector + 0.0).tolist() for vector in at_the_equinox]  # + 0.0: without negative zeros
+    [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
     """
     sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
     return Triad(
@@ -33,7 +37,12 @@ def triad(ra: Array, dec: Array) -> Triad:
 
 
 def position(r: Array) -> tuple[Array, Array]:
-    """Return (ra, dec) in radians, ra in [0, 2 pi), of vectors of shape (3, ...) and any length."""
+    """Return (ra, dec) in radians, ra in [0, 2 pi), of vectors of shape (3, ...) and any length.
+
+    >>> ra, dec = position(np.array([0.0, -1.0, 1.0]))
+    >>> float(np.degrees(ra)), float(np.degrees(dec))
+    (270.0, 45.0)
+    """
     ra = np.arctan2(r[1], r[0]) % (2.0 * np.pi)
     return np.where(ra < 2.0 * np.pi, ra, 0.0), np.arctan2(r[2], np.hypot(r[0], r[1]))  # -tiny % 2 pi is 2 pi
 
@@ -75,7 +84,12 @@ def rotation_minus_identity(epsilon: Array) -> Array:
 
 
 def rotation_matrix(epsilon: Array) -> Array:
-    """Return R = exp([epsilon x]), which turns a vector by |epsilon| radians about epsilon; shape (3, 3)."""
+    """Return R = exp([epsilon x]), which turns a vector by |epsilon| radians about epsilon; shape (3, 3).
+
+    >>> quarter = rotation_matrix(np.array([0.0, 0.0, np.pi / 2]))
+    >>> (quarter @ [1.0, 0.0, 0.0]).round(12).tolist()
+    [0.0, 1.0, 0.0]
+    """
     return np.eye(3) + rotation_minus_identity(epsilon)
 
 

@@ -1,30 +1,24 @@
-"""A distributed parameter-sweep platform for experiments that add up realisations.
+"""The platform: studies, their grids, execution, stores and what is made of results.
 
-``sweep.running.run`` runs a study, ``sweep.open`` reads its results; both give an `xarray.Dataset`.  ``fit_power_law``,
-``fit_levelling``, ``find`` and ``ratio`` derive others from it, ``plot`` draws it.
+``import linksweep`` is the interface to it; the names of that are here as well, where scripts of version 0.1 look for
+them.
 """
 
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import linksweep
+
 if TYPE_CHECKING:
-    from sweep.analysis.crossings import find
-    from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
-    from sweep.api import open, run  # noqa: A004
-    from sweep.plots.figure import draw_figure as plot
+    from linksweep import find, fit_levelling, fit_power_law, open, plot, ratio, run  # noqa: A004
 
 __all__ = ["find", "fit_levelling", "fit_power_law", "open", "plot", "ratio", "run"]
 
-_HOMES = {
-    **dict.fromkeys(("open", "run"), "sweep.api"),
-    **dict.fromkeys(("fit_levelling", "fit_power_law", "ratio"), "sweep.analysis.laws"),
-    "find": "sweep.analysis.crossings",
-    "plot": "sweep.plots.figure",
-}
-
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for only then: each needs much that most commands do not."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), "draw_figure" if name == "plot" else name)
+    if name not in __all__:
+        raise AttributeError(f"module 'sweep' has no attribute {name!r}")
+    return getattr(linksweep, name)
+
+
+def __dir__() -> list[str]:
+    return __all__

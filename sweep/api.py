@@ -2,9 +2,9 @@
 
 import logging
 import multiprocessing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import xarray as xr
 
@@ -16,6 +16,9 @@ from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
 from sweep.studies.study import Study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 log = logging.getLogger("linksweep")
 
@@ -35,14 +38,38 @@ def run(
 ) -> xr.Dataset:
     """Run a study and return its results; the same call after an interruption goes on where it stopped.
 
-    ``study`` is the name of a built-in study, a TOML file, a mapping of the same shape, or a `Study`.  The store is
-    ``results/NAME.zarr`` unless given.  ``workers``, ``pool``, ``scheduler``, ``cluster`` and ``limits`` say what to
-    run on, as the options of ``sweep run`` do; nothing is printed unless ``progress`` does.  A store that other code
-    made is refused; with ``accept_code`` it is continued and says for each point which code made it, with ``fresh`` it
-    is replaced.  Points that failed are NaN in the dataset, its ``status`` and its attribute ``failures`` tell why, and
-    a warning is logged.
+    Points that failed are NaN in the dataset; its variable ``status`` and its attribute ``failures`` tell why, and a
+    warning is logged.
 
-    Raises SweepError for bad input, before anything is written.
+    Args:
+        study: the name of a built-in study, the path of a TOML file, a mapping of the same shape, or a `Study`.
+        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` unless given.
+        workers: how many processes or threads; as many as there are cores unless given.
+        pool: what to run on in this machine; "processes" unless the work is small.
+        scheduler: the address of a Dask scheduler to run on instead.
+        cluster: a file that describes a Dask cluster to start and run on instead.
+        limits: seconds and bytes that one block may take.
+        accept_code: continue a store that other code made, and say for each point which code made it; such a store
+            is refused otherwise.
+        fresh: replace the store.
+        progress: is told how the run goes; nothing is printed unless it does.
+
+    Returns:
+        The outputs of the study over its axes, in memory, as `open` gives them.
+
+    Raises:
+        SweepError: for bad input, before anything is written.
+
+    Example:
+        >>> study = {
+        ...     "title": "Quasars to V = 15",
+        ...     "axes": {"model": ["amex", "gaia"]},
+        ...     "fixed": {"catalogue": "quasars", "v_max": 15.0},
+        ...     "sampling": {"n_sim": 100, "seed": 7},
+        ... }
+        >>> ds = run(study, "quasars15.zarr", pool="serial")
+        >>> ds.sigma_spin.sizes["model"], ds.sigma_spin.units
+        (2, 'mas / yr')
     """
     _leave_a_worker_that_runs_its_script()
     loaded = _study(study)
@@ -55,12 +82,56 @@ def run(
     return dataset
 
 
-def open(store: Where) -> xr.Dataset:  # noqa: A001 (sweep.open, as xarray and zarr have theirs)
+def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
     """Return the results in a store, in memory, as one writing of them left them, even while a run goes on.
 
-    ``store`` is a path or s3://BUCKET/NAME.  Raises SweepError where there are none, or damaged ones.
+    Args:
+        store: a path or s3://BUCKET/NAME.
+
+    Returns:
+        The outputs of the study over its axes, with units and errors.
+
+    Raises:
+        SweepError: where there is no store, no result yet, or a damaged one.
+
+    Example:
+        >>> study = {"title": "One point", "fixed": {"n_obj": 20}, "sampling": {"n_sim": 10}}
+        >>> saved = run(study, "one.zarr", pool="serial")
+        >>> open("one.zarr").equals(saved)
+        True
     """
     return open_dataset(store)
+
+
+def plot(
+    dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
+) -> "Figure":
+    """Return a figure of a study's results.  Needs matplotlib: ``pip install 'linksweep[plot]'``.
+
+    Args:
+        dataset: what `run` or `open` returned, or a part of it.
+        kind: "lines", "law", "map", "scatter" or "scaling"; the one that suits the dataset unless given.
+        variables: names of outputs, each a column of panels; the main one unless given.
+        over: the axis along which curves go, the two of a map, or the two components of a scatter.
+
+    Returns:
+        A Matplotlib figure that belongs to no window; ``figure.savefig("name.svg")`` writes it.
+
+    Raises:
+        SweepError: for a kind that the dataset cannot have, naming those that it can, and for unknown variables.
+
+    Example:
+        >>> study = {
+        ...     "title": "More objects",
+        ...     "axes": {"n_obj": [20, 80, 320]},
+        ...     "sampling": {"n_sim": 50, "seed": 1},
+        ... }
+        >>> figure = plot(run(study, "more.zarr", pool="serial"), kind="lines")
+        >>> figure.savefig("more.svg")
+    """
+    from sweep.plots.figure import draw_figure
+
+    return draw_figure(dataset, kind, variables, over)
 
 
 def _study(study: str | Path | Mapping[str, Any] | Study) -> Study:

@@ -9,7 +9,7 @@ ROOT = Path(__file__).parent.parent
 
 def code(document, language):
     text = (ROOT / "docs" / document).read_text()
-    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+    return re.findall(rf"```{language}[^\n]*\n(.*?)```", text, flags=re.DOTALL)
 
 
 def commands(document):

@@ -18,7 +18,7 @@ from typing import Any
 IMPORTED = ("sweep.cli", "sweep.running.run", "sweep.executing.clusters", "dask.array", "distributed.deploy", "pandas")
 """What nearly every command takes, most of its CPU time if it does little."""
 
-LONGEST_S = 300.0
+LONGEST_S = 1200.0
 
 
 class Nursery:

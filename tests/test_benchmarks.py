@@ -12,6 +12,7 @@ ROOT = Path(__file__).parent.parent
 COUNTS = {"core-speed": 4 * 4 + 2 + 3, "overhead": 3, "main-job": 6, "memory": 3, "scaling": 8, "scale": 15}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*COUNTS, "start-up"])
 def test_a_benchmark_runs(name, tmp_path):
     command = [

@@ -50,16 +50,19 @@ def test_the_missions_of_the_document_run(tmp_path, sweep):
     assert np.all(np.isfinite(sigma))
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_document_run(tmp_path, sweep):
     run_commands("studies.md", sweep, tmp_path)
     assert (tmp_path / "quick.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_the_commands_about_watching_run(tmp_path, sweep):
     run_commands("running.md", sweep, tmp_path)
     assert "realisations" in (tmp_path / "run.log").read_text()
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_analysis_run(tmp_path, sweep):
     run_commands("analysis.md", sweep, tmp_path)
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
@@ -67,11 +70,13 @@ def test_the_commands_of_the_analysis_run(tmp_path, sweep):
     }
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_report_run(tmp_path, sweep):
     run_commands("report.md", sweep, tmp_path)
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"quasars-report.html", "both.html"}
 
 
+@pytest.mark.slow
 def test_the_command_about_scaling_runs(tmp_path, sweep):
     run_commands("benchmarks.md", sweep, tmp_path)
     assert (tmp_path / "scaling.svg").stat().st_size > 10_000
@@ -94,6 +99,7 @@ def test_the_readme_shows_the_table_that_the_study_prints(tmp_path, sweep):
     assert all(row in shown for row in printed)
 
 
+@pytest.mark.slow
 def test_the_commands_about_clusters_run(tmp_path, sweep):
     (tmp_path / "dask").mkdir()
     (tmp_path / "cluster.toml").write_text(code("clusters.md", "toml")[0])
@@ -115,6 +121,7 @@ def test_the_commands_about_clusters_run(tmp_path, sweep):
             assert status == 0, f"{command}: {err}"
 
 
+@pytest.mark.slow
 def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     """The files make job scripts; a real SLURM runs one like the first in test_slurm."""
     from sweep.executing.clusterfile import cluster_class, read_cluster_file

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.conditions import Limit
+from sweep.analysis.conditions import Limit, parse_limit
 from sweep.analysis.lines import Lines, lines
 from sweep.contract import SweepError, small_sample_factor
 
@@ -28,15 +28,33 @@ LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 _COMPARE = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 
 
-def find(dataset: xr.Dataset, limit: Limit, along: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
+def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
     """Return where along an axis a condition is met, for every combination of the other axes.
 
-    The variables of the result: met (see `MET_WORDS`), crossings (how many), first and last (the axis at the first and
-    the last crossing; NaN if there is none) with _error (one sigma, from the errors of the points on both sides),
-    nearest (of a condition never met the value that comes nearest to it, of one always met that which is nearest to
-    failing; else NaN) and nearest_at (where that is).
-    Raises SweepError as `sweep.analysis.lines.lines`, or if no line has a unit that the limit's converts to.
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        limit: a variable, one of < <= > >=, and a number with or without a unit: "sigma_spin < 1 uas/yr".
+        along: the axis.
+        covariance: of the variable's points, dimensions (..., along, along_other); from the dataset unless given.
+
+    Returns:
+        A dataset over the other axes with the variables met (see `MET_WORDS`), crossings (how many), first and last
+        (the axis at the first and the last crossing; NaN if there is none) with _error (one sigma, from the errors of
+        the points on both sides), nearest (of a condition never met the value that comes nearest to it, of one always
+        met that which is nearest to failing; else NaN) and nearest_at (where that is).
+
+    Raises:
+        SweepError: for an unknown variable or axis, points that are not done, and a unit of another kind.
+
+    Example:
+        >>> import linksweep
+        >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14,15,16,17"])
+        >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
+        >>> round(float(find(ds, "sigma_spin < 1 uas/yr", along="v_max")["first"].sel(model="gaia")), 3)
+        16.066
     """
+    if isinstance(limit, str):
+        limit = parse_limit(limit)
     found = lines(dataset, limit.variable, along, covariance)
     thresholds = _thresholds(limit, found)
     rows = np.array([_cross(found, line, limit, threshold) for line, threshold in enumerate(thresholds)])
@@ -68,9 +86,27 @@ def interpolate(
 ) -> xr.Dataset:
     """Return a variable at a place between the points of an axis, for every combination of the other axes.
 
-    The variables of the result carry the names ``variable`` and NAME_mc_error (one sigma, from the errors of the points
-    on both sides; how far the variable is from a straight line between them is not in it).
-    Raises SweepError as `sweep.analysis.lines.lines`, or for a place beyond the points of a line.
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        variable: the name of an output.
+        over: the axis.
+        at: the place, in the unit of the axis.
+        covariance: of the variable's points, dimensions (..., over, over_other); from the dataset unless given.
+
+    Returns:
+        A dataset over the other axes with ``variable`` and NAME_mc_error (one sigma, from the errors of the points on
+        both sides; how far the variable is from a straight line between them is not in it).
+
+    Raises:
+        SweepError: for an unknown variable or axis, points that are not done, and a place beyond the points of a line.
+
+    Example:
+        >>> import linksweep
+        >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14,15,16,17"])
+        >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
+        >>> between = interpolate(ds, "sigma_spin", over="v_max", at=16.2)
+        >>> [round(float(x), 5) for x in between["sigma_spin"]]
+        [0.59264, 0.00097]
     """
     found = lines(dataset, variable, over, covariance)
     rows = np.full((len(found), 2), np.nan)

@@ -34,13 +34,30 @@ def fit_power_law(
 ) -> xr.Dataset:
     """Return variable = amplitude (over / pivot)^exponent along an axis, for every combination of the other axes.
 
-    The variables of the result have the dimensions of ``variable`` without that of the axis: exponent and amplitude
-    with _error, their correlation, pivot, chi2, dof, p_value (NaN where points have no errors), points.  Points weigh
-    by their Monte-Carlo errors, or by their ``covariance``, dimensions (..., over, over_other), for which the dataset
-    may have a variable (see `quantity.COVARIANCE_SUFFIX`).  Errors are NaN where points share random numbers and their
-    covariance is not known.  With an exponent ``expected``, or one that a claim of the study states, there are expected
-    and deviation, (exponent - expected) / exponent_error.
-    Raises SweepError as `sweep.analysis.lines.lines`, and for numbers that are not above 0.
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        variable: the name of an output.
+        over: the axis.
+        expected: the exponent that is expected; that of a claim of the study unless given.
+        covariance: of the variable's points, dimensions (..., over, over_other); from the dataset unless given (see
+            `quantity.COVARIANCE_SUFFIX`).  Points that share random numbers need it: their errors are NaN without;
+            others weigh by their Monte-Carlo errors.
+
+    Returns:
+        A dataset over the other axes with the variables exponent and amplitude with _error, their correlation, pivot, chi2, dof, p_value
+        (NaN where points have no errors) and points; where an exponent is expected also expected and deviation,
+        (exponent - expected) / exponent_error.
+
+    Raises:
+        SweepError: for an unknown variable or axis, points that are not done, and numbers that are not above 0.
+
+    Example:
+        >>> import linksweep
+        >>> study = linksweep.load_study("sqrt-n", ["n_sim=100", "n_cat=1"], ["n_obj=50,100,200"])
+        >>> ds = linksweep.run(study, "sqrt-n.zarr", pool="serial")
+        >>> fit = fit_power_law(ds, "sigma_spin", over="n_obj")
+        >>> round(float(fit["exponent"].mean()), 2), round(float(fit["exponent_error"].mean()), 2)
+        (-0.51, 0.04)
     """
     found = lines(dataset, variable, over, covariance)
     _require_positive(found, axis_too=True)
@@ -69,11 +86,30 @@ def fit_levelling(
 ) -> xr.Dataset:
     """Return where a variable levels off along an axis: variable^2 = plateau^2 + c exp(-rate over), for all other axes.
 
-    The variables of the result: plateau, rate, end_fall (relative, per unit of the axis, at the last point) and limit
-    (beyond it the variable falls by less than the fraction ``fall`` a unit; -inf: everywhere, inf: nowhere), with
-    _error, and chi2, dof, p_value, points.  Errors are scaled by sqrt(chi2/dof) where that is above one.
-    Raises SweepError as `sweep.analysis.lines.lines`, for numbers that are not above 0, and for a fit without
-    convergence.
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        variable: the name of an output.
+        over: the axis.
+        fall: the fraction by which the variable falls in a unit of the axis at the limit.
+        covariance: of the variable's points, as in `fit_power_law`.
+
+    Returns:
+        A dataset over the other axes with the variables plateau, rate, end_fall (relative, per unit of the axis, at the
+        last point) and limit (beyond it the variable falls by less than ``fall`` a unit; -inf: everywhere, inf:
+        nowhere), with _error, and chi2, dof, p_value, points.  Errors are scaled by sqrt(chi2/dof) where that is above
+        one.
+
+    Raises:
+        SweepError: for an unknown variable or axis, points that are not done, numbers that are not above 0, and a fit
+            that does not converge.
+
+    Example:
+        >>> import linksweep
+        >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14:18:0.5"])
+        >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
+        >>> fit = fit_levelling(ds, "sigma_spin", over="v_max").sel(model="amex")
+        >>> round(float(fit["plateau"]), 2), round(float(fit["limit"]), 1)
+        (0.59, 15.0)
     """
     if not 0.0 < fall < 1.0:
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
@@ -98,9 +134,28 @@ def fit_levelling(
 def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
     """Return a variable at one value of an axis over that at another, with error, for every combination of the others.
 
-    The variables of the result are ratio and ratio_error, one sigma, from the covariance of the two where they share
-    random numbers (NaN if the dataset does not have it); where a point is excluded, or the other is 0, there is NaN.
-    Raises SweepError for an unknown quantity, values that are not in the grid, and points that are not done.
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        variable: the name of an output.
+        axis: the axis.
+        of: the value of the axis in the numerator.
+        to: the value of the axis in the denominator.
+
+    Returns:
+        A dataset over the other axes with the variables ratio and ratio_error, one sigma.  It is from the covariance
+        of the two where they share random numbers, NaN if the dataset does not have that; where a point of the two is excluded, or the denominator is
+        0, there is NaN.
+
+    Raises:
+        SweepError: for an unknown variable, values that are not in the grid, and points that are not done.
+
+    Example:
+        >>> import linksweep
+        >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14,15,16,17"])
+        >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
+        >>> better = ratio(ds, "sigma_spin", "model", of="amex", to="gaia")
+        >>> [round(float(x)) for x in better["ratio"]]
+        [405, 485, 585, 731]
     """
     require_quantity(dataset, variable)
     above_at, below_at = (indices(dataset, {axis: value}) for value in (of, to))

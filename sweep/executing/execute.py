@@ -38,8 +38,8 @@ class Limits:
 NO_LIMITS = Limits()
 
 GUARD = (
-    "a script that computes in worker processes must call sweep.run under `if __name__ == '__main__':`, because each "
-    "of them begins by running the script too; or use pool='threads'"
+    "a script that computes in worker processes must call linksweep.run under `if __name__ == '__main__':`, because "
+    "each of them begins by running the script too; or use pool='threads'"
 )
 
 

@@ -15,8 +15,9 @@ from typing import Any, TypeVar
 
 Made = TypeVar("Made")
 
-PRELOADED = ["distributed", "sweep.executing.worker_plugin"]
-"""What every worker imports.  It starts no thread: a process that has several must not be forked."""
+PRELOADED = ["linksweep", "distributed", "sweep.executing.worker_plugin"]
+"""What every worker imports; linksweep first, which keeps a ``sweep.py`` of the user's from being taken for ours.  None
+of it starts a thread: a process that has several must not be forked."""
 
 KEEP_BYTES = 2**28
 """Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them

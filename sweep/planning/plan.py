@@ -45,6 +45,9 @@ class Block(NamedTuple):
     resuming.
 
     Catalogues are numbered from ``first_catalogue``; each gets ``n_sim`` realisations from a stream of its own.
+
+    >>> Block(group=0, part=1, first_catalogue=0, n_cat=16, n_sim=512).realisations
+    8192
     """
 
     group: int

@@ -25,6 +25,14 @@ class Eta:
 
     Which results can come from one worker is seen from their times; there are at most ``workers`` of them if that is
     known.  The time since a worker's last result counts as work under way.
+
+    Example: two of ten tasks have come from one worker, which takes 3 s for each.
+
+    >>> eta = Eta(cost=10.0, workers=1)
+    >>> eta.take(now=3.0, cost=1.0, seconds=3.0)
+    >>> eta.take(now=6.0, cost=1.0, seconds=3.0)
+    >>> eta.left(now=6.0)
+    24.0
     """
 
     def __init__(self, cost: float, workers: int | None = None) -> None:
@@ -68,7 +76,11 @@ class Eta:
 
 
 def in_words(seconds: float) -> str:
-    """Return a duration with two of its units: '12 s', '3 min 20 s', '2 h 05 min', '3 d 4 h'."""
+    """Return a duration with two of its units.
+
+    >>> [in_words(seconds) for seconds in (12.3, 200, 7500, 273600)]
+    ['12 s', '3 min 20 s', '2 h 05 min', '3 d 4 h']
+    """
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

@@ -17,6 +17,11 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
 
     A range includes its stop; values are rounded to 12 digits, so that 14.1 from a range is the 14.1 of a list, and to
     integers if ``whole`` and log-spaced.  Raises ValueError that says what is allowed.
+
+    >>> axis_values({"start": 14, "stop": 16, "step": 0.5})
+    [14.0, 14.5, 15.0, 15.5, 16.0]
+    >>> axis_values({"start": 10, "stop": 1000, "num": 5, "spacing": "log"}, whole=True)
+    [10.0, 32.0, 100.0, 316.0, 1000.0]
     """
     if isinstance(spec, list):
         return spec
@@ -120,7 +125,11 @@ def parse_places(texts: Sequence[str]) -> dict[str, str]:
 
 
 def parse_value(text: str) -> Any:
-    """Return a value as TOML would read it, or the text itself where it is a bare word."""
+    """Return a value as TOML would read it, or the text itself where it is a bare word.
+
+    >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("true"), parse_value("gaia")
+    (1000.0, [1, 2], True, 'gaia')
+    """
     try:
         parsed = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -129,7 +138,13 @@ def parse_value(text: str) -> Any:
 
 
 def _parse_axis_option(text: str) -> Any:
-    """``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, anything else a list."""
+    """``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, anything else a list.
+
+    >>> _parse_axis_option("14:20:0.5")
+    {'start': 14, 'stop': 20, 'step': 0.5}
+    >>> _parse_axis_option("amex,gaia")
+    ['amex', 'gaia']
+    """
     parts = text.split(":")
     if len(parts) == 3:
         start, stop, last = parts

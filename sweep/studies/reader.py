@@ -26,10 +26,23 @@ from sweep.tablefile import TableFile, table_file
 
 
 def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[str] = ()) -> Study:
-    """Return the study of a built-in name or a TOML file, with ``KEY=VALUE`` settings and ``NAME=SPEC`` axes laid over
-    it.
+    """Return the study of a built-in name or a TOML file, read and checked.
 
-    Raises SweepError that lists all problems, each with its key and, where it has one, its line in the file.
+    Args:
+        name_or_path: the name of a built-in study, or the path of a file.
+        settings: ``KEY=VALUE``, laid over the file as ``sweep run --set`` does.
+        axes: ``NAME=SPEC``, laid over the file as ``sweep run --axis`` does.
+
+    Returns:
+        The study; its parameters have values that the experiment allows.
+
+    Raises:
+        SweepError: that lists all problems, each with its key and, where it has one, its line in the file.
+
+    Example:
+        >>> study = load_study("quasars", settings=["n_sim=50"], axes=["v_max=14:16:0.5"])
+        >>> study.axes["v_max"], study.sampling.n_sim
+        ((14.0, 14.5, 15.0, 15.5, 16.0), 50)
     """
     path = find_study(name_or_path)
     text = read_text(path)

@@ -31,7 +31,7 @@ class Outside:
         from distributed import Client
 
         with Client(self.address, set_as_default=False) as client:
-            client.wait_for_workers(count, timeout=60)
+            client.wait_for_workers(count, timeout=500)
 
     def _start(self, command: str, *arguments: str, **environment: str) -> subprocess.Popen:
         with (self.folder / f"{command}.log").open("a") as log:
@@ -49,7 +49,7 @@ class Outside:
         """End processes and their children as a power cut does."""
         for process in processes:
             os.killpg(process.pid, signal.SIGKILL)
-            process.wait(30)
+            process.wait()
             self.processes.remove(process)
 
     def close(self) -> None:
@@ -57,7 +57,7 @@ class Outside:
         self.kill(*self.processes[::-1])
 
 
-def wait_until(true, what, seconds=60.0):
+def wait_until(true, what, seconds=500.0):
     """Wait until a function returns something true, and return it."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:

@@ -36,7 +36,9 @@ def set_clock_back(monkeypatch):
     return set_back
 
 
-@pytest.mark.parametrize(("back_s", "after_s"), [(1e6, 0.2), (1e9, 0.4), (5.0, 0.6)])
+@pytest.mark.parametrize(
+    ("back_s", "after_s"), [(1e6, 0.2), *(pytest.param(*p, marks=pytest.mark.slow) for p in ((1e9, 0.4), (5.0, 0.6)))]
+)
 def test_a_run_goes_on_with_the_same_bits(link_study, tmp_path, set_clock_back, back_s, after_s):
     study = load_study(str(link_study), ["n_cat=15"])
     straight, _ = run_study(study, tmp_path / "straight.zarr", Resources(pool="serial"))
@@ -56,6 +58,7 @@ def test_a_step_back_is_noticed_once(set_clock_back):
     assert not clock.was_set_back()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("whose", ["client", "scheduler to worker", "scheduler to client", "worker"])
 def test_a_stream_that_waits_for_another_day_is_woken(whose):
     """Each stream is brought into the state in which a clock that is set back leaves it."""

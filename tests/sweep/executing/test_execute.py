@@ -56,7 +56,13 @@ def test_the_study_puts_deadly_blocks_beside_innocent_ones():
 
 @pytest.mark.parametrize(
     "resources",
-    [("--workers", "2"), ("--pool", "threads", "--workers", "2"), ("--pool", "serial")],
+    [
+        ("--workers", "2"),
+        *(
+            pytest.param(p, marks=pytest.mark.slow)
+            for p in (("--pool", "threads", "--workers", "2"), ("--pool", "serial"))
+        ),
+    ],
     ids=["processes", "threads", "serial"],
 )
 def test_exactly_the_deadly_points_fail(tmp_path, sweep, resources):

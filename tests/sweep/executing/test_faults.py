@@ -79,6 +79,7 @@ def test_a_killed_worker_costs_nothing_but_time(link_study, tmp_path, start_swee
     xr.testing.assert_identical(results(store), reference)
 
 
+@pytest.mark.slow
 def test_a_stalled_worker_goes_on(link_study, tmp_path, start_sweep, reference):
     store = tmp_path / "s.zarr"
     process = start_sweep("run", link_study, "-o", store, *LONG, "--workers", 2)
@@ -93,6 +94,7 @@ def test_a_stalled_worker_goes_on(link_study, tmp_path, start_sweep, reference):
     xr.testing.assert_identical(results(store), reference)
 
 
+@pytest.mark.slow
 def test_all_workers_die_and_others_join(link_study, tmp_path, start_sweep, outside, reference):
     store = tmp_path / "s.zarr"
     workers = [outside.start_worker(), outside.start_worker()]
@@ -109,6 +111,7 @@ def test_all_workers_die_and_others_join(link_study, tmp_path, start_sweep, outs
     xr.testing.assert_identical(results(store), reference)
 
 
+@pytest.mark.slow
 def test_workers_may_come_late(link_study, tmp_path, start_sweep, outside, reference):
     store = tmp_path / "s.zarr"
     process = start_sweep("run", link_study, "-o", store, *LONG, "--scheduler", outside.address)
@@ -129,7 +132,9 @@ def other_version(folder, package, version):
     return {"PYTHONPATH": str(folder / "shim")}
 
 
-@pytest.mark.parametrize("package", ["linksweep", "numpy", "scipy"])
+@pytest.mark.parametrize(
+    "package", ["numpy", *(pytest.param(p, marks=pytest.mark.slow) for p in ("linksweep", "scipy"))]
+)
 def test_a_worker_with_another_version_stops_the_run_before_anything_is_written(
     link_study, tmp_path, sweep, outside, package
 ):
@@ -146,6 +151,7 @@ def test_a_worker_with_another_version_stops_the_run_before_anything_is_written(
     assert not (tmp_path / "s.zarr").exists()
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_version_that_joins_later_stops_the_run(
     link_study, tmp_path, start_sweep, sweep, outside, reference
 ):
@@ -170,6 +176,7 @@ def test_other_differences_are_told_and_no_more(link_study, tmp_path, sweep, out
     assert quiet(err), err
 
 
+@pytest.mark.slow
 def test_a_worker_reads_an_experiment_again_that_was_edited_meanwhile(tmp_path, sweep, outside):
     outside.start_worker()
     file = tmp_path / "coins.py"
@@ -189,6 +196,7 @@ def test_a_worker_reads_an_experiment_again_that_was_edited_meanwhile(tmp_path, 
     assert len({tuple(values) for values in shares.values()}) == 2
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_dies_ends_the_run_and_loses_nothing(
     link_study, tmp_path, start_sweep, sweep, outside, reference
 ):
@@ -208,6 +216,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_loses_nothing(
     xr.testing.assert_identical(results(store), reference)
 
 
+@pytest.mark.slow
 def test_workers_do_not_outlive_their_client(link_study, tmp_path, start_sweep):
     process = start_sweep("run", link_study, "-o", tmp_path / "s.zarr", *LONG, "--workers", 2)
     started_to_write(tmp_path / "s.zarr", process)
@@ -233,7 +242,7 @@ def listening(pids):
     return [line[1].rpartition(":")[0] for line in lines if line[3] == "0A" and line[9] in inodes]
 
 
-@pytest.mark.parametrize("pool", ["processes", "threads"])
+@pytest.mark.parametrize("pool", ["processes", pytest.param("threads", marks=pytest.mark.slow)])
 def test_everything_listens_on_loopback_and_nothing_is_left(link_study, tmp_path, start_sweep, monkeypatch, pool):
     store = tmp_path / "s.zarr"
     (tmp_path / "temporary").mkdir()

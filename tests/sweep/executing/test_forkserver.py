@@ -70,6 +70,7 @@ def test_workers_draw_different_numbers_even_from_the_generator_they_must_not_us
         assert len(set(client.run(legacy_draw).values())) == 2
 
 
+@pytest.mark.slow
 def test_modules_of_the_folder_are_not_taken_for_others(link_study, tmp_path, start_sweep):
     (tmp_path / "sweep.py").write_text("raise SystemExit('the wrong sweep')")
     (tmp_path / "calendar.py").write_text("raise ZeroDivisionError('the wrong calendar')")
@@ -88,6 +89,7 @@ def test_what_cannot_be_started_is_told(monkeypatch):
         signals_blocked(int)
 
 
+@pytest.mark.slow
 def test_the_process_that_workers_are_forked_from_may_die(link_study, tmp_path, start_sweep, sweep):
     more = ("--set", "n_sim=20000", "--set", "n_cat=6")
     assert sweep("run", link_study, "-o", tmp_path / "a.zarr", "--pool", "serial", *more)[0] == 0
@@ -109,6 +111,7 @@ def test_what_they_are_forked_from_has_no_threads():
     assert done.stdout == "1\n"
 
 
+@pytest.mark.slow
 def test_a_temporary_directory_with_a_long_name(link_study, tmp_path, start_sweep, sweep, monkeypatch):
     """It cannot hold a socket, so workers are started anew."""
     long = tmp_path / ("long" * 30)

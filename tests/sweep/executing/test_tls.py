@@ -50,6 +50,7 @@ def test_a_study_runs_over_tls(link_study, tmp_path, sweep, files, outside):
     xr.testing.assert_identical(here, there)
 
 
+@pytest.mark.slow
 def test_dasks_own_configuration_is_enough(link_study, tmp_path, start_sweep, files, outside, monkeypatch):
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CA_FILE", files.ca)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT", files.cert)

@@ -21,10 +21,11 @@ def pending(document, path):
     return plan_study(study_from_dict(document), path)[1].pending
 
 
-def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tmp_path):
+@pytest.mark.parametrize("chains", [2, pytest.param(6, marks=pytest.mark.slow)])
+def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tmp_path, chains):
     """Chains of edits: axis values, a new axis, more realisations, more catalogues, one after the other."""
     rng = random.Random(11)
-    for chain in range(6):
+    for chain in range(chains):
         document = coins | {"axes": {"coins": [5]}, "fixed": {}, "sampling": {"n_sim": 300, "n_cat": 3, "seed": 7}}
         store = tmp_path / f"{chain}.zarr"
         run(document, store)

@@ -320,7 +320,15 @@ def wait_for(condition):
     ],
 )
 @pytest.mark.parametrize(
-    "pool", [("--workers", 2), ("--pool", "threads", "--workers", 2), ("--pool", "serial")], ids=str
+    "pool",
+    [
+        ("--workers", 2),
+        *(
+            pytest.param(p, marks=pytest.mark.slow)
+            for p in (("--pool", "threads", "--workers", 2), ("--pool", "serial"))
+        ),
+    ],
+    ids=str,
 )
 def test_blocks_of_half_a_minute_are_not_waited_for(tmp_path, start_sweep, number, code, words, pool):
     (tmp_path / "study.toml").write_text(sleepers(30.0))
@@ -343,7 +351,7 @@ def answers_sigterm(pid):
     return bool(int(caught[1], 16) & 1 << signal.SIGTERM - 1)
 
 
-@pytest.mark.parametrize("moment", [0.0, 0.4, 0.7, 1.0, 1.3])
+@pytest.mark.parametrize("moment", [0.4, *(pytest.param(m, marks=pytest.mark.slow) for m in (0.0, 0.7, 1.0, 1.3))])
 def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
     (tmp_path / "study.toml").write_text(sleepers(30.0))
     process = start_sweep(

@@ -12,6 +12,8 @@ import xarray as xr
 from sweep.stores.store import existing_store
 from sweep.studies.reader import load_study
 
+pytestmark = pytest.mark.slow  # 50 runs, each killed at several instants
+
 KILLS = 50
 LONGEST_S = 4.0
 """Of starting and work together, before the run is killed: a whole run takes a little longer on an idle machine."""

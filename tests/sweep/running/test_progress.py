@@ -2,8 +2,8 @@
 
 import logging
 import re
+import shutil
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -219,13 +219,13 @@ def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
     assert len(failed_points({"n=1": "x" * 10_000 + "\nand more"})) < 300
 
 
+@pytest.mark.skipif(shutil.which("script") is None, reason="needs the command script, which has a terminal")
 def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_sweep):
     """The bar is drawn again and again; what stays are the sentences."""
-    inner = f"{sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=100000 --workers 1"
+    inner = f"TERM=xterm {sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=100000 --workers 1"
     process = start_sweep(command=["script", "-qec", inner, "/dev/null"])
-    begun = time.monotonic()
-    shown, _ = process.communicate(timeout=120)
+    shown, _ = process.communicate(timeout=500)
     assert process.returncode == 0, shown
     assert "━" in shown
-    assert "realisations/s about" in re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown), time.monotonic() - begun
+    assert "realisations/s about" in re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown)
     assert "wrote" in shown

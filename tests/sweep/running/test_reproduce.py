@@ -126,7 +126,7 @@ def test_reproduce_opens_the_debugger_where_a_point_raises(broken, start_sweep):
 
     store, _ = broken
     process = start_sweep("reproduce", store, "--at", "metal=gold,coins=5", "--pdb", stdin=subprocess.PIPE)
-    out, _ = process.communicate("p points[0]['coins']\nq\n", timeout=60)
+    out, _ = process.communicate("p points[0]['coins']\nq\n", timeout=500)
     assert "(Pdb) 5" in out
     assert process.returncode == 1
 

@@ -4,9 +4,12 @@ import resource
 import subprocess
 import sys
 
+import pytest
 import xarray as xr
 
 from tests.conftest import COINS
+
+pytestmark = pytest.mark.slow  # a hundred thousand points and more
 
 STUDY = """
 title = "Many"

@@ -97,9 +97,7 @@ def test_the_lock_of_a_killed_process_is_taken_over(place, hold):
 def test_a_process_that_is_not_reaped_has_ended(place, hold):
     process = hold(place)
     process.kill()
-    deadline = time.monotonic() + 30
-    while holder(place) is not None and time.monotonic() < deadline:
-        time.sleep(0.02)
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     assert process.returncode is None  # still a zombie of ours
     assert holder(place) is None
 
@@ -183,9 +181,8 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
     store = tmp_path / "s.zarr"
     long = ("--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")
     first = start_sweep("run", link_study, "-o", store, *long)
-    deadline = time.monotonic() + 60
     while not (store / "status").exists():
-        assert time.monotonic() < deadline, "the first run writes nothing"
+        assert first.poll() is None, "the first run has ended without writing anything"
         time.sleep(0.05)
     code, out, err = sweep("run", link_study, "-o", store, *long)
     assert (code, out) == (2, "")
@@ -195,7 +192,7 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
     assert code == 0, err
     assert f"process {first.pid} on " in out
     first.send_signal(signal.SIGINT)
-    assert first.wait(timeout=60) == 130
+    assert first.wait(timeout=500) == 130
     assert not (tmp_path / "s.zarr.lock").exists()
     code, out, err = sweep("status", store)
     assert "running: no" in out

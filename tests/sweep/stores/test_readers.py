@@ -81,7 +81,7 @@ def test_a_reader_sees_one_writing_or_another(tmp_path, coins, reader, turns, pa
         store.write(turn(number, last=False))
         time.sleep(pause)
     store.write(turn(turns, last=True))
-    found = json.loads(process.communicate(timeout=120)[0])
+    found = json.loads(process.communicate(timeout=500)[0])
     assert found["reads"] > 10
     assert found["generations"] > 5
     assert (found["wrong"], found["mixed"]) == (0, 0)

@@ -4,7 +4,6 @@ import random
 import socket
 import threading
 import time
-from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -132,6 +131,7 @@ def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, study, wanted, tmp_path
     assert located(f"{bucket}/results").keys() == [f"s.zarr/{name}" for name in names]  # no lock is left
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_document_run(bucket, s3_endpoint, sweep, tmp_path):
     make_bucket(s3_endpoint, "my-bucket")
     run_commands("stores.md", sweep, tmp_path)
@@ -166,7 +166,7 @@ def test_a_small_run_needs_few_requests(bucket, study, through):
     assert methods == {"GET", "PUT", "POST"}  # POST: deletion of the lock
 
 
-@pytest.mark.parametrize("kind", ["reset", "lost", "503"])
+@pytest.mark.parametrize("kind", ["reset", *(pytest.param(k, marks=pytest.mark.slow) for k in ("lost", "503"))])
 def test_requests_that_fail_are_repeated(bucket, study, wanted, through, kind):
     chance = random.Random(11)
     proxy = through(lambda number: kind if chance.random() < 0.15 else None)
@@ -198,9 +198,8 @@ def test_two_runs_on_one_bucket(bucket, link_study, start_sweep, sweep):
     store = f"{bucket}/s.zarr"
     long = ("--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")
     first = start_sweep("run", link_study, "-o", store, *long)
-    deadline = time.monotonic() + 60
     while located(store).get("zarr.json") is None:
-        assert time.monotonic() < deadline, "the first run writes nothing"
+        assert first.poll() is None, "the first run has ended without writing anything"
         time.sleep(0.05)
     code, _, err = sweep("run", link_study, "-o", store, *long)
     assert code == 2
@@ -224,13 +223,6 @@ def test_the_commands_take_a_bucket(bucket, link_study, sweep, tmp_path):
     assert list(tmp_path.glob("s3*")) == []
 
 
-@contextmanager
-def seconds_at_most(limit):
-    begun = time.monotonic()
-    yield
-    assert time.monotonic() - begun < limit
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -247,8 +239,7 @@ def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, mon
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", "http://127.0.0.1:9")  # no credentials from this machine either
     for name, value in change.items():
         monkeypatch.delenv(name) if value is None else monkeypatch.setenv(name, value)
-    with seconds_at_most(60):  # 15 s of trying again, on a busy machine
-        code, out, err = sweep("run", link_study, "-o", store)
+    code, out, err = sweep("run", link_study, "-o", store)
     assert (code, out) == (2, ""), err
     assert err.startswith("error: ")
     assert words in err

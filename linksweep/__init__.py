@@ -1,0 +1,91 @@
+"""Parameter sweeps on Dask and into Zarr: of the link of an astrometric satellite's frame, or of any experiment.
+
+This is the public interface; what is not listed in ``__all__`` may change without notice.
+
+=========================================  ==========================================================
+`run`, `open`, `plot`                      run a study, read the results in a store, draw them
+`load_study`, `Study`                      read and check a study without running it
+`Experiment`, `Parameter`, `Output`        declare an experiment of your own
+`Point`                                    the type of one point's parameters, for annotations
+`fit_power_law`, `fit_levelling`           laws along an axis
+`find`, `interpolate`, `ratio`             where a limit is crossed, values between points, ratios
+`Limits`                                   what one block of a run may take
+`SweepError`                               bad input, or a state that you must know of
+=========================================  ==========================================================
+
+Example:
+    >>> import linksweep
+    >>> study = {
+    ...     "title": "Two limits",
+    ...     "axes": {"v_max": [14.0, 16.0]},
+    ...     "fixed": {"catalogue": "quasars", "model": "gaia"},
+    ...     "sampling": {"n_sim": 50, "seed": 1},
+    ... }
+    >>> ds = linksweep.run(study, "limits.zarr", pool="serial")
+    >>> ds.n_obj.values.astype(int).tolist()
+    [28, 315]
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from linksweep._own_packages import load_own_packages
+
+load_own_packages()
+
+if TYPE_CHECKING:
+    from sweep.analysis.crossings import find, interpolate
+    from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+    from sweep.api import open, plot, run  # noqa: A004
+    from sweep.contract import Experiment, Output, Parameter, Point, SweepError
+    from sweep.executing.execute import Limits
+    from sweep.studies.reader import load_study
+    from sweep.studies.study import Study
+
+    __version__: str
+
+__all__ = [
+    "Experiment",
+    "Limits",
+    "Output",
+    "Parameter",
+    "Point",
+    "Study",
+    "SweepError",
+    "find",
+    "fit_levelling",
+    "fit_power_law",
+    "interpolate",
+    "load_study",
+    "open",
+    "plot",
+    "ratio",
+    "run",
+]
+
+_MODULES = {
+    "sweep.analysis.crossings": ("find", "interpolate"),
+    "sweep.analysis.laws": ("fit_levelling", "fit_power_law", "ratio"),
+    "sweep.api": ("open", "plot", "run"),
+    "sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
+    "sweep.executing.execute": ("Limits",),
+    "sweep.studies.reader": ("load_study",),
+    "sweep.studies.study": ("Study",),
+}
+_MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is first asked for: `import linksweep` alone takes milliseconds."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("linksweep")
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'linksweep' has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(_MODULE_OF[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,77 @@
+"""Loads the packages `core`, `sweep` and `sweeps` of linksweep where a file of the user's has the name of one.
+
+Python looks for modules in the folder of the script first, so a ``core.py`` or a folder ``sweep`` there would be
+imported in place of ours.
+"""
+
+import importlib.util
+import sys
+from importlib.machinery import PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+NAMES = ("core", "sweep", "sweeps")
+ROOT = Path(__file__).parent.parent
+
+
+def load_own_packages() -> None:
+    """Import our packages from the folder that linksweep itself is in.
+
+    Where a file of the user's has been imported under one of the names, raises ImportError that names the file; where
+    one is imported later, what it holds is not found, and the error names it.
+    """
+    for name in NAMES:
+        loaded = sys.modules.get(name)
+        if loaded is None:
+            _load(name)
+        elif not _is_ours(name, getattr(loaded, "__file__", None)):
+            file = getattr(loaded, "__file__", None) or f"a folder {name} without an __init__.py"
+            raise ImportError(f"{file} has the name of a package of linksweep, {name!r}: rename it")
+
+
+def _load(name: str) -> None:
+    spec = PathFinder.find_spec(name, [str(ROOT)])
+    if spec is None or spec.loader is None:
+        raise ImportError(f"linksweep is not installed completely: there is no package {name!r} in {ROOT}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    if hidden := _hidden(name):
+        _explain(module, hidden)
+
+
+def _hidden(name: str) -> str | None:
+    """Return the file or folder that would be imported under a name but for us, if there is one."""
+    found = PathFinder.find_spec(name)
+    if found is None or found.origin is None or _is_ours(name, found.origin):
+        return None
+    return found.origin
+
+
+def _is_ours(name: str, file: str | None) -> bool:
+    return file is not None and Path(file).resolve() == (ROOT / name / "__init__.py").resolve()
+
+
+def _explain(module: ModuleType, hidden: str) -> None:
+    """Let an attribute that our package does not have be explained by the file that has its name."""
+    ours = getattr(module, "__getattr__", None)
+
+    def getattribute(attribute: str) -> Any:
+        try:
+            if ours is not None:
+                return ours(attribute)
+        except AttributeError:
+            pass
+        if attribute.startswith("__"):
+            raise AttributeError(f"module {module.__name__!r} has no attribute {attribute!r}")
+        raise ImportError(
+            f"{module.__name__!r} is a package of linksweep and has no {attribute!r}; {hidden}, which has the same "
+            "name, cannot be imported: rename it"
+        )
+
+    vars(module)["__getattr__"] = getattribute

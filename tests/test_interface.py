@@ -1,0 +1,130 @@
+"""What `import linksweep` gives: the names, their types, and that files of the user's with our names do no harm."""
+
+import subprocess
+import sys
+
+import pytest
+
+import linksweep
+import sweep
+from tests.documents import ROOT, code
+
+RUN = """
+import linksweep
+
+if __name__ == "__main__":
+    study = {"title": "t", "axes": {"n_obj": [20, 40]}, "sampling": {"n_sim": 400}}
+    ds = linksweep.run(study, "s.zarr", workers=2, pool="processes")
+    print(ds.n_obj.values.tolist())
+"""
+
+
+def python(folder, *arguments):
+    return subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_the_names_are_those_that_are_listed():
+    assert dir(linksweep) == sorted([*linksweep.__all__, "__version__"])
+    for name in linksweep.__all__:
+        assert getattr(linksweep, name) is not None
+    assert not hasattr(linksweep, "spell")
+
+
+def test_every_function_says_what_it_takes_gives_and_raises():
+    for name in linksweep.__all__:
+        if name.islower():
+            text = getattr(linksweep, name).__doc__
+            assert all(part in text for part in ("Args:", "Returns:", "Raises:", "Example:", ">>> ")), name
+    assert all(name in linksweep.__doc__ for name in linksweep.__all__)
+
+
+def test_the_old_name_gives_the_same():
+    assert dir(sweep) == sorted(sweep.__all__)
+    assert all(getattr(sweep, name) is getattr(linksweep, name) for name in sweep.__all__)
+
+
+def test_importing_it_imports_nothing_large(tmp_path):
+    asked = "import sys, linksweep; print([m for m in ('numpy', 'xarray', 'dask', 'click') if m in sys.modules])"
+    assert python(tmp_path, "-c", asked).stdout == "[]\n"
+
+
+TYPED = """
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import linksweep
+from linksweep import Experiment, Output, Parameter, Point
+
+
+def throw(
+    points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
+) -> Mapping[str, Any]:
+    return {"sum": [rng.normal(p["mean"], 1.0, n_sim).sum() for p in points]}
+
+
+experiment = Experiment(
+    name="throws",
+    version=1,
+    parameters=(Parameter("mean", "float", 0.0, "mean of a throw"),),
+    sums={"sum": ()},
+    outputs=(Output("average", "", "average throw", headline=True),),
+    evaluate=throw,
+    summarise=lambda sums, n, n_cat: {"average": sums["sum"] / n},
+)
+dataset: xr.Dataset = linksweep.run("study.toml", pool="serial")
+where: xr.Dataset = linksweep.find(dataset, "average < 1", along="mean")
+"""
+
+
+@pytest.mark.slow  # mypy reads the types of xarray, Dask and all that they import
+def test_a_users_script_sees_the_types(tmp_path):
+    (tmp_path / "good.py").write_text(TYPED)
+    (tmp_path / "bad.py").write_text('import linksweep\nlinksweep.run(3)\nlinksweep.plot("s.zarr")\n')
+    done = python(tmp_path, "-m", "mypy", "--strict", "--cache-dir", tmp_path / "cache", "good.py", "bad.py")
+    assert 'bad.py:2: error: Argument 1 to "run" has incompatible type "int"' in done.stdout
+    assert 'bad.py:3: error: Argument 1 to "plot" has incompatible type "str"' in done.stdout
+    assert "good.py" not in done.stdout
+
+
+def test_files_of_the_user_with_our_names_do_no_harm(tmp_path):
+    """In the script's own process and in its workers."""
+    for name in ("core.py", "sweeps.py"):
+        (tmp_path / name).write_text("raise RuntimeError('a file of the user')")
+    (tmp_path / "sweep.py").write_text(RUN)  # what a script is likely to be called
+    done = python(tmp_path, "sweep.py")
+    assert (done.returncode, done.stdout) == (0, "[20, 40]\n"), done.stderr
+
+
+def test_the_old_name_works_beside_a_core_of_the_user(tmp_path):
+    (tmp_path / "core.py").write_text("raise RuntimeError('a file of the user')")
+    done = python(tmp_path, "-c", "import sweep; sweep.run; import core; print(core.__doc__[:8])")
+    assert (done.returncode, done.stdout) == (0, "The link\n"), done.stderr
+
+
+@pytest.mark.parametrize("script", ["import core, linksweep", "import linksweep\nfrom core import helper"])
+def test_where_both_are_wanted_one_sentence_names_the_file(tmp_path, script):
+    (tmp_path / "core.py").write_text("helper = 1")
+    done = python(tmp_path, "-c", script)
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("ImportError: ")
+    assert str(tmp_path / "core.py") in last
+    assert last.endswith("rename it")
+
+
+def test_the_module_is_the_command(tmp_path):
+    for name in ("core.py", "sweep.py"):
+        (tmp_path / name).write_text("raise RuntimeError('a file of the user')")
+    done = python(tmp_path, "-m", "linksweep", "run", "quasars", "--axis", "v_max=14", "--set", "n_sim=10", "--quiet")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "results" / "quasars.zarr" / "zarr.json").is_file()
+
+
+def test_the_documents_use_it():
+    for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        for block in code(document, "python"):
+            assert "import sweep" not in block, document.name
+            assert "from sweep" not in block, document.name
+            assert "from core" not in block, document.name
