@@ -1,5 +1,7 @@
 """What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
 
+from core.catalogues import CATALOGUES
+from core.errors import error_kinds
 from core.missions import MISSIONS
 from core.user_mission import mission_from_table
 from sweep.contract import Output, Parameter
@@ -11,7 +13,7 @@ PARAMETERS = (
         "str",
         "synthetic",
         "reference catalogue (step A)",
-        choices=("synthetic", "quasars", "galaxies", "radio-stars", "file"),
+        choices=tuple(CATALOGUES),
     ),
     Parameter(
         "n_obj",
@@ -35,8 +37,8 @@ PARAMETERS = (
     Parameter(
         "v_min",
         "float",
-        5.0,
-        "brightest magnitude V, synthetic catalogue",
+        None,
+        "brightest magnitude V; default: synthetic 5, else none",
         unit="mag",
         minimum=-5.0,
         maximum=30.0,
@@ -104,14 +106,14 @@ PARAMETERS = (
         "str",
         "magnitude",
         "error model of the satellite (step D)",
-        choices=("none", "normal", "magnitude", "catalogue"),
+        choices=error_kinds("satellite"),
     ),
     Parameter(
         "reference_errors",
         "str",
         "none",
         "error model of the reference (step C)",
-        choices=("none", "normal", "catalogue"),
+        choices=error_kinds("reference"),
     ),
     Parameter(
         "model",

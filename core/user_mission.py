@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from core.function_curve import CurveOfFunction
-from core.missions import Exponentials, LogLinear, Mission
-from sweep.contract import DefinitionError, Function, SweepError, shown, suggest
+from core.missions import MISSIONS, Exponentials, LogLinear, Mission
+from sweep.contract import DefinitionError, Function, Named, SweepError, shown, suggest
 
 OwnCurve = Exponentials | LogLinear | CurveOfFunction
 
@@ -21,6 +21,14 @@ STEEPEST = 10.0
 
 KEYS = ("nominal_length", "faint_limit", "unit", "sigma_pm", "sigma_pos", "position_ratio", "source")
 FORMS = "[[magnitude, sigma], ...], [{ at = magnitude, sigma = ..., slope = ... }, ...] or 'file.py:function'"
+
+
+def mission_of(model: str | Named) -> Mission:
+    """Return the mission of a point's model: a built-in one, or one that its study defines."""
+    if isinstance(model, str):
+        return MISSIONS[model]
+    mission: Mission = model.value
+    return mission
 
 
 def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]) -> tuple[Mission, dict[str, Any]]:
