@@ -269,6 +269,10 @@ def _no_problem(point: Point) -> str | None:
     return None
 
 
+def _all_matter(point: Point) -> Mapping[str, str]:
+    return {}
+
+
 def _one(point: Point) -> float:
     return 1.0
 
@@ -280,6 +284,8 @@ class Experiment:
     ``sums`` gives the shape of each additive quantity that ``evaluate`` returns, ``coordinates`` the labels of each
     dimension that an output uses, ``component_units`` the unit of each label where they differ, ``check`` a sentence
     about a point that cannot be computed (None if it can), ``cost`` the random numbers drawn per realisation.
+    ``unused`` gives the parameters that change nothing at a point, each with the reason; it is asked about points that
+    can be computed only, and a study that sets such a parameter is refused.
     ``samples``, for studies that keep them, returns what ``evaluate`` does and the realisations that it adds up, each
     of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names parameters that do not change the
     random numbers that a block draws, only what is made of them.  A new ``version`` says that the same parameters now
@@ -298,6 +304,7 @@ class Experiment:
     samples: Evaluate | None = None
     sample_outputs: tuple[Output, ...] = ()
     check: Callable[[Point], str | None] = _no_problem
+    unused: Callable[[Point], Mapping[str, str]] = _all_matter
     cost: Callable[[Point], float] = _one
     shared: tuple[str, ...] = ()
 

@@ -34,7 +34,7 @@ HOUSE = {
         *("definitions", "study", "source", "form", "schema", "template", "problems", "axes"),
         *("claims", "published", "exclusions", "rules", "reader", "provenance"),
     ],
-    "sweep.planning": ["point_cache", "grid", "plan", "accumulator", "work_queue"],
+    "sweep.planning": ["point_cache", "unused", "grid", "plan", "accumulator", "work_queue"],
     "sweep.executing": [
         *("deadlines", "worker", "versions", "clock", "isolated", "worker_plugin", "execute"),
         *("forkserver", "dask_executor", "clusterfile", "local_cluster", "clusters", "choose"),

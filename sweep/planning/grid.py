@@ -14,6 +14,7 @@ import numpy as np
 
 from sweep.contract import SweepError, Value
 from sweep.planning.point_cache import PointCache
+from sweep.planning.unused import UnusedSettings
 from sweep.studies.study import Study
 from sweep.tablefile import as_json
 
@@ -155,9 +156,10 @@ def make_grid(study: Study) -> Grid:
     reasons: dict[str, int] = {}
     empty = True
     check = PointCache(partial(_reason, study), study.axes)
+    settings = UnusedSettings(study)
     for _, parameters in grid.parameters():
         empty = False
-        if (reason := check(parameters)) is None:
+        if (reason := check(parameters)) is None and (reason := settings.reason(parameters)) is None:
             continue
         if reason not in reasons and len(reasons) == MAX_PROBLEMS:
             reasons["... and other reasons; the rest of the grid was not checked"] = 0
@@ -166,6 +168,8 @@ def make_grid(study: Study) -> Grid:
     if empty:
         raise SweepError("every point of the grid is excluded", study.source)
     sentences += [f"{reason} ({n} point{'s' if n > 1 else ''})" if n else reason for reason, n in reasons.items()]
+    if not reasons:
+        sentences += settings.nowhere()
     if sentences:
         raise SweepError(sentences, study.source)
     return grid

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sweep.contract import SweepError
 from sweep.executing.execute import available_cores
 from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS, Accumulator
-from sweep.planning.grid import make_grid
+from sweep.planning.grid import Grid
 from sweep.planning.plan import TARGET, Plan
 from sweep.running.axis_progress import by_axis
 from sweep.running.reproduce import study_of
@@ -74,7 +74,7 @@ def _progress(
         dimensions = [str(dimension) for dimension in dataset["status"].dims]
         axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
         return axes, dataset["status"].values, dataset["n_sim_done"].values
-    grid = make_grid(study)
+    grid = Grid(study)
     accumulator = Accumulator(Plan(grid), opened.rows, opened.sums(), opened.failures)
     axes = {
         dimension: [
