@@ -42,4 +42,4 @@ class Galaxies(CatalogueKind):
         if not SMALLEST_V_MAX <= faintest <= GALAXY_FAINT_LIMIT_MAG:
             span = f"from {SMALLEST_V_MAX:g} to {GALAXY_FAINT_LIMIT_MAG} mag"
             return f"v_max = {faintest:g} mag: the galaxies have magnitudes {span}"
-        return in_limits(point, brightest, faintest)
+        return in_limits(brightest, faintest)

@@ -85,7 +85,7 @@ def sky_of(point: Point) -> Sky:
     return Sky(point["zone_of_avoidance"] * DEGREE, point["sky_contrast"])
 
 
-def in_limits(point: Point, brightest: float, faintest: float) -> str | None:
+def in_limits(brightest: float, faintest: float) -> str | None:
     """Return why no object can lie between two limits of which v_min may be one, or None."""
     if faintest > brightest:
         return None

@@ -36,7 +36,7 @@ class Quasars(CatalogueKind):
     def problem(self, point: Point) -> str | None:
         """There must be enough between limits that lie within the counts."""
         brightest, faintest = self.magnitudes(point)
-        if point["v_min"] is not None and (problem := in_limits(point, brightest, faintest)):
+        if point["v_min"] is not None and (problem := in_limits(brightest, faintest)):
             return problem
         return too_few(point, self.available(point), "quasars")
 

@@ -15,12 +15,12 @@ class Synthetic(CatalogueKind):
     """`"synthetic"`: uniform magnitudes, isotropic proper motions."""
 
     def uses(self, point: Point) -> frozenset[str]:
-        """Return its limits, motions and sky; how the motions are distributed if there are any."""
-        return RANDOM_SKY | {"v_min", "v_max", "mean_pm", *(["pm_distribution"] if point["mean_pm"] > 0.0 else [])}
+        """Return its limits, motions and sky."""
+        return RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
 
     def available(self, point: Point) -> int:
-        """Raise ValueError: there are as many as a study says."""
-        raise ValueError("n_obj: a synthetic catalogue needs a number of objects")
+        """Return none: there are as many as a study says."""
+        return 0
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
         """Return v_min and v_max."""
@@ -35,5 +35,6 @@ class Synthetic(CatalogueKind):
 
     def problem(self, point: Point) -> str | None:
         """There must be a number of objects, and room between the limits."""
-        self.size(point)
-        return in_limits(point, *self.magnitudes(point))
+        if point["n_obj"] is None:
+            return "n_obj: a synthetic catalogue needs a number of objects"
+        return in_limits(*self.magnitudes(point))
