@@ -11,6 +11,8 @@ from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from core.scenario import catalogue_size, scenario
 from core.simulate import BlockSums, simulate
+from core.unused import unused
+from core.warn import warn
 from sweep.contract import Experiment, Point
 
 Array = NDArray[np.float64]
@@ -152,6 +154,8 @@ link = Experiment(
     samples=samples,
     sample_outputs=SAMPLE_OUTPUTS,
     check=check,
+    unused=unused,
+    warn=warn,
     cost=cost,
     shared=SHARED,
 )

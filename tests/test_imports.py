@@ -28,13 +28,23 @@ HOUSE = {
             "noisy_design",
             "projected",
         ),
-        *("simulate", "parameters", "scenario", "expected_errors", "checks", "experiment", "calibration"),
+        *(
+            "simulate",
+            "parameters",
+            "scenario",
+            "expected_errors",
+            "checks",
+            "unused",
+            "warn",
+            "experiment",
+            "calibration",
+        ),
     ],
     "sweep.studies": [
         *("definitions", "study", "source", "form", "schema", "template", "problems", "axes"),
         *("claims", "published", "exclusions", "rules", "reader", "provenance"),
     ],
-    "sweep.planning": ["point_cache", "unused", "grid", "plan", "accumulator", "work_queue"],
+    "sweep.planning": ["point_cache", "point_warnings", "unused", "grid", "plan", "accumulator", "work_queue"],
     "sweep.executing": [
         *("deadlines", "worker", "versions", "clock", "isolated", "worker_plugin", "execute"),
         *("forkserver", "dask_executor", "clusterfile", "local_cluster", "clusters", "choose"),
@@ -93,7 +103,15 @@ ONLY_IN = {
 KNOWS_THE_CORE = {"sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.search"}
 KNOWS_THE_CONTRACT = {
     *("core.parameters", "core.scenario", "core.checks", "core.experiment"),
-    *("core.function_curve", "core.user_mission", "core.expected_errors", "core.catalogues", "core.errors"),
+    *(
+        "core.function_curve",
+        "core.user_mission",
+        "core.expected_errors",
+        "core.unused",
+        "core.warn",
+        "core.catalogues",
+        "core.errors",
+    ),
 }
 # The search is a command beside the platform.
 SEARCH_MAY_USE = {"sweep.contract", "sweep.tablefile"}

@@ -1,5 +1,6 @@
 """Objects that a user's table lists."""
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -16,10 +17,11 @@ Key = tuple[Table, tuple[tuple[str, str], ...], bool | None]
 class File(CatalogueKind):
     """`"file"`: the rows between the limits, or n_obj of them at random."""
 
-    def uses(self, point: Point) -> frozenset[str]:
-        """Return the table, how it is read, its limits, whose positions, and the sky of random ones."""
-        own = {"file", "columns", "pmra_cos_dec", "positions", "v_min", "v_max"}
-        return frozenset(own) | (RANDOM_SKY if point["positions"] == "isotropic" else frozenset())
+    parameters = RANDOM_SKY | {"file", "columns", "pmra_cos_dec", "positions", "v_min", "v_max"}
+
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether the rows are moved to other positions."""
+        return bool(point["positions"] == "isotropic")
 
     def available(self, point: Point) -> int:
         """Return the number of rows between the limits."""
@@ -34,22 +36,22 @@ class File(CatalogueKind):
         """Return the rows, at their own positions or at random ones."""
         n_obj = self.size(point)
         drawn = self.objects(point).some(rng, n_obj)
-        return drawn.moved_to(*sky_of(point).positions(rng, n_obj)) if point["positions"] == "isotropic" else drawn
+        return drawn.moved_to(*sky_of(point).positions(rng, n_obj)) if self.has_random_positions(point) else drawn
 
     def objects(self, point: Point) -> Catalogue:
         """Return the rows between the limits."""
         return _between(*_key(point), point["v_min"], point["v_max"])[0]
 
-    def names(self, point: Point, objects: Catalogue) -> tuple[str, ...]:
-        """Return which rows they are, with their magnitudes."""
-        return tuple(
-            f"row {row}" + ("" if np.isnan(v) else f" (V = {v:.4g})")
-            for row, v in zip(
-                (_between(*_key(point), point["v_min"], point["v_max"])[1] + 1).tolist(),
-                objects.v_mag.tolist(),
-                strict=True,
-            )
-        )
+    def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]]:
+        """Return the rows between the limits; they are named by their place in the table, label and magnitude."""
+        objects, rows = _between(*_key(point), point["v_min"], point["v_max"])
+
+        def name(k: int) -> str:
+            label, v_mag = point["file"].label(int(rows[k])), objects.v_mag[k]
+            known = [label] * bool(label) + [f"V = {v_mag:.4g}"] * bool(np.isfinite(v_mag))
+            return f"row {rows[k] + 1}" + (f" ({', '.join(known)})" if known else "")
+
+        return objects, name
 
     def problem(self, point: Point) -> str | None:
         """The table must be there, readable, and have enough rows; limits need magnitudes."""

@@ -18,9 +18,7 @@ SMALLEST_V_MAX = 11.0
 class Galaxies(CatalogueKind):
     """`"galaxies"`: 116 of them, whatever the limits between which their magnitudes are drawn."""
 
-    def uses(self, point: Point) -> frozenset[str]:
-        """Return its limits and its sky."""
-        return RANDOM_SKY | {"v_min", "v_max"}
+    parameters = RANDOM_SKY | {"v_min", "v_max"}
 
     def available(self, point: Point) -> int:
         """Return the number of certain galaxies."""

@@ -2,7 +2,7 @@
 drawn.
 """
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from functools import partial
 
 import numpy as np
@@ -22,11 +22,18 @@ class CatalogueKind:
     ``n_obj`` and at what `uses` names.
     """
 
+    parameters: frozenset[str]
+    """Those that it may use, beside n_obj."""
+
     extragalactic = True
 
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether positions are drawn, so that `RANDOM_SKY` matters."""
+        return True
+
     def uses(self, point: Point) -> frozenset[str]:
-        """Return the names of the parameters, beside n_obj, on which the catalogue of a point depends."""
-        raise NotImplementedError
+        """Return the parameters, beside n_obj, on which the catalogue of a point depends."""
+        return self.parameters if self.has_random_positions(point) else self.parameters - RANDOM_SKY
 
     def available(self, point: Point) -> int:
         """Return how many objects there are where a point does not say how many it wants; raises ValueError or
@@ -46,9 +53,9 @@ class CatalogueKind:
         """Return the objects of a catalogue that is given as such, None for one that is drawn from a law."""
         return None
 
-    def names(self, point: Point, objects: Catalogue) -> tuple[str, ...]:
-        """Return what to call each of its own objects in a message, from 1."""
-        return tuple(f"object {number}" for number in range(1, len(objects) + 1))
+    def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]] | None:
+        """Return the objects that a user listed and a function that names the k-th of them, None for other catalogues."""
+        return None
 
     def problem(self, point: Point) -> str | None:
         """Return why there is no such catalogue, or None; it may raise as `available`."""

@@ -11,9 +11,7 @@ from sweep.contract import Point
 class Quasars(CatalogueKind):
     """`"quasars"`: as many as the counts have between the limits."""
 
-    def uses(self, point: Point) -> frozenset[str]:
-        """Return its limits, counts and sky."""
-        return RANDOM_SKY | {"v_min", "v_max", "counts"}
+    parameters = RANDOM_SKY | {"v_min", "v_max", "counts"}
 
     def available(self, point: Point) -> int:
         """Return the count between the limits; raises ValueError outside of the counts."""

@@ -11,11 +11,12 @@ from sweep.contract import Point
 class RadioStars(CatalogueKind):
     """`"radio-stars"`: drawn from the eleven with replacement."""
 
+    parameters = RANDOM_SKY | {"positions"}
     extragalactic = False
 
-    def uses(self, point: Point) -> frozenset[str]:
-        """Return whose positions, and the sky of random ones."""
-        return frozenset({"positions"}) | (frozenset() if point["positions"] == "own" else RANDOM_SKY)
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether they are not those of the stars."""
+        return bool(point["positions"] != "own")
 
     def available(self, point: Point) -> int:
         """Return how many there are."""
@@ -27,15 +28,13 @@ class RadioStars(CatalogueKind):
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
         """Return some, which may be the same star more than once."""
-        return resample(rng, radio_stars(), self.size(point), None if point["positions"] == "own" else sky_of(point))
+        return resample(
+            rng, radio_stars(), self.size(point), sky_of(point) if self.has_random_positions(point) else None
+        )
 
     def objects(self, point: Point) -> Catalogue:
         """Return the eleven."""
         return radio_stars()
-
-    def names(self, point: Point, objects: Catalogue) -> tuple[str, ...]:
-        """Return their names."""
-        return tuple(map(str, RADIO_STARS.name))
 
     def problem(self, point: Point) -> str | None:
         """All are drawn from, whatever their magnitudes."""

@@ -14,9 +14,7 @@ BRIGHTEST_MAG, FAINTEST_MAG = 5.0, 15.0
 class Synthetic(CatalogueKind):
     """`"synthetic"`: uniform magnitudes, isotropic proper motions."""
 
-    def uses(self, point: Point) -> frozenset[str]:
-        """Return its limits, motions and sky."""
-        return RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
+    parameters = RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
 
     def available(self, point: Point) -> int:
         """Return none: there are as many as a study says."""

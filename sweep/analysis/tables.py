@@ -113,6 +113,11 @@ def as_text(dataset: xr.Dataset) -> "Table":
     return table
 
 
+def warnings_of(dataset: xr.Dataset) -> list[str]:
+    """Return what the experiment warned of when the run began."""
+    return list(json.loads(dataset.attrs.get("warnings", "[]")))
+
+
 def rows_left_out(dataset: xr.Dataset) -> int:
     """Return how many points `as_text` leaves out."""
     return max(0, int((dataset["status"] != EXCLUDED).sum()) - MOST_ROWS)

@@ -33,6 +33,8 @@ def print_plan(study: "Study", store: "Location", workers: int | None, as_json: 
     else:
         for key, text in _plan_in_words(report).items():
             click.echo(f"{key:14}{text}")
+        for sentence in report["warnings"]:
+            click.echo(f"{'warning':14}{sentence}")
 
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
@@ -59,6 +61,8 @@ def print_table(dataset: Any, table_format: str) -> None:
 
     if table_format == "text":
         print_whole(tables.as_text(dataset))
+        for sentence in tables.warnings_of(dataset):
+            click.echo(f"warning: {sentence}")
         if left_out := tables.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):

@@ -82,6 +82,8 @@ def run_study(
     """
     progress = progress or Silent()
     plan = Plan(make_grid(study))
+    for sentence in plan.grid.warnings:
+        progress.say(f"warning: {sentence}")
     check_store(store, study)
     if not retry and (part := part_of_larger(store, plan.grid)) is not None:
         progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
