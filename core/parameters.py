@@ -280,7 +280,18 @@ def _with_errors(
     return [
         Output(name, unit, meaning, dims, headline, symbol),
         Output(f"{name}_mc_error", unit, f"Monte-Carlo error of {name}, sigma/sqrt(2 n)", dims),
-        Output(f"{name}_predicted", unit, f"closed-form prediction of {name} for the same catalogues", dims),
+        Output(
+            f"{name}_predicted",
+            unit,
+            f"closed-form prediction of {name} for the same catalogues, of the errors alone: without a bias",
+            dims,
+        ),
+        Output(
+            f"{name}_rms_predicted",
+            unit,
+            f"closed-form prediction of {name} for the same catalogues, errors and bias: all of it",
+            dims,
+        ),
         Output(
             f"{name}_catalogue_error",
             unit,
@@ -314,12 +325,24 @@ OUTPUTS = (
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
     Output("bias", _EACH, "mean of estimate - truth", ("component",)),
     Output(
+        "bias_predicted",
+        _EACH,
+        "closed-form prediction of bias for the same catalogues: what aberration or terms left out make",
+        ("component",),
+    ),
+    Output(
         "bias_mc_error",
         _EACH,
         "Monte-Carlo error of bias, from the scatter of catalogues or of batches of one",
         ("component",),
     ),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),
+    Output("correlation", "", "correlation of the estimates about their mean", ("component", "component_other")),
+    Output(
+        "condition_number",
+        "",
+        "largest over smallest eigenvalue of the normal matrix scaled to a diagonal of 1 (mean over catalogues)",
+    ),
     Output(
         "chi2",
         "",

@@ -69,7 +69,7 @@ HOUSE = {
         *("axis_progress", "status", "eta", "run_summary", "progress", "scaling"),
     ],
     "sweep.analysis": [
-        *("tables", "fits", "levelling", "selection", "quantity", "lines", "conditions"),
+        *("quantity", "tables", "components", "fits", "levelling", "selection", "lines", "conditions"),
         *("compare", "compare_tables", "laws", "crossings", "law_tables"),
     ],
     "sweep.paper": ["published_stores", "calibrate"],

@@ -54,7 +54,7 @@ class CatalogueKind:
         return None
 
     def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]] | None:
-        """Return the objects that a user listed and a function that names the k-th of them, None for other catalogues."""
+        """Return the objects that a user listed, and a function that names the k-th of them; None without a list."""
         return None
 
     def problem(self, point: Point) -> str | None:

@@ -1,11 +1,16 @@
 """What of a dataset is a quantity: its names, its errors, the axes that it can be followed along."""
 
+from collections.abc import Container, Hashable
+
 import xarray as xr
 
 from sweep.contract import SweepError, shown, suggest
 
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
+
+PREDICTION_SUFFIXES = ("rms_predicted", "predicted")
+"""Outputs NAME_SUFFIX beside NAME predict it; the first there is predicts all of it, the others may be a part."""
 
 COVARIANCE_SUFFIX = "mc_covariance"
 """A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
@@ -29,6 +34,12 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     return squares**0.5
 
 
+def prediction_name(names: Container[Hashable], variable: str) -> str:
+    """Return which variable of some predicts another: with known biases, if the experiment predicts them too."""
+    whole, part = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+    return whole if whole in names else part
+
+
 def covariance_between(
     dataset: xr.Dataset, variable: str, dimension: str, one: int, other: int
 ) -> xr.DataArray | float:
@@ -44,7 +55,7 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if v.dtype.kind == "f" and axes <= set(v.dims)]
     covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
-    attached = (*ERROR_SUFFIXES, *covariances, "predicted", "published", "published_rounding")
+    attached = (*ERROR_SUFFIXES, *covariances, *PREDICTION_SUFFIXES, "published", "published_rounding")
     beside = {f"{name}_{suffix}" for name in numbers for suffix in attached}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
 

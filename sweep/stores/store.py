@@ -38,7 +38,11 @@ class Store:
         shapes = json.loads(self.attributes["ledger"])
         expected = json.loads(identity(study)["ledger"])
         if {name: width for name, (_, width) in shapes.items()} != {n: width for n, (_, width) in expected.items()}:
-            raise SweepError("the ledger's rows have other lengths; the store was made by another version", str(where))
+            raise SweepError(
+                "another version of linksweep made this store, with other sums in its ledger: its results can be read, "
+                "but to compute more run the study into a new store with -o",
+                str(where),
+            )
         damaged: dict[str, str] = {}
         with reading(self.location):
             keys = self.location.keys()
