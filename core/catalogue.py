@@ -51,6 +51,12 @@ class Catalogue:
             correlation=None if self.correlation is None else self.correlation[index],
         )
 
+    def some(self, rng: np.random.Generator, n_obj: int) -> "Catalogue":
+        """Return ``n_obj`` objects at random, in their order, or all of as many; nothing is drawn for those."""
+        if n_obj >= len(self):
+            return self
+        return self.take(np.sort(rng.choice(len(self), n_obj, replace=False)))
+
     def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
         """Return the same objects, with their proper motions along the local triad, at other positions."""
         return replace(self, ra=ra, dec=dec)
@@ -120,15 +126,22 @@ def synthetic(
     return Catalogue(ra, dec, modulus * np.sin(direction), modulus * np.cos(direction), v_mag)
 
 
-def galaxies(rng: np.random.Generator, n_obj: int, faint_limit_mag: float, sky: Sky = Sky()) -> Catalogue:
-    """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint
-    limit.
+def galaxies(
+    rng: np.random.Generator,
+    n_obj: int,
+    faint_limit_mag: float,
+    sky: Sky = Sky(),
+    bright_limit_mag: float | None = None,
+) -> Catalogue:
+    """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint limit,
+    and at the bright one if there is any.
     """
     from scipy.special import ndtr, ndtri  # a tenth of the start of every other study
 
     ra, dec = sky.positions(rng, n_obj)
-    brighter = ndtr((faint_limit_mag - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
-    v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(brighter * (1.0 - rng.random(n_obj)))
+    bright = -np.inf if bright_limit_mag is None else bright_limit_mag
+    low, high = ndtr((np.array([bright, faint_limit_mag]) - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
+    v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(low + (high - low) * (1.0 - rng.random(n_obj)))
     return Catalogue(ra, dec, np.zeros(n_obj), np.zeros(n_obj), v_mag)
 
 

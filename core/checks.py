@@ -1,24 +1,17 @@
 """Why a point cannot be computed, told before anything runs."""
 
 import math
-from functools import lru_cache
 
 import numpy as np
 
-from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue
+from core.catalogue import Catalogue
+from core.catalogues.kind import RANDOM_SKY
+from core.errors import SIDES
 from core.expected_errors import errors_at_limit, errors_of_objects
 from core.function_curve import CurveError
 from core.missions import MissionUnavailableError
-from core.quasars import BRIGHTEST_MAG
-from core.scenario import (
-    available_objects,
-    catalogue_size,
-    limiting_magnitude,
-    mission_of,
-    own_objects,
-    whole_table,
-)
-from sweep.contract import Named, Point, SweepError
+from core.scenario import catalogue_kind, catalogue_size, error_kind, error_model, own_objects
+from sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
 """Errors in mas and mas/yr for which the link is computed: beyond, weights overflow or an error is no small angle."""
@@ -32,13 +25,6 @@ SMALLEST_GLIDE = 3
 """Objects that determine nine unknowns: two give twelve observables, but of rank eight."""
 
 
-PROBES = 100
-"""Magnitudes at which a user's function is asked before anything runs."""
-
-GALAXY_BRIGHTEST_MAG = 9.0
-"""No galaxy is as bright: seven times the scatter above the mean."""
-
-
 def check(point: Point) -> str | None:
     """Return why this point cannot be computed, or None.
 
@@ -47,13 +33,14 @@ def check(point: Point) -> str | None:
     problem = _check_catalogue(point)
     if problem is None and point["solve_glide"] and catalogue_size(point) < SMALLEST_GLIDE:
         problem = f"n_obj = {catalogue_size(point)}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
-    if problem is None and point["aberration"] and point["catalogue"] == "radio-stars":
-        problem = "aberration: the glide is that of extragalactic objects, not of radio stars"
+    if problem is None and point["aberration"] and not catalogue_kind(point).extragalactic:
+        stars = point["catalogue"].replace("-", " ")
+        problem = f"aberration: the glide is that of extragalactic objects, not of {stars}"
     if problem is not None:
         return problem
     objects = own_objects(point)
     try:
-        problem = _check_error_models(point, objects)
+        problem = _check_error_models(point)
         if problem is None:
             problem = _check_errors(point) if objects is None else _check_errors_of_objects(point, objects)
         return _check_method(point, objects) if problem is None else problem
@@ -62,95 +49,19 @@ def check(point: Point) -> str | None:
 
 
 def _check_catalogue(point: Point) -> str | None:
-    catalogue = point["catalogue"]
-    if (catalogue == "file") != (point["file"] is not None):
+    kind = catalogue_kind(point)
+    uses = kind.uses(point)
+    if point["file"] is not None and "file" not in uses:
         return "file: catalogue = 'file' needs a file, and other catalogues have none"
-    own = (point["positions"] or ("own" if catalogue == "file" else "isotropic")) == "own"
-    if own and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
+    if not uses >= RANDOM_SKY and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
-    if catalogue == "synthetic":
-        return _check_synthetic(point)
-    if catalogue == "galaxies":
-        return _check_galaxies(point)
-    return _check_radio_stars(point) if catalogue == "radio-stars" else _check_available(point)
+    return kind.why_not(point)
 
 
-def _check_synthetic(point: Point) -> str | None:
-    if point["n_obj"] is None:
-        return "n_obj: a synthetic catalogue needs a number of objects"
-    limit, brightest = limiting_magnitude(point), point["v_min"]
-    if limit <= brightest:
-        return f"v_max = {limit:g} mag: must be fainter than the brightest object, v_min = {brightest:g} mag"
-    return None
-
-
-def _check_galaxies(point: Point) -> str | None:
-    limit = limiting_magnitude(point)
-    if 11.0 <= limit <= GALAXY_FAINT_LIMIT_MAG:
-        return None
-    return f"v_max = {limit:g} mag: the galaxies have magnitudes from 11 to {GALAXY_FAINT_LIMIT_MAG:g} mag"
-
-
-def _check_radio_stars(point: Point) -> str | None:
-    return (
-        None if point["v_max"] is None else "v_max: the radio stars have no limiting magnitude, all 11 are drawn from"
-    )
-
-
-def _check_available(point: Point) -> str | None:
-    """The quasars or the objects of a file must be enough."""
-    try:
-        if point["catalogue"] == "file" and point["v_max"] is not None and not _has_magnitudes(point):
-            return "v_max needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
-        available = available_objects(point)
-    except ValueError as error:
-        return str(error)
-    except SweepError as error:
-        return f"{error} ({error.where})"
-    wanted = max(2, point["n_obj"] or 0)
-    if available >= wanted:
-        return None
-    limit = "" if point["v_max"] is None else f" brighter than v_max = {point['v_max']:g} mag"
-    what = "quasars" if point["catalogue"] == "quasars" else "objects of the file"
-    return f"n_obj = {wanted}: only {available} {what} are{limit or ' there'}"
-
-
-def _has_magnitudes(point: Point) -> bool:
-    return not np.any(np.isnan(whole_table(point).v_mag))
-
-
-def _check_error_models(point: Point, objects: Catalogue | None) -> str | None:
-    kind, catalogue = point["satellite_errors"], point["catalogue"]
-    if kind == "magnitude":
-        if catalogue == "file" and not _has_magnitudes(point):
-            return "satellite_errors = 'magnitude' needs a magnitude column (v_mag, phot_g_mean_mag) in the file"
-        model = point["model"]
-        end = mission_of(model).faint_limit_mag
-        faintest = limiting_magnitude(point) if objects is None else float(np.max(objects.v_mag))
-        if faintest > end:
-            return f"v_max = {faintest:g} mag: the curve of {str(model)!r} ends at {end:g} mag"
-        if not isinstance(model, str):
-            _probe(model, _brightest(point) if objects is None else float(np.min(objects.v_mag)), faintest)
-    own = objects is not None and objects.sigma is not None
-    for side, errors in (("reference", point["reference_errors"]), ("satellite", kind)):
-        if errors == "catalogue" and not own:
-            return f"{side}_errors = 'catalogue': the {catalogue} catalogue has no errors of its own"
-    return None
-
-
-def _brightest(point: Point) -> float:
-    """Return the magnitude that no object of a catalogue that is drawn is brighter than."""
-    if point["catalogue"] == "synthetic":
-        return float(point["v_min"])
-    return BRIGHTEST_MAG if point["catalogue"] == "quasars" else GALAXY_BRIGHTEST_MAG
-
-
-@lru_cache(maxsize=256)
-def _probe(model: Named, brightest: float, faintest: float) -> None:
-    """Raise CurveError where the functions of a user's mission have no good values between two magnitudes."""
-    mission, v_mag = mission_of(model), np.linspace(brightest, faintest, PROBES)
-    mission.sigma_pos_mas(v_mag)
-    mission.sigma_pm_mas_yr(v_mag)
+def _check_error_models(point: Point) -> str | None:
+    kind = catalogue_kind(point)
+    problems = (error_kind(point, side).problem(point, side, kind) for side in SIDES)
+    return next((problem for problem in problems if problem is not None), None)
 
 
 def _check_errors(point: Point) -> str | None:
@@ -200,8 +111,7 @@ def _check_method(point: Point, objects: Catalogue | None) -> str | None:
     """Projected errors need a fixed design; what is near the limit is told by the catalogue when it is drawn."""
     if point["method"] == "catalogue":
         return None
-    own = "catalogue" in (point["satellite_errors"], point["reference_errors"])
-    if own and objects is not None and objects.correlation is not None:
+    if objects is not None and any(error_model(point, side).correlation(objects) is not None for side in SIDES):
         return "method = 'projected' needs uncorrelated errors, and those of the file are correlated"
     position_mas = (
         errors_at_limit(point, "reference").pos_mas

@@ -11,6 +11,8 @@ from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from core.scenario import catalogue_size, scenario
 from core.simulate import BlockSums, simulate
+from core.unused import unused
+from core.warn import warn
 from sweep.contract import Experiment, Point, small_sample_factor
 
 Array = NDArray[np.float64]
@@ -21,6 +23,9 @@ SUMS: Mapping[str, tuple[int, ...]] = {
     "chi2": (),
     "predicted_variance": (6,),
     "predicted_variance_squared": (8,),
+    "predicted_bias": (6,),
+    "predicted_bias_squares": (6,),
+    "condition_number": (),
     "glide_error": (3,),
     "glide_squares": (3,),
     "n_obj": (),
@@ -62,16 +67,22 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     catalogue_error = _catalogue_error(
         np.concatenate([predicted, means], axis=1), sums["predicted_variance_squared"] / each, n_cat
     )
+    total = predicted + sums["predicted_bias_squares"] / each
+    covariance = second_moment - bias[..., :, None] * bias[..., None, :]
     n_obj = sums["n_obj"] / n
     results = {
         "n_obj": n_obj,
         "sigma": np.sqrt(variance),
         "sigma_mc_error": np.sqrt(variance / (2.0 * each)),
         "sigma_predicted": np.sqrt(predicted),
+        "sigma_rms_predicted": np.sqrt(total),
         "sigma_catalogue_error": catalogue_error[:, :6],
         "bias": bias,
+        "bias_predicted": sums["predicted_bias"] / each,
         "bias_mc_error": _bias_error(sums, bias, variance, n, n_cat),
-        "covariance": second_moment - bias[..., :, None] * bias[..., None, :],
+        "covariance": covariance,
+        "correlation": _correlation(covariance),
+        "condition_number": sums["condition_number"] / n,
         "chi2": sums["chi2"] / n,
         "dof": 4.0 * n_obj - np.where(np.isnan(sums["glide_error"][:, 0]), 6.0, 9.0),
         "glide_sigma": np.sqrt(sums["glide_squares"] / each),
@@ -82,6 +93,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         results[name] = np.sqrt(mean_variance)
         results[f"{name}_mc_error"] = np.sqrt(mean_variance / (2.0 * 3.0 * n))
         results[f"{name}_predicted"] = np.sqrt(means[:, which])
+        results[f"{name}_rms_predicted"] = np.sqrt(total[:, 3 * which : 3 * which + 3].mean(axis=1))
         results[f"{name}_catalogue_error"] = catalogue_error[:, 6 + which]
     return results
 
@@ -113,12 +125,22 @@ def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
         "chi2": np.array(block.chi2),
         "predicted_variance": block.predicted_variance[:6],
         "predicted_variance_squared": np.concatenate([squared[:6], squared[-2:]]),
+        "predicted_bias": block.predicted_bias[:6],
+        "predicted_bias_squares": block.predicted_bias_squares[:6],
+        "condition_number": np.array(block.condition_number),
         "glide_error": glide,
         "glide_squares": squares,
         "n_obj": np.array(block.n_obj),
         "batch_mean_squares": np.square(block.error[:6]) / n_sim,
         "batches": np.array(1.0),
     }
+
+
+def _correlation(covariance: Array) -> Array:
+    """Return correlations, shape (..., K, K); NaN where something does not scatter."""
+    sigma = np.sqrt(np.maximum(np.einsum("...ii->...i", covariance), 0.0))
+    scale = np.divide(1.0, sigma, out=np.full_like(sigma, np.nan), where=sigma > 0.0)
+    return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
 
 
 def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Array, n_cat: Array) -> Array:
@@ -166,6 +188,8 @@ link = Experiment(
     samples=samples,
     sample_outputs=SAMPLE_OUTPUTS,
     check=check,
+    unused=unused,
+    warn=warn,
     cost=cost,
     shared=SHARED,
     nan_sums=("glide_error", "glide_squares"),

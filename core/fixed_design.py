@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.link import design_matrix, normal_inverse, require_off_poles
+from core.link import condition_number, design_matrix, normal_inverse, require_off_poles
 from core.noise import Tile
 from core.prepared import Setup
 from core.shared_arrays import Prefixes, origin, parts
@@ -33,6 +33,7 @@ class FixedDesign:
     design_residual: Array  # a^T r, (K,): zero for inverse-variance weights
     residual_squares: float
     gain_squares: Array  # the variance of g^T z, (K,)
+    condition_number: float  # of A^T W A
 
     def begin(self, rows: int) -> "FixedSums":
         """Return empty sums of ``rows`` realisations."""
@@ -123,6 +124,7 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
         design_residual=np.zeros(unknowns) if optimal else design_residual,
         residual_squares=max(0.0, float(products[-1, -1] - bias @ (design_misclosure + design_residual))),
         gain_squares=np.einsum("ki,ij,jk->k", inverse, products[solving, solving], inverse),
+        condition_number=condition_number(products[design, solving]),
     )
 
 

@@ -222,6 +222,15 @@ def solve_normal(normal: Array, right: Array) -> Array:
     return np.asarray(solved * scale)
 
 
+def condition_number(normal: Array) -> float:
+    """Return the ratio of the largest to the smallest eigenvalue of a normal matrix (K, K), scaled to a diagonal of 1
+    so that units do not matter: 1 where the unknowns are independent.
+    """
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    eigenvalues = np.linalg.eigvalsh(normal * scale[:, None] * scale)
+    return float(eigenvalues[-1] / eigenvalues[0])
+
+
 def require_rank(scaled: Array) -> None:
     """Raise LinkError where the smallest eigenvalue of a matrix (..., K, K) with a diagonal of 1 is not above
     `SMALLEST_EIGENVALUE`.

@@ -1,5 +1,7 @@
 """What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
 
+from core.catalogues import CATALOGUES
+from core.errors import error_kinds
 from core.missions import MISSIONS
 from core.user_mission import mission_from_table
 from sweep.contract import Output, Parameter
@@ -11,7 +13,7 @@ PARAMETERS = (
         "str",
         "synthetic",
         "reference catalogue (step A)",
-        choices=("synthetic", "quasars", "galaxies", "radio-stars", "file"),
+        choices=tuple(CATALOGUES),
     ),
     Parameter(
         "n_obj",
@@ -35,8 +37,8 @@ PARAMETERS = (
     Parameter(
         "v_min",
         "float",
-        5.0,
-        "brightest magnitude V, synthetic catalogue",
+        None,
+        "brightest magnitude V; default: synthetic 5, else none",
         unit="mag",
         minimum=-5.0,
         maximum=30.0,
@@ -104,14 +106,14 @@ PARAMETERS = (
         "str",
         "magnitude",
         "error model of the satellite (step D)",
-        choices=("none", "normal", "magnitude", "catalogue"),
+        choices=error_kinds("satellite"),
     ),
     Parameter(
         "reference_errors",
         "str",
         "none",
         "error model of the reference (step C)",
-        choices=("none", "normal", "catalogue"),
+        choices=error_kinds("reference"),
     ),
     Parameter(
         "model",
@@ -278,7 +280,18 @@ def _with_errors(
     return [
         Output(name, unit, meaning, dims, headline, symbol),
         Output(f"{name}_mc_error", unit, f"Monte-Carlo error of {name}, sigma/sqrt(2 n)", dims),
-        Output(f"{name}_predicted", unit, f"closed-form prediction of {name} for the same catalogues", dims),
+        Output(
+            f"{name}_predicted",
+            unit,
+            f"closed-form prediction of {name} for the same catalogues, of the errors alone: without a bias",
+            dims,
+        ),
+        Output(
+            f"{name}_rms_predicted",
+            unit,
+            f"closed-form prediction of {name} for the same catalogues, errors and bias: all of it",
+            dims,
+        ),
         Output(
             f"{name}_catalogue_error",
             unit,
@@ -313,6 +326,12 @@ OUTPUTS = (
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
     Output("bias", _EACH, "mean of estimate - truth", ("component",)),
     Output(
+        "bias_predicted",
+        _EACH,
+        "closed-form prediction of bias for the same catalogues: what aberration or terms left out make",
+        ("component",),
+    ),
+    Output(
         "bias_mc_error",
         _EACH,
         "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of one; NaN for 2 to 4",
@@ -320,6 +339,12 @@ OUTPUTS = (
         nan=True,
     ),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),
+    Output("correlation", "", "correlation of the estimates about their mean", ("component", "component_other")),
+    Output(
+        "condition_number",
+        "",
+        "largest over smallest eigenvalue of the normal matrix scaled to a diagonal of 1 (mean over catalogues)",
+    ),
     Output(
         "chi2",
         "",

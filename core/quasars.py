@@ -50,15 +50,21 @@ def completeness(v_max: float) -> float:
     return float(min(1.0, f_bright * np.exp(slope * (v_max - bright))))
 
 
-def quasars(rng: np.random.Generator, v_max: float, sky: Sky, completed: bool = False) -> Catalogue:
-    """Return the quasars brighter than ``v_max`` at random positions, without proper motion, brightest bin first.
+def quasars(
+    rng: np.random.Generator, v_max: float, sky: Sky, completed: bool = False, v_min: float = BRIGHTEST_MAG
+) -> Catalogue:
+    """Return the quasars between two limits at random positions, without proper motion, brightest bin first.
 
-    Catalogues drawn from equal generators are nested: that of a brighter limit at a half magnitude is the beginning of
-    that of a fainter one.  Within a half-magnitude bin log N is linear in V; quasars that the extrapolation would put
-    above V = 12.8 stand at 12.8, as in the calibration of the mission curves.  Raises ValueError as `quasar_count`.
+    Catalogues drawn from equal generators are nested: that of a brighter ``v_max`` at a half magnitude is the beginning
+    of that of a fainter one.  Within a half-magnitude bin log N is linear in V; quasars that the extrapolation would
+    put above V = 12.8 stand at 12.8, as in the calibration of the mission curves.  Raises ValueError as `quasar_count`.
     """
-    edges = [0.0, BRIGHTEST_MAG, *(float(v) for v in V_MAX if v < v_max), v_max]
-    counts = [0, *(quasar_count(v, completed) for v in edges[1:])]
+    known = [float(v) for v in V_MAX if v_min < v < v_max]
+    if v_min > BRIGHTEST_MAG:
+        edges, counts = [v_min, *known, v_max], [quasar_count(v_min, completed)]
+    else:
+        edges, counts = [0.0, BRIGHTEST_MAG, *known, v_max], [0]
+    counts += [quasar_count(v, completed) for v in edges[1:]]
     bins = [
         _bin(rng, sky, *magnitudes, *numbers)
         for magnitudes, numbers in zip(itertools.pairwise(edges), itertools.pairwise(counts), strict=True)

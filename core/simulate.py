@@ -24,8 +24,9 @@ class BlockSums:
     """Sums over realisations; errors (estimate - truth) in mas and mas/yr, K = 6 unknowns or 9 with a glide.
 
     ``error`` (K,), ``error_products`` (K, K), ``chi2``; and, counted once per realisation of the catalogue, the closed
-    form's ``predicted_variance`` (K,), the squares of its elements and of its mean over orientation and over spin, and
-    the number of objects.  ``estimates`` (n_sim, K) are the realisations themselves, where they are kept.
+    form's ``predicted_variance`` (K,), the squares of its elements and of its mean over orientation and over spin, its
+    ``predicted_bias`` (K,) and the squares of that, the condition number of the normal matrix and the number of
+    objects.  ``estimates`` (n_sim, K) are the realisations themselves, where they are kept.
     """
 
     error: Array
@@ -33,6 +34,9 @@ class BlockSums:
     chi2: float
     predicted_variance: Array
     predicted_variance_squared: Array
+    predicted_bias: Array
+    predicted_bias_squares: Array
+    condition_number: float
     n_obj: float
     estimates: Array | None = None
 
@@ -74,7 +78,8 @@ class _Point:
         design = fixed_design(setup, shared)
         unknowns = len(setup.truth)
         self.setup, self.n_sim = setup, n_sim
-        self.predicted = design.predicted_variance() / MAS**2
+        self.predicted, self.bias = design.predicted_variance() / MAS**2, design.bias / MAS
+        self.condition_number = design.condition_number
         self.path = _path(design)
         self.error, self.products, self.chi2 = np.zeros(unknowns), np.zeros((unknowns, unknowns)), 0.0
         self.kept: list[Array] | None = [] if keep_estimates else None
@@ -117,6 +122,9 @@ class _Point:
             chi2=self.chi2,
             predicted_variance=self.n_sim * self.predicted,
             predicted_variance_squared=self.n_sim * np.square([*self.predicted, *means]),
+            predicted_bias=self.n_sim * self.bias,
+            predicted_bias_squares=self.n_sim * np.square(self.bias),
+            condition_number=self.n_sim * self.condition_number,
             n_obj=float(self.n_sim * len(self.setup.catalogue)),
             estimates=None if self.kept is None else np.concatenate(self.kept),
         )

@@ -45,6 +45,10 @@ class Table(Protocol):
         """Return a column of finite numbers in a unit."""
         ...
 
+    def label(self, row: int) -> str:
+        """Return what the table calls a row, counted from 0; empty where it has no column of names."""
+        ...
+
 
 def catalogue_from_table(table: Table, columns: Mapping[str, str], pmra_cos_dec: bool | None) -> Catalogue:
     """Return the objects of a table; ``columns`` maps a quantity of `QUANTITIES` to the table's name for it.

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from core.function_curve import CurveOfFunction
-from core.missions import Exponentials, LogLinear, Mission
-from sweep.contract import DefinitionError, Function, SweepError, shown, suggest
+from core.missions import MISSIONS, Exponentials, Floor, LogLinear, Mission
+from sweep.contract import DefinitionError, Function, Named, SweepError, shown, suggest
 
 OwnCurve = Exponentials | LogLinear | CurveOfFunction
 
@@ -19,8 +19,19 @@ BRIGHTEST_MAG, FAINTEST_MAG = -5.0, 30.0
 STEEPEST = 10.0
 """Largest change of ln(sigma) with a magnitude: no curve of finite values then vanishes or overflows."""
 
-KEYS = ("nominal_length", "faint_limit", "unit", "sigma_pm", "sigma_pos", "position_ratio", "source")
+KEYS = (
+    *("nominal_length", "faint_limit", "unit", "sigma_pm", "sigma_pos", "position_ratio", "source"),
+    *("range", "floor_pm", "floor_pos"),
+)
 FORMS = "[[magnitude, sigma], ...], [{ at = magnitude, sigma = ..., slope = ... }, ...] or 'file.py:function'"
+
+
+def mission_of(model: str | Named) -> Mission:
+    """Return the mission of a point's model: a built-in one, or one that its study defines."""
+    if isinstance(model, str):
+        return MISSIONS[model]
+    mission: Mission = model.value
+    return mission
 
 
 def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]) -> tuple[Mission, dict[str, Any]]:
@@ -28,7 +39,8 @@ def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]
 
     ``nominal_length`` (yr) and ``sigma_pm`` are required, and one of ``sigma_pos`` and ``position_ratio`` (yr,
     positions as a multiple of proper motions); ``unit`` of every sigma (mas and mas/yr, or uas), ``faint_limit`` (mag;
-    the end of a table by default) and ``source`` are not.  Raises DefinitionError that lists all mistakes.
+    the end of a table by default), ``range`` (two magnitudes; both ends of a table by default), the least errors
+    ``floor_pm`` and ``floor_pos``, and ``source`` are not.  Raises DefinitionError that lists all mistakes.
     """
     return _Table(table, load).mission()
 
@@ -51,8 +63,10 @@ class _Table:
             self._problem("source", f"{shown(source)}: must be a text that says where the numbers come from")
         motions = self._curve("sigma_pm", UNITS[unit])
         positions = self._positions(motions, UNITS[unit])
-        ends = [curve.magnitudes[-1] for curve in (motions, positions) if isinstance(curve, LogLinear)]
-        limit = self._limit(min(ends, default=math.inf))
+        tables = [curve.magnitudes for curve in (motions, positions) if isinstance(curve, LogLinear)]
+        limit = self._limit(min((table[-1] for table in tables), default=math.inf))
+        valid = self._range(max((table[0] for table in tables), default=-math.inf), limit)
+        floor = Floor(self._floor("floor_pos", UNITS[unit]), self._floor("floor_pm", UNITS[unit]))
         if self.problems or motions is None or positions is None:
             raise DefinitionError(self.problems)
         identity = {
@@ -61,7 +75,9 @@ class _Table:
             "sigma_pm": _identity(motions),
             "sigma_pos": _identity(positions),
         }
-        return Mission(positions, motions, length, limit, source or "a mission of the study"), identity
+        if floor != Floor():
+            identity["floor_mas"] = [floor.pos_mas, floor.pm_mas_yr]
+        return Mission(positions, motions, length, limit, source or "a mission of the study", valid, floor), identity
 
     def _positions(self, motions: OwnCurve | None, per_mas: float) -> OwnCurve | None:
         if ("sigma_pos" in self.table) == ("position_ratio" in self.table):
@@ -79,6 +95,23 @@ class _Table:
         if limit > end:
             self._problem("faint_limit", f"{limit:g} mag: the table ends at {end:g} mag")
         return limit
+
+    def _range(self, low: float, high: float) -> tuple[float, float]:
+        given = self.table.get("range", [low, high])
+        if "range" not in self.table:
+            return low, high
+        ends = [_number(end) for end in given] if isinstance(given, list) and len(given) == 2 else []
+        if not ends or not BRIGHTEST_MAG <= ends[0] < ends[1] <= FAINTEST_MAG:
+            words = f"must be [brightest, faintest], two magnitudes from {BRIGHTEST_MAG:g} to {FAINTEST_MAG:g}"
+            self._problem("range", f"{shown(given)}: {words}")
+            return low, high
+        return ends[0], ends[1]
+
+    def _floor(self, key: str, per_mas: float) -> float:
+        if key not in self.table:
+            return 0.0
+        self._within(key, "the least error", self.table[key], *_sigmas(per_mas))
+        return _number(self.table[key]) / per_mas
 
     def _curve(self, key: str, per_mas: float) -> OwnCurve | None:
         given = self.table.get(key)

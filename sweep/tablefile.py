@@ -28,6 +28,9 @@ FORMATS = {
 }
 """The astropy format of each file ending; a further .gz is allowed.  A .dat has its CDS ReadMe beside it."""
 
+NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
+"""Columns that name a row, in any case of letters, best first."""
+
 ROWS_NAMED = 5
 
 
@@ -41,6 +44,13 @@ class TableFile:
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns."""
         return tuple(_load(self).colnames)
+
+    def label(self, row: int) -> str:
+        """Return what the table calls a row, counted from 0, by the first of `NAMES`; empty where it has none."""
+        table = _load(self)
+        known = {column.lower(): column for column in table.colnames}
+        name = next((known[name] for name in NAMES if name in known), None)
+        return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
 
     def numbers(self, name: str, unit: str) -> Array:
         """Return a column as float64 in ``unit`` (that of the file is converted; none is taken for granted).

@@ -1,7 +1,7 @@
 """What of a dataset is a quantity: its names, its errors, the axes that it can be followed along."""
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Container, Hashable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,9 @@ from sweep.planning.accumulator import DONE
 
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
+
+PREDICTION_SUFFIXES = ("rms_predicted", "predicted")
+"""Outputs NAME_SUFFIX beside NAME predict it; the first there is predicts all of it, the others may be a part."""
 
 COVARIANCE_SUFFIX = "mc_covariance"
 """A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
@@ -125,12 +128,18 @@ def _without(error: xr.DataArray | None, dataset: xr.Dataset, place: Mapping[str
     return error.drop_vars([str(n) for n, c in dataset.coords.items() if set(c.dims) & set(place)], errors="ignore")
 
 
+def prediction_name(names: Container[Hashable], variable: str) -> str:
+    """Return which variable of some predicts another: with known biases, if the experiment predicts them too."""
+    whole, part = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+    return whole if whole in names else part
+
+
 def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers, with one value a point, no errors or predictions."""
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if v.dtype.kind == "f" and axes <= set(v.dims)]
     covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
-    attached = (*ERROR_SUFFIXES, *covariances, "predicted", "published", "published_rounding")
+    attached = (*ERROR_SUFFIXES, *covariances, *PREDICTION_SUFFIXES, "published", "published_rounding")
     beside = {f"{name}_{suffix}" for name in numbers for suffix in attached}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
 

@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
+from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name
 from sweep.formatting import is_missing, plain, rounded, to_json, with_error
 from sweep.planning.accumulator import EXCLUDED, STATUS_WORDS
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+VISIBLE_BIAS = 1e-3
+"""The parts of a prediction are shown where its bias adds a larger share to what the errors make."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,11 @@ def as_text(dataset: xr.Dataset) -> "Table":
     return table
 
 
+def warnings_of(dataset: xr.Dataset) -> list[str]:
+    """Return what the experiment warned of when the run began."""
+    return list(json.loads(dataset.attrs.get("warnings", "[]")))
+
+
 def rows_left_out(dataset: xr.Dataset) -> int:
     """Return how many points `as_text` leaves out."""
     return max(0, int((dataset["status"] != EXCLUDED).sum()) - MOST_ROWS)
@@ -129,15 +138,31 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
         unit, values = long[name]
         errors = long[f"{name}_mc_error"][1] if f"{name}_mc_error" in long else [0.0] * len(values)
         columns.append(Column(name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)], values))
-        if (predicted := long.get(f"{name}_predicted")) is not None:
+        if (predicted := long.get(prediction_name(long, name))) is not None:
             cells = [rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
             columns.append(Column("predicted", unit, cells, predicted[1]))
+            columns += _parts(long, name, errors)
         if (published := long.get(f"{name}_published")) is not None and not all(map(is_missing, published[1])):
             columns.append(Column("published", unit, [rounded(v) for v in published[1]], published[1]))
             pairs = list(zip(values, published[1], strict=True))
             columns.append(Column("difference", "", [_difference(*p) for p in pairs], [_relative(*p) for p in pairs]))
     status = long["status"][1]
     return columns if finished else [*columns, Column("status", "", status, status)]
+
+
+def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float]) -> list[Column]:
+    """Return the parts of a prediction, of errors alone and of the bias, where there is a bias that can be seen."""
+    whole, part = (long.get(f"{name}_{suffix}") for suffix in PREDICTION_SUFFIXES)
+    if whole is None or part is None:
+        return []
+    pairs = list(zip(whole[1], part[1], strict=True))
+    if not any(total > (1.0 + VISIBLE_BIAS) * alone for total, alone in pairs):
+        return []
+    bias = [math.sqrt(max(0.0, total**2 - alone**2)) for total, alone in pairs]
+    return [
+        Column(heading, whole[0], [rounded(v, e) for v, e in zip(values, errors, strict=True)], values)
+        for heading, values in (("of errors", part[1]), ("of bias", bias))
+    ]
 
 
 def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tuple[str, list[Any]]]:

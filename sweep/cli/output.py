@@ -34,6 +34,8 @@ def print_plan(study: "Study", store: "Location", workers: int | None, as_json: 
     else:
         for key, text in _plan_in_words(report).items():
             click.echo(f"{key:14}{text}")
+        for sentence in report["warnings"]:
+            click.echo(f"{'warning':14}{sentence}")
 
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
@@ -54,12 +56,16 @@ def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def print_table(dataset: Any, table_format: str) -> None:
-    """Print the results of a dataset, and whether they are incomplete."""
-    from sweep.analysis import tables
+def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:
+    """Print the results of a dataset, the components of some points if they are wanted, and what is to be known."""
+    from sweep.analysis import components, tables
 
     if table_format == "text":
         print_whole(tables.as_text(dataset))
+        if with_components and (lines := components.component_lines(dataset)):
+            click.echo("\n".join(["", *lines, ""]))
+        for sentence in filter(None, [*tables.warnings_of(dataset), components.condition_warning(dataset)]):
+            click.echo(f"warning: {sentence}")
         if left_out := tables.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 )
 @json_option
 def show(store: "Location", table_format: str, as_json: bool) -> None:
-    """Print the results in STORE as a table.
+    """Print the results in STORE as a table, and the components of the points with the worst condition.
 
     \b
     sweep show results/quasars.zarr
@@ -28,7 +28,7 @@ def show(store: "Location", table_format: str, as_json: bool) -> None:
     """
     from sweep.stores.store import open_dataset
 
-    print_table(open_dataset(store), "json" if as_json else table_format)
+    print_table(open_dataset(store), "json" if as_json else table_format, with_components=True)
 
 
 @main.command()

@@ -51,6 +51,10 @@ def _no_problem(point: Point) -> str | None:
     return None
 
 
+def _no_warning(point: Point) -> Sequence[str]:
+    return ()
+
+
 def _all_matter(point: Point) -> Mapping[str, str]:
     return {}
 
@@ -68,7 +72,8 @@ class Experiment:
     of each label where they differ.  ``check`` is a sentence about a point that cannot be computed (None if it can),
     ``cost`` the random numbers drawn per realisation.  ``unused`` gives the parameters that change nothing at a point,
     each with the reason; it is asked about points that can be computed only, and a study that sets such a parameter is
-    refused.  ``samples``, for studies that keep them, returns what ``evaluate`` does and the realisations that it adds
+    refused.  ``warn`` gives sentences about what makes the result of such a point less certain than it looks: a run
+    prints and stores them.  ``samples``, for studies that keep them, returns what ``evaluate`` does and the realisations that it adds
     up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names parameters that do not change the
     random numbers that a block draws, only what is made of them.  ``packages`` are distributions whose versions decide
     the numbers.  A new ``version`` says that the same parameters now give other numbers: stores of another version are
@@ -90,6 +95,7 @@ class Experiment:
     sample_outputs: tuple[Output, ...] = ()
     check: Callable[[Point], str | None] = _no_problem
     unused: Callable[[Point], Mapping[str, str]] = _all_matter
+    warn: Callable[[Point], Sequence[str]] = _no_warning
     cost: Callable[[Point], float] = _one
     shared: tuple[str, ...] = ()
     nan_sums: tuple[str, ...] = ()

@@ -14,6 +14,7 @@ import numpy as np
 
 from sweep.contract import SweepError, Value
 from sweep.planning.point_cache import PointCache
+from sweep.planning.point_warnings import PointWarnings
 from sweep.planning.unused import UnusedSettings
 from sweep.studies.study import Study
 from sweep.tablefile import as_json
@@ -37,10 +38,11 @@ class GridPoint:
 @dataclass(frozen=True)
 class Grid:
     """The points of a study: dimensions in the order of its axes; axes that are zipped share the dimension of the
-    first.
+    first; and what the experiment warns of, where it was asked (`make_grid`).
     """
 
     study: Study
+    warnings: tuple[str, ...] = ()
 
     @cached_property
     def dimensions(self) -> dict[str, tuple[str, ...]]:
@@ -156,10 +158,11 @@ def make_grid(study: Study) -> Grid:
     reasons: dict[str, int] = {}
     empty = True
     check = PointCache(partial(_reason, study), study.axes)
-    settings = UnusedSettings(study)
+    settings, warnings = UnusedSettings(study), PointWarnings(study)
     for _, parameters in grid.parameters():
         empty = False
         if (reason := check(parameters)) is None and (reason := settings.reason(parameters)) is None:
+            warnings.look(parameters)
             continue
         if reason not in reasons and len(reasons) == MAX_PROBLEMS:
             reasons["... and other reasons; the rest of the grid was not checked"] = 0
@@ -172,7 +175,7 @@ def make_grid(study: Study) -> Grid:
         sentences += settings.nowhere()
     if sentences:
         raise SweepError(sentences, study.source)
-    return grid
+    return Grid(study, warnings.sentences())
 
 
 def _repeated(grid: Grid) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from sweep.analysis.quantity import standard_error
+from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.plots.style import (
     BAND,
     COLOURS,
@@ -44,7 +44,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axe
         words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if dataset.sizes[d] > 1)
         _series(axes, one, variable, over, words, number)
     colour = COLOURS[0] if len(seen) == 1 else "0.35"
-    if any(_has(one, f"{variable}_predicted") for one in seen) and _is_numeric(dataset[over]):
+    if any(_has(one, prediction_name(one, variable)) for one in seen) and _is_numeric(dataset[over]):
         axes.plot([], [], color=colour, linewidth=1.0, label="predicted")
     if any(_has(one, f"{variable}_published") for one in seen):
         axes.plot([], [], color=colour, **PUBLISHED, label="published")
@@ -70,7 +70,7 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
     sigma = None if error is None else error.values
     style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 3.5, "linestyle": "none"}
     axes.errorbar(x, y, yerr=sigma, elinewidth=0.8, label=name or "simulated", zorder=3, **style)
-    predicted, published = f"{variable}_predicted", f"{variable}_published"
+    predicted, published = prediction_name(one, variable), f"{variable}_published"
     if _is_numeric(one[over]) and _has(one, predicted):
         curve, spread = one[predicted].values, one.get(f"{variable}_catalogue_error")
         axes.plot(x, curve, color=colour, linewidth=1.0, zorder=2)

@@ -10,7 +10,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import standard_error
+from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.plots.style import edges, is_wide, label, logarithmic, quantity_label
 
 LEVELS = 8
@@ -41,8 +41,8 @@ def draw_map(
         lines = axes.contour(across, up, values, colors="white", **options)
         for text in axes.clabel(lines, fmt="%.3g", fontsize=7):
             text.set_path_effects([withStroke(linewidth=1.5, foreground="0.2")])
-        if f"{variable}_predicted" in dataset:
-            predicted = dataset[f"{variable}_predicted"].transpose(*part.dims).values
+        if (name := prediction_name(dataset, variable)) in dataset:
+            predicted = dataset[name].transpose(*part.dims).values
             axes.contour(across, up, predicted, colors="black", linestyles="dashed", **options | {"linewidths": 0.6})
     for which, name, places in (("x", x, across), ("y", y, up)):
         if wide[name]:
@@ -72,5 +72,5 @@ def accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
         return ""
     value = dataset[variable]
     relative = float((error / abs(value.where(value != 0.0))).max(skipna=True))
-    contours = "; dashed contours: predicted" if f"{variable}_predicted" in dataset else ""
+    contours = "; dashed contours: predicted" if prediction_name(dataset, variable) in dataset else ""
     return f"errors (1σ) at most {100.0 * relative:.2g} %{contours}" if np.isfinite(relative) else ""

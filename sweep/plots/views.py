@@ -13,7 +13,8 @@ from core.constants import DEGREE
 from core.function_curve import CurveError
 from core.missions import MISSIONS, MissionUnavailableError
 from core.missions import accuracy_curves as mission_curves
-from core.scenario import mission_of, scenario
+from core.scenario import scenario
+from core.user_mission import mission_of
 from sweep.contract import Named, SweepError, shown, suggest
 from sweep.paper.calibrate import published_numbers
 from sweep.planning.grid import Grid

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import main_quantity, quantities, standard_error
+from sweep.analysis.quantity import main_quantity, prediction_name, quantities, standard_error
 from sweep.analysis.selection import place_in_words
 from sweep.contract import SweepError
 from sweep.formatting import with_error
@@ -105,7 +105,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     parts = [words for suffix, words in ERROR_WORDS.items() if f"{variable}_{suffix}" in part]
     if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
         yield sentence
-    predicted = part.get(f"{variable}_predicted")
+    predicted = part.get(prediction_name(part, variable))
     if predicted is not None and (sentence := _agreement(values, errors, predicted.transpose(*dims).values)):
         yield sentence
     if infinite := int(np.sum((part["status"].values == DONE) & ~finite)):

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from bokeh.resources import Resources
 
-from sweep.analysis.quantity import quantities, standard_error
+from sweep.analysis.quantity import prediction_name, quantities, standard_error
 
 DIGITS = 7
 """Significant digits of a number in the page: more than any Monte Carlo knows."""
@@ -17,7 +17,7 @@ MOST_NUMBERS = 200_000
 
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 
-BESIDE = ("predicted", "published", "published_rounding")
+BESIDE = ("published", "published_rounding")
 
 
 def library() -> str:
@@ -52,6 +52,7 @@ def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
     """Return a quantity and what belongs to it, all with its own dimensions."""
     value = dataset[name]
     found = {"value": value, "error": standard_error(dataset, name)}
+    found["predicted"] = dataset.get(prediction_name(dataset, name))
     found |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in BESIDE}
     wanted = {suffix: part for suffix, part in found.items() if part is not None and set(part.dims) <= set(value.dims)}
     return {

@@ -10,7 +10,7 @@ import xarray as xr
 from sweep.analysis.compare import compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.selection import place_in_words
-from sweep.analysis.tables import Column, headline_columns
+from sweep.analysis.tables import Column, headline_columns, warnings_of
 from sweep.analysis.verdicts import Comparison
 from sweep.report.answer import Answer, answers, completeness, failed, headline
 from sweep.report.explorer import explorer
@@ -104,7 +104,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         numbers=numbers,
         results=_results(headline_columns(dataset)),
         comparison=_comparison(comparisons) if comparisons else None,
-        notes=[*(notes(comparisons) if comparisons else []), *remarks(dataset)],
+        notes=[*warnings_of(dataset), *(notes(comparisons) if comparisons else []), *remarks(dataset)],
         failures=failures,
         failures_not_named=failed(dataset) - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},

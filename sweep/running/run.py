@@ -91,6 +91,8 @@ def run_study(
     if fresh:
         with locked(store, break_lock=break_lock):
             replace_store(store, study, provenance(study))
+    for sentence in plan.grid.warnings:
+        progress.say(f"warning: {sentence}")
     check_store(store, study)
     if not accept_code:
         check_code(store, study)

@@ -112,6 +112,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None) -> dict[
         "seconds": round(survey.pending.cost / (_normals_per_second() * cores), 1),
         "cores": cores,
         "store": str(store),
+        "warnings": list(grid.warnings),
     }
 
 

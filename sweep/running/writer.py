@@ -124,6 +124,7 @@ class Writer:
             "points_done": done,
             "complete": int(points == done),
             "failures": json.dumps(self.failures()),
+            "warnings": json.dumps(self.plan.grid.warnings),
         }
         self._long_write = dataset.nbytes > LONG_WRITE_BYTES or dataset["status"].size > LONG_WRITE_POINTS
         with nullcontext() if self._long_write else self._held():

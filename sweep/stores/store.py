@@ -43,7 +43,11 @@ class Store:
             for told in (self.attributes, identity(study))
         )
         if widths != expected:
-            raise SweepError("the ledger's rows have other lengths; the store was made by another version", str(where))
+            raise SweepError(
+                "another version of linksweep made this store, with other sums in its ledger: its results can be read, "
+                "but to compute more run the study into a new store with -o",
+                str(where),
+            )
         self._is_bound = is_bound(root)
         opened = OpenStore(self.location, root).ledger()
         self._ledger, self.failures, self._copied, keys = opened.ledger, opened.failures, opened.copy, opened.keys

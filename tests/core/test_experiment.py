@@ -118,7 +118,9 @@ def test_the_declaration_is_complete():
         {"model": "gaia-2001", "v_max": 25.0, "satellite_errors": "normal"},
         {"catalogue": "quasars", "n_obj": None, "v_max": 15.0},
         {"catalogue": "quasars", "n_obj": 88, "v_max": 15.0},
-        {"catalogue": "quasars", "n_obj": None, "v_max": 12.8, "v_min": 19.0},
+        {"catalogue": "quasars", "n_obj": None, "v_max": 12.8},
+        {"catalogue": "quasars", "n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
+        {"catalogue": "galaxies", "v_min": 12.0, "n_obj": None},
         {"catalogue": "quasars", "n_obj": 1000, "v_max": 16.5, "counts": "completed"},
         {"catalogue": "galaxies", "n_obj": None},
         {"catalogue": "galaxies", "v_max": 11.0, "aberration": True},
@@ -553,8 +555,8 @@ NEVER |= {"corrections", "arithmetic"}
         ({}, FILE_ONLY | SIGMAS | {"counts"}, SIGMAS | {"model", "v_max", "mission_length", "counts", "catalogue"}),
         ({"satellite_errors": "normal"}, {"model", "mission_length"}, {"model", "mission_length", "v_max"}),
         ({"satellite_errors": "none"}, SIGMAS | {"model", "mission_length", "error_scale"}, SIGMAS | {"error_scale"}),
-        ({"catalogue": "quasars", "n_obj": None}, SIGMAS | {"v_min"}, SIGMAS | {"model", "mission_length", "v_min"}),
-        ({"catalogue": "radio-stars"}, SIGMAS | {"v_min", "counts"}, SIGMAS | {"v_min", "v_max"}),
+        ({"catalogue": "quasars", "n_obj": None}, SIGMAS, SIGMAS | {"model", "mission_length"}),
+        ({"catalogue": "radio-stars"}, SIGMAS | {"counts"}, SIGMAS | {"v_min", "v_max"}),
     ],
 )
 def test_check_and_cost_look_only_at_what_matters(changes, not_for_check, not_for_cost):
@@ -592,7 +594,9 @@ MINE = {"nominal_length": 4.0, "sigma_pm": [[9.0, 0.1], [17.0, 3.2]], "position_
 
 def test_a_mission_of_the_study_has_the_numbers_of_its_table():
     exponential = {"at": 15.0, "sigma": 0.01496, "slope": 0.443}
-    mine = own({"nominal_length": 5.0, "sigma_pm": [exponential], "position_ratio": 1.15})
+    mine = own(
+        {"nominal_length": 5.0, "sigma_pm": [exponential], "position_ratio": 1.15, "floor_pm": 3e-3, "floor_pos": 3e-3}
+    )
     theirs, ours = (evaluated(point(model=model, mission_length=3.0), 20) for model in ("gaia", mine))
     for name in SUMS:
         np.testing.assert_array_equal(ours[name], theirs[name])

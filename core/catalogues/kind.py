@@ -1,0 +1,109 @@
+"""What a reference catalogue is to a study (step A): which parameters it uses, how many objects it has, how it is
+drawn.
+"""
+
+from collections.abc import Callable, Hashable
+from functools import partial
+
+import numpy as np
+
+from core.catalogue import Catalogue, NestedDraw, Sky
+from core.constants import DEGREE
+from sweep.contract import Point, SweepError
+
+RANDOM_SKY = frozenset({"zone_of_avoidance", "sky_contrast"})
+"""Parameters of random positions."""
+
+
+class CatalogueKind:
+    """One value of the parameter `catalogue`.
+
+    A new one is a module with a subclass and a line in `core.catalogues.CATALOGUES`.  Of a point it may look at
+    ``n_obj`` and at what `uses` names.
+    """
+
+    parameters: frozenset[str]
+    """Those that it may use, beside n_obj."""
+
+    extragalactic = True
+
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether positions are drawn, so that `RANDOM_SKY` matters."""
+        return True
+
+    def uses(self, point: Point) -> frozenset[str]:
+        """Return the parameters, beside n_obj, on which the catalogue of a point depends."""
+        return self.parameters if self.has_random_positions(point) else self.parameters - RANDOM_SKY
+
+    def available(self, point: Point) -> int:
+        """Return how many objects there are where a point does not say how many it wants; raises ValueError or
+        SweepError where that cannot be told.
+        """
+        raise NotImplementedError
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return magnitudes that no object is brighter and none fainter than; NaN where they are not known."""
+        raise NotImplementedError
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return the catalogue that a generator gives."""
+        raise NotImplementedError
+
+    def objects(self, point: Point) -> Catalogue | None:
+        """Return the objects of a catalogue that is given as such, None for one that is drawn from a law."""
+        return None
+
+    def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]] | None:
+        """Return the objects that a user listed, and a function that names the k-th of them; None without a list."""
+        return None
+
+    def problem(self, point: Point) -> str | None:
+        """Return why there is no such catalogue, or None; it may raise as `available`."""
+        return None
+
+    def is_nested(self, point: Point) -> bool:
+        """Return whether a fainter v_max only adds objects at the end, for equal generators."""
+        return False
+
+    def size(self, point: Point) -> int:
+        """Return the number of objects of a point's catalogue."""
+        n_obj = point["n_obj"]
+        return self.available(point) if n_obj is None else int(n_obj)
+
+    def nested_draw(self, point: Point) -> NestedDraw:
+        """Return the draw of a point's catalogue, with what decides which family it belongs to."""
+        nested = self.is_nested(point)
+        decides = sorted({*self.uses(point), "catalogue", "n_obj"} - ({"v_max"} if nested else set()))
+        family: Hashable = (nested, *((name, point[name]) for name in decides))
+        return NestedDraw(family, self.size(point), partial(self.draw, point))
+
+    def why_not(self, point: Point) -> str | None:
+        """Return `problem`, or what it or reading a table raises, as a sentence."""
+        try:
+            return self.problem(point)
+        except ValueError as error:
+            return str(error)
+        except SweepError as error:
+            return f"{error} ({error.where})"
+
+
+def sky_of(point: Point) -> Sky:
+    """Return where random positions may be."""
+    return Sky(point["zone_of_avoidance"] * DEGREE, point["sky_contrast"])
+
+
+def in_limits(brightest: float, faintest: float) -> str | None:
+    """Return why no object can lie between two limits of which v_min may be one, or None."""
+    if faintest > brightest:
+        return None
+    return f"v_max = {faintest:g} mag: must be fainter than the brightest object, v_min = {brightest:g} mag"
+
+
+def too_few(point: Point, available: int, what: str) -> str | None:
+    """Return that a catalogue has too few objects between its limits, or None where there are enough."""
+    wanted = max(2, point["n_obj"] or 0)
+    if available >= wanted:
+        return None
+    limits = [f"brighter than v_max = {point['v_max']:g} mag"] if point["v_max"] is not None else []
+    limits += [f"fainter than v_min = {point['v_min']:g} mag"] if point["v_min"] is not None else []
+    return f"n_obj = {wanted}: only {available} {what} are {' and '.join(limits) or 'there'}"

@@ -1,0 +1,44 @@
+"""The radio stars of the Hipparcos link."""
+
+import numpy as np
+
+from core.catalogue import Catalogue, radio_stars, resample
+from core.catalogues.kind import RANDOM_SKY, CatalogueKind, sky_of
+from core.radio_stars import RADIO_STARS
+from sweep.contract import Point
+
+
+class RadioStars(CatalogueKind):
+    """`"radio-stars"`: drawn from the eleven with replacement."""
+
+    parameters = RANDOM_SKY | {"positions"}
+    extragalactic = False
+
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether they are not those of the stars."""
+        return bool(point["positions"] != "own")
+
+    def available(self, point: Point) -> int:
+        """Return how many there are."""
+        return len(RADIO_STARS.v_mag)
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return the brightest and the faintest of them."""
+        return float(np.min(RADIO_STARS.v_mag)), float(np.max(RADIO_STARS.v_mag))
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return some, which may be the same star more than once."""
+        return resample(
+            rng, radio_stars(), self.size(point), sky_of(point) if self.has_random_positions(point) else None
+        )
+
+    def objects(self, point: Point) -> Catalogue:
+        """Return the eleven."""
+        return radio_stars()
+
+    def problem(self, point: Point) -> str | None:
+        """All are drawn from, whatever their magnitudes."""
+        if point["v_max"] is None and point["v_min"] is None:
+            return None
+        given = "v_min" if point["v_max"] is None else "v_max"
+        return f"{given}: the radio stars have no limiting magnitude, all {self.available(point)} are drawn from"

@@ -1,0 +1,38 @@
+"""Objects drawn from simple laws."""
+
+import numpy as np
+
+from core.catalogue import Catalogue, synthetic
+from core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of
+from core.constants import MAS
+from sweep.contract import Point
+
+BRIGHTEST_MAG, FAINTEST_MAG = 5.0, 15.0
+"""Where a study gives no limits."""
+
+
+class Synthetic(CatalogueKind):
+    """`"synthetic"`: uniform magnitudes, isotropic proper motions."""
+
+    parameters = RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
+
+    def available(self, point: Point) -> int:
+        """Return none: there are as many as a study says."""
+        return 0
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return v_min and v_max."""
+        v_min, v_max = point["v_min"], point["v_max"]
+        return float(BRIGHTEST_MAG if v_min is None else v_min), float(FAINTEST_MAG if v_max is None else v_max)
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return objects with random positions, magnitudes and motions."""
+        v_min, v_max = self.magnitudes(point)
+        pm = (point["mean_pm"] * MAS, point["pm_distribution"])
+        return synthetic(rng, self.size(point), v_min, v_max, sky_of(point), *pm)
+
+    def problem(self, point: Point) -> str | None:
+        """There must be a number of objects, and room between the limits."""
+        if point["n_obj"] is None:
+            return "n_obj: a synthetic catalogue needs a number of objects"
+        return in_limits(*self.magnitudes(point))

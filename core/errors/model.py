@@ -1,0 +1,89 @@
+"""What an error model is (steps C and D): the errors of a catalogue's observables, and what a study says of them."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.catalogue import Catalogue
+from core.catalogues.kind import CatalogueKind
+from core.constants import MAS
+from sweep.contract import Point
+
+Array = NDArray[np.float64]
+Objects = Callable[[], Catalogue | None]
+
+SIDES = ("reference", "satellite")
+
+
+class ErrorModel(Protocol):
+    """Every single error is normal around zero; errors of different objects are independent."""
+
+    def standard_errors(self, catalogue: Catalogue) -> Array:
+        """Return the errors of (ra*, dec, pmra, pmdec) of each object in rad and rad/yr; shape (4, N)."""
+        ...
+
+    def correlation(self, catalogue: Catalogue) -> Array | None:
+        """Return the correlations of each object's four errors, shape (N, 4, 4), or None where there are none."""
+        ...
+
+
+class Errors(NamedTuple):
+    """Errors of a position (mas) and a proper motion (mas/yr)."""
+
+    pos_mas: float
+    pm_mas_yr: float
+
+
+class ErrorKind:
+    """One value of `reference_errors` and `satellite_errors`: an error model as a study chooses it.
+
+    ``sides`` may have it.  A new one is a module with a subclass and a line in `core.errors.ERROR_KINDS`.
+    """
+
+    sides: tuple[str, ...] = SIDES
+
+    def uses(self, side: str) -> frozenset[str]:
+        """Return the names of the parameters that it looks at, for one side."""
+        return frozenset({"error_scale", f"{side}_error_scale"})
+
+    def model(self, point: Point, side: str) -> ErrorModel:
+        """Return the error model of a point."""
+        raise NotImplementedError
+
+    def errors_at(self, point: Point, side: str, v_mag: Callable[[], float]) -> Errors:
+        """Return the errors of an object of magnitude ``v_mag()``, which is asked only where it matters, in a few
+        multiplications; not of errors that are a catalogue's own.
+        """
+        raise NotImplementedError
+
+    def any(self, point: Point, side: str, objects: Objects) -> bool:
+        """Return whether there is any error, so that normals are drawn; ``objects`` are the catalogue's own."""
+        raise NotImplementedError
+
+    def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
+        """Return why the objects of a catalogue cannot have these errors, or None."""
+        return None
+
+    def warning(self, point: Point, catalogue: CatalogueKind) -> str | None:
+        """Return in what the errors are less certain than they seem, or None."""
+        return None
+
+
+class Uncorrelated:
+    """The part of an error model whose errors of one object are independent."""
+
+    def correlation(self, catalogue: Catalogue) -> Array | None:
+        """Return None: the errors of an object are independent."""
+        return None
+
+
+def scale_of(point: Point, side: str) -> float:
+    """Return the factor on all errors of one side."""
+    return float(point["error_scale"] * point[f"{side}_error_scale"])
+
+
+def four_rows(sigma_pos_mas: Array, sigma_pm_mas_yr: Array) -> Array:
+    """Return errors of (ra*, dec, pmra, pmdec) in rad and rad/yr, shape (4, N), from those of a coordinate (N,)."""
+    return MAS * np.stack([sigma_pos_mas, sigma_pos_mas, sigma_pm_mas_yr, sigma_pm_mas_yr])
