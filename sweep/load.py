@@ -120,17 +120,17 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None)
         where = _line_of(error)
         text = error.msg if isinstance(error, SyntaxError) else str(error)
         message = f"{type(error).__name__}{f': {text}' if text else ''}"
-        raise SweepError(f"{shown(reference)}: cannot be imported: {where}{message}") from error
+        raise SweepError(f"{shown(reference)}: cannot be imported: {message}{where}") from error
 
 
 def _line_of(error: BaseException) -> str:
-    """Return the file and line of a user's code at which an exception was raised, as the beginning of a sentence."""
+    """Return the file and line of a user's code at which an exception was raised, in brackets."""
     if isinstance(error, SyntaxError) and error.filename:
-        return f"{error.filename}, line {error.lineno}: "
+        return f" ({error.filename}, line {error.lineno})"
     ours = str(Path(__file__).parent)
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
     own = [frame for frame in frames if not frame.filename.startswith(ours)]
-    return f"{own[-1].filename}, line {own[-1].lineno}: " if own else ""
+    return f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
 
 
 def _is_no(wanted: str, reference: str, found: object) -> SweepError:

@@ -1,0 +1,133 @@
+"""What a point's sums are, how many realisations it gets, and that a failed one gets no more."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sweep.contract import Experiment, Output, Parameter
+from sweep.planning.accumulator import DONE, FAILED, Accumulator
+from sweep.planning.grid import make_grid
+from sweep.planning.plan import Block, Plan, ledger_key
+from sweep.planning.work_queue import Pending
+from sweep.studies.reader import study_from_dict
+from tests.conftest import COINS
+
+
+def constant(points, n_sim, rng, catalogue_rng):
+    return {"n": [n_sim for _ in points]}
+
+
+def summary(sums, n, n_cat):
+    """Two headline results whose relative errors are known exactly: sqrt(150/n) and sqrt(2000/n) per cent."""
+    results = {}
+    for name, realisations in (("a", 150.0), ("b", 2000.0)):
+        results |= {name: np.ones_like(n), f"{name}_mc_error": 0.01 * np.sqrt(realisations / n)}
+    return results
+
+
+NAMES = ("a", "a_mc_error", "b", "b_mc_error")
+experiment = Experiment(
+    name="exact",
+    version=1,
+    parameters=(Parameter("kind", "int", 0, "which"),),
+    sums={"n": ()},
+    outputs=tuple(Output(name, "", name, headline=name in ("a", "b")) for name in NAMES),
+    evaluate=constant,
+    summarise=summary,
+)
+
+
+def plan_of(headlines=("a", "b"), **sampling):
+    study = study_from_dict(
+        {"title": "", "experiment": f"{__file__}:experiment", "sampling": {"n_sim": 100} | sampling}
+    )
+    outputs = tuple(replace(output, headline=output.name in headlines) for output in experiment.outputs)
+    return Plan(make_grid(replace(study, experiment=replace(study.experiment, outputs=outputs))))
+
+
+def rounds(plan):
+    """Return the realisations that a point has after each round, as it asks for them."""
+    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+    (point,) = plan.grid.points()
+    blocks, reached = list(accumulator.missing(point)), []
+    while blocks:
+        more = []
+        for block in blocks:
+            more += accumulator.add(point, block, np.array([float(block.realisations)]))
+        reached.append(int(accumulator.realisations[0]))
+        blocks = more
+    assert accumulator.status[0] == DONE
+    return reached
+
+
+@pytest.mark.parametrize(
+    ("headlines", "expected"),
+    [
+        (("a",), [128, 256]),  # 150 are needed: 128 are not precise enough, though within 10 %
+        (("b",), [128, 2048]),  # 2000, in one go from what 128 have
+        (("a", "b"), [128, 2048]),  # both: the worse decides
+    ],
+)
+def test_a_point_gets_what_the_worst_of_its_results_needs_at_once(headlines, expected):
+    assert rounds(plan_of(headlines, precision=0.01)) == expected
+
+
+def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
+    plan = plan_of(precision=0.001, n_cat=40)
+    (point,) = plan.grid.points()
+    random = np.random.default_rng(1)
+    values, expected, totals = {}, np.zeros(1), set()
+    for seed in range(20):
+        accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+        blocks = list(accumulator.missing(point))
+        while blocks:
+            for block in blocks:
+                if block not in values:
+                    values[block] = random.normal(size=1) * 10.0 ** random.integers(-8, 8)
+                    expected += values[block]
+            arrived = np.random.default_rng(seed).permutation(len(blocks))
+            blocks = [
+                more for place in arrived for more in accumulator.add(point, blocks[place], values[blocks[place]])
+            ]
+        totals.add(accumulator.total.tobytes())
+    assert len(values) > 30
+    assert totals == {expected.tobytes()}
+
+
+def test_a_failed_point_is_given_out_no_more_and_never_done():
+    document = {"title": "", "experiment": COINS, "sampling": {"n_sim": 512 * 40}, "axes": {"coins": [1, 2]}}
+    plan = Plan(make_grid(study_from_dict(document)))
+    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+    pending = Pending(plan, accumulator)
+    first, second = plan.grid.points()
+    accumulator.fail(first.index)
+    given = [work for task in pending.take(10**6) for work in task]
+    assert {point.digest for work in given for point in work.points} == {second.digest}
+    for block in plan.blocks(1.0):  # those that were under way
+        assert accumulator.add(first, block, np.ones(2)) == []
+    assert accumulator.status[first.index] == FAILED
+
+
+def test_the_ledger_knows_a_block_by_all_that_decides_its_sums():
+    block = Block(0, 0, 0, 1, 100)
+    others = [block._replace(**{name: 7}) for name in ("group", "part", "n_cat", "n_sim")]
+    keys = {ledger_key(bytes(16), each) for each in (block, *others)} | {ledger_key(bytes([1] * 16), block)}
+    assert len(keys) == 6
+    assert {len(key) for key in keys} == {32}
+
+
+def test_digests_of_points_are_long_and_do_not_depend_on_the_order_of_axes():
+    axes = {"coins": list(range(1, 1001)), "metal": ["gold", "tin"], "chance": [0.3, 0.4, 0.6]}
+    found = []
+    for order in itertools.permutations(axes):
+        document = {"title": "", "experiment": COINS, "axes": {name: axes[name] for name in order}}
+        grid = make_grid(study_from_dict(document))
+        found.append({tuple(sorted(point.parameters.items())): point.digest for point in grid.points()})
+    digests = set(found[0].values())
+    assert len(digests) == math.prod(map(len, axes.values()))
+    assert {len(digest) for digest in digests} == {16}
+    assert all(len({digest[k : k + 8] for digest in digests}) == len(digests) for k in (0, 8))  # every byte counts
+    assert all(other == found[0] for other in found[1:])
