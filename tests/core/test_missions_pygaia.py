@@ -10,7 +10,7 @@ from pygaia.errors import astrometric
 from core.experiment import link
 from core.missions import MISSIONS, MissionUnavailableError
 
-G_MAG = np.array([3.0, 9.0, 13.0, 15.0, 17.5, 20.0, 21.0])
+G_MAG = np.array([8.0, 9.0, 13.0, 15.0, 17.5, 20.0, 21.0])
 
 
 @pytest.mark.parametrize("release", ["dr3", "dr4", "dr5"])
