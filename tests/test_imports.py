@@ -32,7 +32,7 @@ HOUSE = {
     ],
     "sweep.planning": ["point_cache", "grid", "plan", "accumulator", "work_queue"],
     "sweep.executing": [
-        *("deadlines", "worker", "versions", "clock", "isolated", "worker_plugin", "execute"),
+        *("upstream", "deadlines", "worker", "versions", "isolated", "worker_plugin", "execute"),
         *("forkserver", "dask_executor", "clusterfile", "local_cluster", "clusters", "choose"),
     ],
     "sweep.stores": [
