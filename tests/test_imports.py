@@ -68,7 +68,7 @@ HOUSE = {
         *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
     ],
     "sweep.cli": [
-        *("group", "shell_completion", "options", "output", "signals", "log_options", "running", "rerun"),
+        *("streams", "group", "shell_completion", "options", "output", "signals", "log_options", "running", "rerun"),
         *("store", "analysis", "plot", "paper", "report", "scaling", "studies", "match"),
     ],
 }

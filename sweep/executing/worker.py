@@ -17,7 +17,7 @@ from sweep.planning.plan import Block, generators
 ENOUGH_S = 2.0
 """A task that takes longer hands back what it has, so that results are not kept waiting for those of slower points."""
 
-MAX_MESSAGE, MAX_TRACEBACK = 2_000, 20_000
+MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
 """Characters that are kept of what an experiment says when it fails."""
 
 

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 
+from sweep.contract import Array
 from sweep.planning.accumulator import MISSING, Accumulator
 from sweep.planning.grid import GridPoint
 from sweep.planning.plan import MOST_SHARING, TARGET, Block, Plan, Work
@@ -49,8 +50,8 @@ class Pending:
             self._tasks_out += 1
         return tasks
 
-    def settle(self, works: Sequence[Work], seconds: Sequence[float]) -> list[Work]:
-        """Note the ``seconds`` that each point of each block of a task took, and return the blocks that were computed.
+    def settle(self, works: Sequence[Work], seconds: Array) -> list[Work]:
+        """Note the ``seconds`` that each point of each block of a task took, (rows,), and return the blocks that were computed.
 
         There may be fewer seconds than points: a worker stops where a task takes too long.  The rest is pending again.
         """
@@ -63,7 +64,7 @@ class Pending:
             self._left += work.cost
         self._tasks_out = max(0, self._tasks_out - 1)
         self._measured_cost = KEPT * self._measured_cost + sum(work.cost for work in works[:done])
-        self._measured_s = KEPT * self._measured_s + sum(seconds)
+        self._measured_s = KEPT * self._measured_s + float(seconds.sum())
         return list(works[:done])
 
     def _task(self) -> list[Work]:
