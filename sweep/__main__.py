@@ -8,7 +8,9 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from sweep.cli import main as command
+    from sweep.cli.streams import prepare_streams
 
+    prepare_streams()
     command(prog_name="sweep")
 
 

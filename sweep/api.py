@@ -1,7 +1,6 @@
 """The platform as functions, for scripts and notebooks."""
 
 import logging
-import multiprocessing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,6 +9,7 @@ import xarray as xr
 
 from sweep.executing.choose import Resources
 from sweep.executing.execute import GUARD, NO_LIMITS, Limits
+from sweep.executing.upstream import is_reading_main
 from sweep.running.run import Progress, Silent, run_study
 from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
@@ -141,7 +141,6 @@ def _study(study: str | Path | Mapping[str, Any] | Study) -> Study:
 
 
 def _leave_a_worker_that_runs_its_script() -> None:
-    """Worker processes run a script again up to its guard; without one each would start workers (distributed#4751)."""
-    starting = getattr(multiprocessing.current_process(), "_inheriting", False)
-    if multiprocessing.parent_process() is not None and starting:
+    """Worker processes run a script again up to its guard; without one each would start workers."""
+    if is_reading_main():
         raise SystemExit(GUARD)

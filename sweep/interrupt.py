@@ -132,7 +132,6 @@ def watched() -> Iterator[Interruptions]:
     except BaseException as stop:
         if not _is_interrupt(stop):
             raise
-        exec("")  # CPython, where it left the text of an exec, would end the process by the signal instead of exiting
         raise RunInterruptedError(interruptions.received or signal.SIGINT) from stop
     finally:
         interruptions.restore()

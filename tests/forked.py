@@ -93,5 +93,7 @@ def become(request: dict[str, Any]) -> None:
 if __name__ == "__main__":
     become(serve())
     from sweep.cli import main
+    from sweep.cli.streams import prepare_streams
 
+    prepare_streams()
     main(prog_name="sweep")

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from sweep.cli.streams import output_problem
+
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
 
@@ -15,6 +17,15 @@ atexit.register(gc.freeze)  # else all that was imported is looked through for g
 
 class _Group(click.Group):
     """Turns a SweepError of any command into one message and exit code 2, and a signal into 128 and its number."""
+
+    def main(self, *arguments: Any, **named: Any) -> Any:
+        try:
+            return super().main(*arguments, **named)
+        except SystemExit as end:
+            if (problem := output_problem()) is None:
+                raise
+            click.echo(f"error: {problem}", err=True)
+            sys.exit(end.code or EXIT_BAD_INPUT)
 
     def invoke(self, ctx: click.Context) -> Any:
         from sweep.interrupt import RunInterruptedError, how_ended, watched

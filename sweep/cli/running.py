@@ -18,7 +18,7 @@ from sweep.cli.options import (
     study_options,
 )
 from sweep.cli.output import print_plan, print_table
-from sweep.cli.signals import a_signal_ends_the_command, end_stopped, no_leak_warning
+from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
@@ -104,10 +104,6 @@ def run_with_progress(
     fresh: bool = False,
 ) -> tuple[Any, dict[str, str]]:
     """Run a study with progress and a summary shown; an interruption ends the command."""
-    from sweep.executing.choose import expect
-
-    with no_leak_warning():
-        expect(study, resources)
     from sweep.interrupt import RunInterruptedError
     from sweep.running.progress import TerminalProgress
     from sweep.running.run import run_study

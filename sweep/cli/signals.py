@@ -1,6 +1,5 @@
 """How a command that computes ends when it is stopped: soon, whatever its workers are at, and leaving no process."""
 
-import atexit
 import multiprocessing
 import os
 import signal
@@ -54,9 +53,10 @@ def no_leak_warning() -> Iterator[None]:
 
 def end_stopped(number: int) -> NoReturn:
     """End the process with the exit code of a signal; workers that still compute are not waited for."""
+    from sweep.executing.upstream import skip_end_of_clusters
+
     _kill_children()
-    if distributed := sys.modules.get("distributed"):  # its own clean-up waits ten seconds for a half-started cluster
-        atexit.unregister(distributed.deploy.spec.close_clusters)
+    skip_end_of_clusters()
     threading.Thread(target=_leave_after, args=(LAST_SECOND, 128 + number), daemon=True).start()
     sys.exit(128 + number)
 

@@ -16,7 +16,7 @@ from sweep.contract import SweepError
 from sweep.executing.clusterfile import cluster_class, read_cluster_file
 from sweep.executing.dask_executor import DaskExecutor
 from sweep.executing.execute import GUARD, NO_LIMITS, Executor, Limits, Place, Say
-from sweep.executing.local_cluster import own_cluster, without_logs
+from sweep.executing.local_cluster import LOOPBACK, own_cluster, without_logs
 from sweep.studies.study import Study
 
 CONNECT_TIMEOUT_S = 10
@@ -128,4 +128,14 @@ def _place(client: Client, words: str, workers: int | None = None) -> Place:
         client.run_on_scheduler(importlib.metadata.version, "bokeh")
     except Exception:  # a missing package there, or a scheduler that runs nothing for clients
         return Place(words, workers)
-    return Place(words, workers, client.dashboard_link or "")
+    return Place(words, workers, _dashboard(client))
+
+
+def _dashboard(client: Client) -> str:
+    """Return the address of a client's dashboard, empty if there is none.
+
+    A scheduler within this process is called by the machine's outer address, on which nothing listens.
+    """
+    protocol, _, rest = str(client.scheduler_info()["address"]).partition("://")
+    link = client.dashboard_link or ""
+    return link.replace(f"//{rest.partition('/')[0]}:", f"//{LOOPBACK}:") if protocol == "inproc" else link

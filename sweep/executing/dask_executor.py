@@ -10,7 +10,6 @@ from typing import Any
 from distributed import Client, Future, KilledWorker
 
 from sweep.contract import SweepError
-from sweep.executing.clock import Clock, wake
 from sweep.executing.execute import Limits, Results, Say, Take, make_task
 from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import Failure, TaskResult, failed
@@ -31,13 +30,26 @@ PATIENCE_S = 3.0
 MAX_LOSSES = 3
 """So often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
 
+MAX_TROUBLES = 6
+"""So often a task may fail by what is not the experiment's before the run stops."""
+
+FIRST_PAUSE_S = 0.25
+"""Before a task that failed so is tried again; each pause is twice the one before."""
+
 
 @dataclass
 class _Submission:
-    """Work on its way to a worker, and how often it was with one that died."""
+    """Work on its way to a worker, how often it was with one that died and how often Dask failed with it; it is not to
+    be sent before a time of the monotonic clock.
+
+    ``succeeded`` counts the tasks of the run that had succeeded when it was lost last.
+    """
 
     works: list[Work]
     losses: int = 0
+    troubles: int = 0
+    not_before: float = 0.0
+    succeeded: int = 0
 
 
 class DaskExecutor:
@@ -59,7 +71,7 @@ class DaskExecutor:
         self._threads = 1
         self._looked = self._had_workers = time.monotonic()
         self._waiting = False
-        self._clock = Clock()
+        self._succeeded = 0
 
     def prepare(self) -> None:
         """Wait for a worker, bring the workers what they need, and compare them with the client.
@@ -104,19 +116,29 @@ class DaskExecutor:
     def _results(self, take: Take) -> Results:
         retries: deque[_Submission] = deque()
         while True:
-            for submission in [retries.popleft() for _ in range(min(self._room(), len(retries)))]:
+            now = time.monotonic()
+            due = [submission for submission in retries if submission.not_before <= now][: self._room()]
+            for submission in due:
+                retries.remove(submission)
                 yield from self._retry(submission)
             self._send_what_is_new(take)
             if not retries and not self._in_flight:
                 return
-            if self._in_flight and (future := self._next()):
-                submission = self._in_flight.pop(future)
-                result, death = self._receive(future)
-                if result is None and (parts := list(_parts(submission))):
-                    retries.extend(parts)
-                    continue
-                if result is None:
-                    result = _failed(self._study, submission.works, Failure("killed", death))
+            if not (future := self._next(LOOK_EVERY_S if not retries else FIRST_PAUSE_S)):
+                continue
+            submission = self._in_flight.pop(future)
+            answer = self._receive(future)
+            if isinstance(answer, TaskResult):
+                self._succeeded += 1
+                self._remember(submission.works, answer)
+                yield submission.works, answer
+            elif not isinstance(answer, KilledWorker):
+                retries.append(self._after_trouble(submission, answer))
+            elif parts := list(self._after_loss(submission)):
+                retries.extend(parts)
+            else:
+                reason = Failure("killed", f"its worker died {MAX_LOSSES} times: {answer}")
+                result = _failed(self._study, submission.works, reason)
                 self._remember(submission.works, result)
                 yield submission.works, result
 
@@ -157,12 +179,46 @@ class DaskExecutor:
         self._in_flight[future] = submission
         future.add_done_callback(self._finished.put)
 
-    def _next(self) -> Future[Any] | None:
+    def _after_loss(self, submission: _Submission) -> Iterator[_Submission]:
+        """Yield what is to be tried after the death of a worker: the same work in a child process, then each block in
+        one of its own, then nothing.
+
+        Raises SweepError where workers die and nothing else succeeds: that is no proof against a block.
+        """
+        losses = submission.losses + 1
+        if losses < MAX_LOSSES:
+            blocks = sum(len(work.points) for work in submission.works)
+            said = "one block" if blocks == 1 else f"{blocks} blocks"
+            self._say(f"a worker died that had {said}; a child process of another one does them again ({losses})")
+            groups = [submission.works] if losses == 1 else [[work] for work in submission.works]
+            yield from (replace(submission, works=works, losses=losses, succeeded=self._succeeded) for works in groups)
+        elif submission.succeeded == self._succeeded:
+            raise SweepError(
+                f"the workers of {self._where} die whatever they do; no point is blamed for it, what was finished is "
+                "kept, the same command goes on from there"
+            )
+
+    def _after_trouble(self, submission: _Submission, error: BaseException) -> _Submission:
+        """Return what is to be tried after an error that is not the experiment's; raises SweepError after too many."""
+        troubles = submission.troubles + 1
+        what = f"{type(error).__name__}: {error}"
+        if troubles >= MAX_TROUBLES:
+            raise SweepError(
+                f"a task on {self._where} failed {troubles} times outside of the experiment, last with {what}; "
+                "no point is blamed for it, what was finished is kept, the same command goes on from there"
+            ) from error
+        if what not in self._warned:
+            self._warned.add(what)
+            self._say(f"warning: a task failed outside of the experiment ({what}); it is tried again")
+        pause = FIRST_PAUSE_S * 2.0 ** (troubles - 1)
+        return replace(submission, troubles=troubles, not_before=time.monotonic() + pause)
+
+    def _next(self, timeout: float = LOOK_EVERY_S) -> Future[Any] | None:
         """Return a future that has ended, None if there was none for a while; look after the workers meanwhile."""
         if time.monotonic() - self._looked > LOOK_EVERY_S:
             self._look()
         try:
-            return self._finished.get(timeout=LOOK_EVERY_S)
+            return self._finished.get(timeout=timeout)
         except Empty:
             return None
 
@@ -170,9 +226,6 @@ class DaskExecutor:
         if self._client.status != "running":
             raise self._gone()
         try:
-            if self._clock.was_set_back():
-                self._say("the clock was set back; the run goes on")
-                wake(self._client)
             self._threads = sum(self._client.nthreads().values())
         except (OSError, TimeoutError) as error:
             raise self._gone() from error
@@ -186,14 +239,10 @@ class DaskExecutor:
             self._waiting = True
         self._threads = max(1, self._threads)
 
-    def _receive(self, future: Future[Any]) -> tuple[TaskResult | None, str]:
-        """Return the result, or None and the reason why it is lost."""
-        if future.status == "cancelled":
-            raise self._gone()
+    def _receive(self, future: Future[Any]) -> TaskResult | BaseException:
+        """Return a task's result, or the error by which Dask lost it: what the experiment raises is in the result."""
         try:
             answer = self._fetch(future)
-        except KilledWorker as error:
-            return None, f"its worker died {MAX_LOSSES} times: {error}"
         except SweepError:
             raise
         except ImportError as error:
@@ -201,13 +250,13 @@ class DaskExecutor:
         except Exception as error:
             if self._client.status != "running":
                 raise self._gone() from error
-            return None, f"{type(error).__name__}: {error}"
+            return error
         finally:
             future.release()
         self._warn(answer.worker, answer.others)
         if answer.result is None:
             raise SweepError([f"{answer.worker}: {text}" for text in answer.deciding], "a worker that differs")
-        return answer.result, ""
+        return answer.result
 
     def _fetch(self, future: Future[Any]) -> Answer:
         """Wait for a result, and look after the workers meanwhile: the one that had it may have died since, and then it
@@ -235,14 +284,6 @@ class DaskExecutor:
 
     def _unable(self, error: BaseException) -> SweepError:
         return SweepError(f"the workers of {self._where} cannot run linksweep: {type(error).__name__}: {error}")
-
-
-def _parts(submission: _Submission) -> Iterator[_Submission]:
-    """Yield what is to be tried after a loss: the same work guarded, then each block for itself, then nothing."""
-    losses = submission.losses + 1
-    if losses < MAX_LOSSES:
-        groups = [submission.works] if losses == 1 else [[work] for work in submission.works]
-        yield from (_Submission(works, losses) for works in groups)
 
 
 def _failed(study: Study, works: list[Work], reason: Failure) -> TaskResult:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +20,8 @@ Take = Callable[[int], list[list[Work]]]
 
 Pool = Literal["serial", "threads", "processes"]
 Results = Iterator[tuple[list[Work], TaskResult]]
+"""The work of each task and its result, which has no rows for the last blocks where they were not come to."""
+
 Executor = Callable[[Take], Results]
 Say = Callable[[str], None]
 
@@ -36,6 +38,9 @@ class Limits:
 
 
 NO_LIMITS = Limits()
+
+WORKERS_START_S = 1.5
+"""What starting worker processes takes, imports included."""
 
 GUARD = (
     "a script that computes in worker processes must call linksweep.run under `if __name__ == '__main__':`, because "
@@ -82,6 +87,40 @@ def serial(study: Study, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Ex
 
     with threadpool_limits(1):  # sums of products must not depend on the number of cores
         yield Place("this process", 1), run
+
+
+@contextmanager
+def measured_first(
+    study: Study,
+    cost: float,
+    cores: int,
+    elsewhere: Callable[[], AbstractContextManager[tuple[Place, Executor]]],
+    say: Say,
+) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor for work of unknown length: it computes in this process until what is left, judged by the time
+    that was measured, is worth the start of workers ``elsewhere``, which then do the rest.
+
+    ``cost`` is that of all work, in the same unit as that of the work given out.
+    """
+    with ExitStack() as stack:
+        here = stack.enter_context(serial(study))
+
+        def run(take: Take) -> Results:
+            done = busy = 0.0
+            for works, result in here[1](take):
+                yield works, result
+                done += sum(work.cost for work in works) * len(result.seconds) / sum(len(w.points) for w in works)
+                busy += float(result.seconds.sum())
+                left = max(0.0, cost - done) * busy / max(done, 1e-9)
+                if left * (1.0 - 1.0 / cores) > WORKERS_START_S:
+                    place, executor = stack.enter_context(elsewhere())
+                    say(f"the first points took long enough: the rest is done on {place.words}")
+                    if place.dashboard:
+                        say(f"Dask dashboard: {place.dashboard}")
+                    yield from executor(take)
+                    return
+
+        yield Place("this process"), run
 
 
 def available_cores() -> int:

@@ -1,6 +1,7 @@
-"""Starts child processes that a terminal's signals do not reach, and early the one that workers are forked from.
+"""The process that workers are forked from: it imports what all of them need, once.
 
-Imports nothing that takes time: the process that workers are forked from imports Dask while this one imports xarray.
+Two worker processes begin to compute after 0.75 of the time that they take when each is started anew and imports for
+itself.  It has one thread: a process that has several must not be forked.
 """
 
 import multiprocessing
@@ -9,7 +10,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any, TypeVar
 
@@ -17,7 +18,7 @@ Made = TypeVar("Made")
 
 PRELOADED = ["linksweep", "distributed", "sweep.executing.worker_plugin"]
 """What every worker imports; linksweep first, which keeps a ``sweep.py`` of the user's from being taken for ours.  None
-of it starts a thread: a process that has several must not be forked."""
+of it starts a thread."""
 
 KEEP_BYTES = 2**28
 """Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them
@@ -36,60 +37,43 @@ SAFE_PATH = "PYTHONSAFEPATH"
 """Keeps modules of the folder that a run is started in out of the process that workers are forked from."""
 
 
-class _Server:
-    """The process that workers of this process's runs are forked from, and how many clusters of its need it now."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._pid: int | None = None
-        self._needed = 0
-        self._of_python: Any = forkserver._forkserver
-
-    def start(self, needed: int = 0) -> bool:
-        """Start it unless it runs already, for so many clusters; return whether it does.
-
-        One of the user's own is left alone: it has neither our environment nor our signal mask.
-        """
-        with self._lock:
-            self._needed += needed
-            if self._of_python._forkserver_pid is None and "forkserver" in multiprocessing.get_all_start_methods():
-                with suppress(OSError):  # its socket is in the temporary directory, whose name may be too long for one
-                    signals_blocked(_start)
-                    self._pid = self._of_python._forkserver_pid
-            return self._is_ours()
-
-    def need_no_more(self) -> None:
-        """End it if no other cluster needs it: it is not to outlive a run, nor pools of the user's to be forked from
-        it.
-        """
-        with self._lock:
-            self._needed -= 1
-            if not self._needed and self._is_ours():
-                with suppress(ProcessLookupError):
-                    os.kill(self._of_python._forkserver_pid, signal.SIGKILL)
-                self._of_python._stop()
-
-    def _is_ours(self) -> bool:
-        return self._pid is not None and self._of_python._forkserver_pid == self._pid
-
-
-_server = _Server()
-
-
-def start_forkserver() -> None:
-    """Start early the process that workers will be forked from, where there can be one."""
-    _server.start()
-
-
 @contextmanager
 def start_method() -> Iterator[str]:
-    """Give multiprocessing's name for the way in which workers are to be started in this block: "spawn" where they
-    cannot be forked from a process of ours.
+    """Give multiprocessing's name for the way in which workers are to be started in this block.
+
+    It is "spawn" where there is a fork server already, which has neither our environment nor our signal mask, and where
+    there can be none: its socket is in the temporary directory, whose name may be too long for one.  Ours ends with the
+    block: it must not outlive a run, nor must pools of the user's be forked from it.
     """
+    if "forkserver" not in multiprocessing.get_all_start_methods() or _servers():
+        yield "spawn"
+        return
     try:
-        yield "forkserver" if _server.start(needed=1) else "spawn"
+        signals_blocked(_start)
+    except OSError:
+        yield "spawn"
+        return
+    try:
+        yield "forkserver"
     finally:
-        _server.need_no_more()
+        for server in _servers():
+            server.kill()
+            # `multiprocessing` collects it when it needs one again, and must find it ended then.
+            os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
+
+
+def _servers() -> list[Any]:
+    """Return the fork servers of this process, as psutil has them; one that has ended has no command line."""
+    import psutil
+
+    found = []
+    for child in psutil.Process().children():
+        try:
+            if any("multiprocessing.forkserver" in word for word in child.cmdline()):
+                found.append(child)
+        except psutil.Error:
+            continue
+    return found
 
 
 def _start() -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -15,7 +16,17 @@ from typing import IO
 from sweep.contract import SweepError
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker import Failure, PointBlock, Task, TaskResult, failed, joined, run_units, too_long
+from sweep.executing.worker import (
+    ENOUGH_S,
+    Failure,
+    PointBlock,
+    Task,
+    TaskResult,
+    failed,
+    joined,
+    run_units,
+    too_long,
+)
 from sweep.load import load_experiment, provide, sources_of
 
 TRIES = 2
@@ -34,32 +45,44 @@ LAST_WORDS = 4096
 def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> TaskResult:
     """Compute a task as `run_task` does, in a child process that a block may end or overfill (``memory_limit``, bytes).
 
+    As there, the last blocks have no result where the task takes longer than `ENOUGH_S`.
+
     Raises SweepError where the child cannot start or is not as ``expected``.
     """
     parts = [_Part(unit) for unit in task.units]
     width = load_experiment(task.experiment_reference, digest=task.source_digest).sums_width
+    enough = time.monotonic() + ENOUGH_S
     while pending := [part for part in parts if part.result is None]:
-        death = _run_child(task, pending, expected, memory_limit)
+        if pending[0].whole and pending[0] is not parts[0] and time.monotonic() > enough:
+            break
+        death = _run_child(task, pending, expected, memory_limit, enough)
         if death is None:
             continue
         guilty = next(part for part in pending if part.result is None)
         if len(guilty.unit.points) > 1:  # who of those that share the draw is to blame?
             place = parts.index(guilty)
-            parts[place : place + 1] = [_Part(replace(guilty.unit, points=(own,))) for own in guilty.unit.points]
+            alone = (replace(guilty.unit, points=(own,)) for own in guilty.unit.points)
+            parts[place : place + 1] = [_Part(unit, whole=False) for unit in alone]
             continue
         guilty.deaths += 1
         if death.kind == "time limit" or guilty.deaths >= TRIES:
             for part in pending:
                 if part.result is None and part.is_of_same_point(guilty):
                     part.result = failed(1, width, death)
-    return joined([part.result for part in parts if part.result is not None])
+    results: list[TaskResult] = []
+    for part in parts:
+        if part.result is None:
+            break
+        results.append(part.result)
+    return joined(results)
 
 
 @dataclass(eq=False)
 class _Part:
-    """A unit of a task, how often it ended a child, and its result."""
+    """A unit of a task, or one point of it, how often it ended a child, and its result."""
 
     unit: PointBlock
+    whole: bool = True
     deaths: int = 0
     result: TaskResult | None = None
 
@@ -67,8 +90,12 @@ class _Part:
         return (self.unit.stream, self.unit.points) == (other.unit.stream, other.unit.points)
 
 
-def _run_child(task: Task, parts: Sequence[_Part], expected: Identity, memory_limit: int | None) -> Failure | None:
-    """Fill in the results of these parts, in order, until the child has done all (None) or died of the next one."""
+def _run_child(
+    task: Task, parts: Sequence[_Part], expected: Identity, memory_limit: int | None, enough: float
+) -> Failure | None:
+    """Fill in the results of these parts, in order, until the child has done all or it is later than ``enough`` (None),
+    or it died of the next one.
+    """
     import psutil
 
     todo = replace(task, units=tuple(part.unit for part in parts))
@@ -87,7 +114,7 @@ def _run_child(task: Task, parts: Sequence[_Part], expected: Identity, memory_li
             measured = psutil.Process(process.pid)
             waiting = iter(parts)
             greeted = False
-            while True:
+            while parts[0].result is None or time.monotonic() < enough:
                 while not answers.poll(LOOK_EVERY_S):
                     if memory_limit and measured.memory_info().rss > MEMORY_SHARE * memory_limit:
                         overfull = True
@@ -102,7 +129,8 @@ def _run_child(task: Task, parts: Sequence[_Part], expected: Identity, memory_li
                 elif isinstance(answer, SweepError):
                     raise answer
                 else:
-                    return None
+                    break
+            return None
         except (EOFError, OSError, psutil.NoSuchProcess):
             code = process.wait()
         finally:

@@ -11,15 +11,13 @@ from functools import partial
 from typing import Any
 
 import dask
-from distributed import LocalCluster, SpecCluster
-from tornado.ioloop import PeriodicCallback
+from distributed import LocalCluster
 
 from sweep.executing.forkserver import ENVIRONMENT, SAFE_PATH, signals_blocked, start_method
+from sweep.executing.upstream import lost_workers_replaced
 
 PATIENCE_S = 0.5
 """What workers get to finish in when a run is stopped."""
-
-REPLACE_EVERY_S = 5
 
 LOOPBACK = "127.0.0.1"
 
@@ -52,25 +50,8 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
         cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options})))
         stack.enter_context(_prompt_end(cluster))
-        stack.enter_context(_lost_workers_replaced(cluster))
+        stack.enter_context(lost_workers_replaced(cluster))
         yield cluster
-
-
-@contextmanager
-def _lost_workers_replaced(cluster: Any) -> Iterator[None]:
-    """Let a cluster start again the workers that it is to have and has lost, which batch jobs that ended are
-    (dask-jobqueue#691: a cluster forgets them, and starts others only when its size is changed).
-    """
-    if not isinstance(cluster, SpecCluster) or cluster.loop is None:
-        yield
-        return
-    replacing = PeriodicCallback(cluster._correct_state, REPLACE_EVERY_S * 1000)
-    loop = cluster.loop
-    loop.add_callback(replacing.start)
-    try:
-        yield
-    finally:
-        loop.add_callback(replacing.stop)
 
 
 @contextmanager

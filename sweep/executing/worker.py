@@ -15,6 +15,12 @@ from sweep.executing.deadlines import Deadlines, TimeLimitError
 from sweep.load import load_experiment
 from sweep.planning.plan import Block, generators
 
+ENOUGH_S = 2.0
+"""A task that takes longer hands back what it has, so that results are not kept waiting for those of slower points."""
+
+MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
+"""Characters that are kept of what an experiment says when it fails."""
+
 
 @dataclass(frozen=True)
 class PointBlock:
@@ -45,17 +51,23 @@ class Task:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a block has no sums: in a sentence, with the traceback where Python has one."""
+    """Why a block has no sums: in a sentence, with the traceback where Python has one; both bounded, and such that
+    every encoding of Unicode can hold them.
+    """
 
     kind: Literal["exception", "NaN", "killed", "time limit"]
     message: str
     traceback: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "message", _printable(self.message, MAX_MESSAGE))
+        object.__setattr__(self, "traceback", _printable(self.traceback, MAX_TRACEBACK))
+
 
 @dataclass
 class TaskResult:
     """Sums of a task, (rows, width), one row for each point of each unit in their order, and the seconds that each
-    took, (rows,).
+    took, (rows,).  The last units have no rows where the task took longer than `ENOUGH_S`.
 
     ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
     samples are kept to these, (realisations, width), ``said`` the first row of a unit to what was printed in it.
@@ -69,11 +81,18 @@ class TaskResult:
 
 
 def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
-    """Compute the blocks of a task; a point that raises is recorded and the rest goes on.
+    """Compute the blocks of a task, the last ones only if it has not taken `ENOUGH_S` before; a point that raises is
+    recorded and the rest goes on.
 
     ``deadlines`` are those of this process if it has some.
     """
-    return joined(list(run_units(task, deadlines or Deadlines())))
+    begun = time.monotonic()
+    results: list[TaskResult] = []
+    for result in run_units(task, deadlines or Deadlines()):
+        results.append(result)
+        if time.monotonic() - begun > ENOUGH_S:
+            break
+    return joined(results)
 
 
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
@@ -161,6 +180,13 @@ def joined(results: Sequence[TaskResult]) -> TaskResult:
         {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
         {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
     )
+
+
+def _printable(text: str, most: int) -> str:
+    """Return a text with its middle left out where it is long, and lone surrogates escaped: no file can hold them."""
+    if len(text) > most:
+        text = f"{text[: most // 2]} [...] {text[-most // 2 :]}"
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def run_block(

@@ -1,42 +1,96 @@
-"""The pending work of a run, given out in tasks of a good size, in the order of the grid."""
+"""The pending work of a run, given out in tasks of about a second, as measured, in the order of the grid."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
+from sweep.contract import Array
 from sweep.planning.accumulator import MISSING, Accumulator
 from sweep.planning.grid import GridPoint
 from sweep.planning.plan import MOST_SHARING, TARGET, Block, Plan, Work
 
+TASK_S = 1.0
+"""Seconds of work that a task aims at."""
+
+SHORTEST_TASK_S = 0.05
+"""Shorter tasks would cost more to hand over than they spread."""
+
+MAX_BLOCKS = 1000
+"""Blocks in one task at most, which bounds the size of its messages."""
+
+KEPT = 0.7
+"""Weight of all earlier results in the measured speed when one more comes in: later points may be slower."""
+
 
 class Pending:
-    """Gives out the blocks that a accumulator misses."""
+    """Gives out the blocks that an accumulator misses.
+
+    The cost that an experiment declares says only how tasks compare: how long they take is measured (`settle`).  Until
+    the first result is in, each task holds one block.
+    """
 
     def __init__(self, plan: Plan, accumulator: Accumulator) -> None:
         self._plan, self._accumulator = plan, accumulator
         self._known: deque[Work] = deque()
         self._fresh = self._shared() if plan.grid.study.sampling.common_random_numbers else self._alone()
+        self._left = accumulator.survey.pending.cost
+        self._tasks_out = 0
+        self._measured_cost = self._measured_s = 0.0
 
     def add(self, works: Iterable[Work]) -> None:
         """Put work that results made known before all other."""
-        self._known.extend(works)
+        for work in works:
+            self._known.append(work)
+            self._left += work.cost
 
     def take(self, count: int) -> list[list[Work]]:
-        """Return up to ``count`` tasks' work of about `TARGET` random numbers each."""
+        """Return up to ``count`` tasks' work."""
         tasks: list[list[Work]] = []
         while len(tasks) < count and (task := self._task()):
             tasks.append(task)
+            self._tasks_out += 1
         return tasks
+
+    def settle(self, works: Sequence[Work], seconds: Array) -> list[Work]:
+        """Note the ``seconds`` that each point of each block of a task took, (rows,), and return the blocks that were computed.
+
+        There may be fewer seconds than points: a worker stops where a task takes too long.  The rest is pending again.
+        """
+        done, rows = 0, 0
+        while done < len(works) and rows + len(works[done].points) <= len(seconds):
+            rows += len(works[done].points)
+            done += 1
+        for work in reversed(works[done:]):
+            self._known.appendleft(work)
+            self._left += work.cost
+        self._tasks_out = max(0, self._tasks_out - 1)
+        self._measured_cost = KEPT * self._measured_cost + sum(work.cost for work in works[:done])
+        self._measured_s = KEPT * self._measured_s + float(seconds.sum())
+        return list(works[:done])
 
     def _task(self) -> list[Work]:
         task: list[Work] = []
-        cost = 0.0
-        while (work := self._next()) is not None:
-            if task and cost + work.cost > TARGET:
+        cost, most = 0.0, self._task_cost()
+        while len(task) < MAX_BLOCKS and (work := self._next()) is not None:
+            if task and cost + work.cost > most:
                 self._known.appendleft(work)
                 break
             task.append(work)
             cost += work.cost
+        self._left = max(0.0, self._left - cost)
         return task
+
+    def _task_cost(self) -> float:
+        """Return the cost of the next task: about `TASK_S`, less where the rest is to be shared by all who compute.
+
+        As many tasks are with the executor as keep it busy (four for each worker thread on Dask), so each gets that
+        share of the rest at most.
+        """
+        if not self._measured_cost:
+            return 0.0
+        per_second = self._measured_cost / max(self._measured_s, 1e-9)
+        cost = max(min(TASK_S * per_second, self._left / (self._tasks_out + 1)), SHORTEST_TASK_S * per_second)
+        # Samples are as large as the random numbers that make them, and travel in one message.
+        return min(cost, TARGET) if self._plan.grid.study.sampling.keep_samples else cost
 
     def _next(self) -> Work | None:
         while self._known:

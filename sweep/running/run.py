@@ -122,8 +122,10 @@ def run_study(
                 results = run(pending.take)
                 if accumulator.survey.pending.blocks:
                     writer.write()  # so that there is a labelled, if empty, dataset from the start
-                for works, result in results:
-                    progress.advance(works, result, writer.take(works, result))
+                with writer:
+                    for given, result in results:
+                        works = pending.settle(given, result.seconds)
+                        progress.advance(works, result, writer.take(works, result))
                 dataset = writer.write(final=True)
                 progress.written()
                 return dataset, writer.failures()
@@ -132,7 +134,7 @@ def run_study(
                 raise
             except BaseException:
                 with suppress(SweepError):
-                    writer.store.flush()
+                    writer.flush()
                 raise
 
 

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from threading import Event, RLock, Thread
+from types import TracebackType
 
 import numpy as np
 import xarray as xr
@@ -23,6 +25,9 @@ from sweep.stores.store import Store
 from sweep.studies.provenance import host, now, provenance
 
 FLUSH_EVERY_S = 1.0
+LATEST_FLUSH_S = 2.0
+"""Results are durable after so long even where no other result comes in that would make them so."""
+
 WRITE_EVERY_S = 5.0
 WRITE_SHARE = 0.05
 """The dataset is rewritten on the way so rarely that this takes at most such a share of the time."""
@@ -49,7 +54,8 @@ class Taken:
 class Writer:
     """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``.
 
-    ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.
+    ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
+    manager it makes results durable also while this thread waits for the next ones, or computes them.
     """
 
     def __init__(
@@ -69,6 +75,19 @@ class Writer:
         self._write_took = 0.0
         self._long_write = False
         self._refuse_results(np.flatnonzero(accumulator.status == DONE).tolist())
+        self._lock = RLock()  # of the store
+        self._unflushed = False
+        self._problem: Exception | None = None
+        self._ended = Event()
+
+    def __enter__(self) -> "Writer":
+        Thread(target=self._flush_late, name="flush", daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
 
     def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
         """Add a task's results."""
@@ -78,7 +97,7 @@ class Writer:
         ended: list[GridPoint] = []
         added: list[Work] = []
         clock = time.monotonic()
-        with self._held():
+        with self._held(), self._lock:
             for row, (point, block) in enumerate(points):
                 if (failure := result.failures.get(row)) is not None:
                     ends = self._fail(point, failure)
@@ -95,9 +114,9 @@ class Writer:
             self._pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples)
+            self._unflushed = True
             if clock - self._flushed > FLUSH_EVERY_S:
-                self.store.flush()
-                self._flushed = clock
+                self.flush()
         if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
             self.write()
         return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended), failed)
@@ -107,7 +126,7 @@ class Writer:
         begun = time.monotonic()
         study = self.plan.grid.study
         with self._held():
-            self.store.flush()
+            self.flush()
         dataset = assemble(self.plan, self.accumulator)
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
@@ -127,7 +146,7 @@ class Writer:
             "warnings": json.dumps(self.plan.grid.warnings),
         }
         self._long_write = dataset.nbytes > LONG_WRITE_BYTES or dataset["status"].size > LONG_WRITE_POINTS
-        with nullcontext() if self._long_write else self._held():
+        with nullcontext() if self._long_write else self._held(), self._lock:
             self.store.write(dataset)
         self._written = time.monotonic()
         self._write_took = self._written - begun
@@ -139,9 +158,28 @@ class Writer:
         Where it is not, the dataset is that of an earlier moment, and the next run makes it anew from the ledger.
         """
         with self._held():
-            self.store.flush()
+            self.flush()
         if not self._long_write:
             self.write()
+
+    def flush(self) -> None:
+        """Make everything taken so far durable; raises SweepError where that is not possible, or was not before."""
+        with self._lock:
+            if self._problem is not None:
+                raise self._problem
+            self.store.flush()
+            self._unflushed = False
+            self._flushed = time.monotonic()
+
+    def _flush_late(self) -> None:
+        while not self._ended.wait(LATEST_FLUSH_S):
+            with self._lock:
+                if self._unflushed and not self._ended.is_set():
+                    try:
+                        self.flush()
+                    except Exception as error:  # told by the next flush, in the thread of the run
+                        self._problem = error
+                        return
 
     def failures(self) -> dict[str, str]:
         """Return the points of this study that failed, by their place on the axes, and why."""

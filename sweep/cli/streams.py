@@ -1,0 +1,64 @@
+"""Standard streams that are closed, full or of a narrow encoding end no command in a traceback."""
+
+import errno
+import io
+import os
+import sys
+
+
+class _Unfailing(io.TextIOWrapper):
+    """A stream that keeps the first ``problem`` of writing to it instead of raising it.
+
+    That a reader has gone, as `head` does, is raised: click ends the command quietly then.
+    """
+
+    problem: OSError | None = None
+
+    def write(self, text: str) -> int:
+        try:
+            return super().write(text)
+        except OSError as error:
+            self._keep(error)
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            super().flush()
+        except OSError as error:
+            self._keep(error)
+
+    def _keep(self, error: OSError) -> None:
+        if error.errno == errno.EPIPE:
+            raise error
+        self.problem = self.problem or error
+
+
+def prepare_streams() -> None:
+    """Make the standard streams usable whatever this process was started with.
+
+    One that is closed leads to the null device: the next file to be opened would take its place, and be written to.
+    Characters that the encoding of a stream does not know are escaped.
+    """
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != descriptor:
+                os.dup2(opened, descriptor)
+                os.close(opened)
+        stream = getattr(sys, name)
+        if descriptor == 0:
+            sys.stdin = stream or open(descriptor, encoding="utf-8", closefd=False)  # noqa: SIM115 (to the end)
+        elif stream is None:
+            setattr(sys, name, _Unfailing(open(descriptor, "wb", closefd=False), "utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            ways = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
+            setattr(sys, name, _Unfailing(stream.buffer, stream.encoding, errors="backslashreplace", **ways))
+
+
+def output_problem() -> str | None:
+    """Return in a sentence why not all of standard output could be written, None where it could."""
+    sys.stdout.flush()
+    problem = getattr(sys.stdout, "problem", None)
+    return None if problem is None else f"standard output cannot be written: {problem.strerror}"
