@@ -28,7 +28,7 @@ HOUSE = {
     ],
     "sweep.studies": [
         *("definitions", "study", "source", "form", "schema", "template", "problems", "axes"),
-        *("claims", "published", "exclusions", "rules", "reader", "provenance"),
+        *("claims", "published", "exclusions", "rules", "reader", "record", "provenance"),
     ],
     "sweep.planning": ["point_cache", "grid", "plan", "accumulator", "work_queue"],
     "sweep.executing": [
@@ -49,10 +49,10 @@ HOUSE = {
             "snapshot",
             "failures",
         ),
-        *("opened", "store", "repair"),
+        *("opened", "origin", "store", "repair"),
     ],
     "sweep.running": [
-        *("results", "covariance", "subset", "writer", "run", "reproduce"),
+        *("results", "covariance", "subset", "writer", "run", "trust", "reproduce"),
         *("axis_progress", "status", "eta", "run_summary", "progress", "scaling"),
     ],
     "sweep.analysis": [

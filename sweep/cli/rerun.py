@@ -9,7 +9,7 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import break_lock_option, json_option, resource_options, store_argument
+from sweep.cli.options import break_lock_option, json_option, resource_options, store_argument, trust_option
 from sweep.cli.output import print_table
 from sweep.cli.running import run_with_progress
 
@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 @resource_options
 @break_lock_option
 @watching_options
+@trust_option
 @json_option
-def retry(store: "Location", resources: "Resources", break_lock: bool, watching: Watching, as_json: bool) -> None:
+def retry(
+    store: "Location", resources: "Resources", break_lock: bool, watching: Watching, trust: bool, as_json: bool
+) -> None:
     """Compute the failed points in STORE again, and only those.
 
     \b
@@ -32,9 +35,8 @@ def retry(store: "Location", resources: "Resources", break_lock: bool, watching:
     """
     from sweep.running.reproduce import study_of
 
-    dataset, failures = run_with_progress(
-        study_of(store), store, resources, watching, retry=True, break_lock=break_lock
-    )
+    study = study_of(store, trust=trust)
+    dataset, failures = run_with_progress(study, store, resources, watching, retry=True, break_lock=break_lock)
     print_table(dataset, "json" if as_json else "text")
     if failures:
         sys.exit(EXIT_FAILED_POINTS)
@@ -44,8 +46,9 @@ def retry(store: "Location", resources: "Resources", break_lock: bool, watching:
 @store_argument
 @click.option("--at", required=True, metavar="AXIS=VALUE,...", help="The point, e.g. model=gaia,v_max=16.")
 @click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
+@trust_option
 @json_option
-def reproduce(store: "Location", at: str, debug: bool, as_json: bool) -> None:
+def reproduce(store: "Location", at: str, debug: bool, trust: bool, as_json: bool) -> None:
     """Compute one point of STORE again, in this process, and compare every bit with what is stored.
 
     The exit code is 1 if it raises, or if anything differs.
@@ -57,7 +60,7 @@ def reproduce(store: "Location", at: str, debug: bool, as_json: bool) -> None:
     from sweep.running.reproduce import reproduce as compute_again
 
     try:
-        again = compute_again(store, at)
+        again = compute_again(store, at, trust=trust)
     except SweepError:
         raise
     except Exception as error:

@@ -15,6 +15,7 @@ from sweep.cli.options import (
     resource_options,
     study_argument,
     study_options,
+    trust_option,
 )
 from sweep.cli.output import print_plan, print_table
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped, no_leak_warning
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 @break_lock_option
 @watching_options
 @click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
+@trust_option
 @json_option
 def run(
     study: str,
@@ -42,6 +44,7 @@ def run(
     break_lock: bool,
     watching: Watching,
     dry_run: bool,
+    trust: bool,
     as_json: bool,
 ) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
@@ -53,7 +56,7 @@ def run(
     sweep run quasars --set n_cat=20 -o results/quick.zarr
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
     """
-    loaded, path = load(study, settings, axes, store)
+    loaded, path = load(study, settings, axes, store, trust)
     if dry_run:
         print_plan(loaded, path, resources.workers, as_json)
         return
@@ -67,6 +70,7 @@ def run(
 @study_argument
 @study_options
 @click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one a core]")
+@trust_option
 @json_option
 def plan(
     study: str,
@@ -74,6 +78,7 @@ def plan(
     axes: tuple[str, ...],
     store: "Location | None",
     workers: int | None,
+    trust: bool,
     as_json: bool,
 ) -> None:
     """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
@@ -81,7 +86,7 @@ def plan(
     \b
     sweep plan grid --set n_cat=100
     """
-    loaded, path = load(study, settings, axes, store)
+    loaded, path = load(study, settings, axes, store, trust)
     print_plan(loaded, path, workers, as_json)
 
 
