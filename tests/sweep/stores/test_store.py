@@ -159,7 +159,9 @@ def test_a_newer_format_is_refused_politely(tmp_path, study):
     document["attributes"]["linksweep_format"] = 99
     root.write_text(json.dumps(document))
     (tmp_path / "s.zarr" / "blocks" / "zarr.json").unlink()
-    with pytest.raises(SweepError, match=r"format 99; this version of linksweep reads formats 2 and 3. It is newer: upgrade"):
+    with pytest.raises(
+        SweepError, match=r"format 99; this version of linksweep reads formats 2 and 3. It is newer: upgrade"
+    ):
         open_store(tmp_path / "s.zarr", study)
 
 
