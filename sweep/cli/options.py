@@ -60,6 +60,11 @@ stores_argument = click.argument(
 )
 
 
+trust_option = click.option(
+    "--trust", is_flag=True, help="Run the code that the store names, though it lies inside it or came from elsewhere."
+)
+
+
 def study_options(command: Command) -> Command:
     """Add the options that name a study's overrides and its store."""
     options = (
@@ -181,12 +186,15 @@ def _resources(
 
 
 def load(
-    study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: "Location | None"
+    study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: "Location | None", trust: bool
 ) -> "tuple[Study, Location]":
-    """Return the study with its overrides, and where its store is."""
+    """Return the study with its overrides, and where its store is; a study inside a store must be trusted."""
+    from sweep.running.trust import require_trust_of_study
     from sweep.stores.location import located
     from sweep.studies.reader import load_study
+    from sweep.studies.source import find_study
 
+    require_trust_of_study(find_study(study), trust)
     loaded = load_study(study, settings, axes)
     return loaded, store or located(Path("results") / f"{loaded.name}.zarr")
 

@@ -94,8 +94,8 @@ def _figure(
 
 def _study(source: str) -> Any:
     """Return the study of a store, or in a file."""
-    from sweep.running.reproduce import study_of
+    from sweep.running.reproduce import study_to_look_at
     from sweep.stores.location import located
     from sweep.studies.reader import load_study
 
-    return load_study(source) if source.endswith(".toml") else study_of(located(source))
+    return load_study(source) if source.endswith(".toml") else study_to_look_at(located(source))

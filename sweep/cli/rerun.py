@@ -9,7 +9,14 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import accept_code_option, break_lock_option, json_option, resource_options, store_argument
+from sweep.cli.options import (
+    accept_code_option,
+    break_lock_option,
+    json_option,
+    resource_options,
+    store_argument,
+    trust_option,
+)
 from sweep.cli.output import print_table
 from sweep.cli.running import run_with_progress
 
@@ -24,9 +31,16 @@ if TYPE_CHECKING:
 @break_lock_option
 @accept_code_option
 @watching_options
+@trust_option
 @json_option
 def retry(
-    store: "Location", resources: "Resources", break_lock: bool, accept_code: bool, watching: Watching, as_json: bool
+    store: "Location",
+    resources: "Resources",
+    break_lock: bool,
+    accept_code: bool,
+    watching: Watching,
+    trust: bool,
+    as_json: bool,
 ) -> None:
     """Compute the failed points in STORE again, and only those.
 
@@ -35,8 +49,9 @@ def retry(
     """
     from sweep.running.reproduce import study_of
 
+    study = study_of(store, trust=trust)
     dataset, failures = run_with_progress(
-        study_of(store), store, resources, watching, retry=True, break_lock=break_lock, accept_code=accept_code
+        study, store, resources, watching, retry=True, break_lock=break_lock, accept_code=accept_code
     )
     print_table(dataset, "json" if as_json else "text")
     if failures:
@@ -47,8 +62,9 @@ def retry(
 @store_argument
 @click.option("--at", required=True, metavar="AXIS=VALUE,...", help="The point, e.g. model=gaia,v_max=16.")
 @click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
+@trust_option
 @json_option
-def reproduce(store: "Location", at: str, debug: bool, as_json: bool) -> None:
+def reproduce(store: "Location", at: str, debug: bool, trust: bool, as_json: bool) -> None:
     """Compute one point of STORE again, in this process, and compare every bit with what is stored.
 
     The exit code is 1 if it raises, or if anything differs.
@@ -60,7 +76,7 @@ def reproduce(store: "Location", at: str, debug: bool, as_json: bool) -> None:
     from sweep.running.reproduce import reproduce as compute_again
 
     try:
-        again = compute_again(store, at)
+        again = compute_again(store, at, trust=trust)
     except SweepError:
         raise
     except Exception as error:

@@ -16,6 +16,7 @@ from sweep.cli.options import (
     resource_options,
     study_argument,
     study_options,
+    trust_option,
 )
 from sweep.cli.output import print_plan, print_table
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 @click.option("--fresh", is_flag=True, help="Replace the store that is there, whatever study and code it is of.")
 @watching_options
 @click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
+@trust_option
 @json_option
 def run(
     study: str,
@@ -47,6 +49,7 @@ def run(
     fresh: bool,
     watching: Watching,
     dry_run: bool,
+    trust: bool,
     as_json: bool,
 ) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
@@ -58,7 +61,7 @@ def run(
     sweep run quasars --set n_cat=20 -o results/quick.zarr
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
     """
-    loaded, path = load(study, settings, axes, store)
+    loaded, path = load(study, settings, axes, store, trust)
     if dry_run:
         print_plan(loaded, path, resources.workers, as_json)
         return
@@ -74,6 +77,7 @@ def run(
 @study_argument
 @study_options
 @click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one a core]")
+@trust_option
 @json_option
 def plan(
     study: str,
@@ -81,6 +85,7 @@ def plan(
     axes: tuple[str, ...],
     store: "Location | None",
     workers: int | None,
+    trust: bool,
     as_json: bool,
 ) -> None:
     """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
@@ -88,7 +93,7 @@ def plan(
     \b
     sweep plan grid --set n_cat=100
     """
-    loaded, path = load(study, settings, axes, store)
+    loaded, path = load(study, settings, axes, store, trust)
     print_plan(loaded, path, workers, as_json)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import json_option
+from sweep.cli.options import json_option, trust_option
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 
 
@@ -37,6 +37,7 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
     help="The measurements, as Zarr.  [default: results/NAME-scaling.zarr]",
 )
 @click.option("--figure", type=click.Path(path_type=Path), help="Draw them with the ideal lines: .png, .svg or .pdf.")
+@trust_option
 @json_option
 def scaling(
     study: str,
@@ -47,6 +48,7 @@ def scaling(
     axes: tuple[str, ...],
     output: Path | None,
     figure: Path | None,
+    trust: bool,
     as_json: bool,
 ) -> None:
     """Measure how STUDY scales with local workers: the same work on more of them (strong), and as much for each (weak).
@@ -64,8 +66,11 @@ def scaling(
         style.require_format(figure)
     from sweep.interrupt import RunInterruptedError
     from sweep.running.scaling import check_free, measure_scaling, write_scaling
+    from sweep.running.trust import require_trust_of_study
     from sweep.studies.reader import load_study
+    from sweep.studies.source import find_study
 
+    require_trust_of_study(find_study(study), trust)
     loaded = load_study(study, settings, axes)
     path = output or Path("results") / f"{loaded.name}-scaling.zarr"
     check_free(path)

@@ -31,6 +31,9 @@ MAX_BLOCKS = 10_000_000
 MOST_CUTS = 1000
 """Different costs of points whose blocks are remembered."""
 
+MOST_COSTS = 10_000
+"""Entries that a table of the costs of points may have for a store to hold it."""
+
 MAX_SIMS = 512
 FIRST_SIMS = 64
 MAX_CATALOGUES = 16
@@ -175,6 +178,16 @@ class Plan:
     def cost(self, parameters: dict[str, Any]) -> float:
         """Return the random numbers that one realisation of a point takes, at least 1."""
         return max(1.0, self._cost(parameters))
+
+    def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
+        """Return the axes on which the cost of a point depends, and the cost by their values; None where that is a
+        long table.
+        """
+        grid = self.grid
+        if (found := self._cost.table()) is None and len(grid) <= MOST_COSTS:
+            names = tuple(grid.study.axes)
+            found = names, {tuple(p[n] for n in names): self._cost(p) for _, p in grid.parameters()}
+        return found if found is not None and len(found[1]) <= MOST_COSTS else None
 
     @cached_property
     def _cost(self) -> PointCache[float]:

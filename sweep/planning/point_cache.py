@@ -39,6 +39,11 @@ class PointCache(Generic[T]):
             self._known[key] = answer
         return answer
 
+    def table(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], T]] | None:
+        """Return the axes that the function looks at, and what it said by their values; None if not all is kept."""
+        whole = len(self._read) < max(len(self._axes), 1) and len(self._known) < MAX_KEPT
+        return (self._read, dict(self._known)) if whole else None
+
 
 class _Watched(Mapping[str, Any]):
     """A point that notes which parameters are looked at."""

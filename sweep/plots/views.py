@@ -19,7 +19,7 @@ from sweep.contract import Named, SweepError, shown, suggest
 from sweep.paper.calibrate import published_numbers
 from sweep.planning.grid import Grid
 from sweep.planning.plan import generators
-from sweep.running.reproduce import place_of, study_of
+from sweep.running.reproduce import place_of, study_to_look_at
 from sweep.stores.location import Where
 from sweep.studies.study import Study
 from sweep.tablefile import table_file
@@ -92,7 +92,7 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
 
     Raises SweepError where the store is not of the link, or ``at`` is not one point of it.
     """
-    study = study_of(store)
+    study = study_to_look_at(store)
     if study.experiment.name != "link":
         raise SweepError(f"only the link has a sky; this is the experiment {study.experiment.name}", str(store))
     parameters = place_of(study, ",".join(at), str(store))

@@ -15,8 +15,9 @@ from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
 from sweep.planning.work_queue import Pending
 from sweep.running.results import assemble
+from sweep.running.trust import foreign_code, require_trust
 from sweep.stores.code import differences_of_code
-from sweep.stores.location import Where
+from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset, read_attributes
 from sweep.studies.axes import parse_places, parse_value
 from sweep.studies.reader import study_of_attributes
@@ -40,17 +41,38 @@ class Reproduction:
     other_code: list[str]
 
 
-def study_of(store: Where) -> Study:
-    """Return the study whose results a store holds; raises SweepError if there is none or it cannot be made again."""
-    return study_of_attributes(read_attributes(store), str(store))
+def study_of(store: Where, *, trust: bool = False) -> Study:
+    """Return the study whose results a store holds, with its experiment imported.
+
+    Raises SweepError if there is none or it cannot be made again, and where its code needs the user's ``trust`` (see
+    `sweep.running.trust`).
+    """
+    attributes = read_attributes(store)
+    require_trust(located(store), attributes, trust)
+    return study_of_attributes(attributes, str(store))
 
 
-def reproduce(store: Where, at: str) -> Reproduction:
+def study_to_look_at(store: Where) -> Study:
+    """Return the study of a store of the link, to draw what it is about; nothing that the store names is imported.
+
+    Raises SweepError for another experiment, and where the study names functions in files.
+    """
+    attributes = read_attributes(store)
+    if code := foreign_code(attributes):
+        raise SweepError(
+            f"only stores of the link alone can be drawn so; this one names {', '.join(code)}, and looking at a store "
+            "never runs what it names",
+            str(store),
+        )
+    return study_of_attributes(attributes, str(store))
+
+
+def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     """Compute the point at ``NAME=VALUE,...`` again, serially, in this process.
 
-    Raises SweepError where that is not one point of the store, and whatever the experiment raises.
+    Raises SweepError where that is not one point of the store, as `study_of`, and whatever the experiment raises.
     """
-    study = study_of(store)
+    study = study_of(store, trust=trust)
     place = place_of(study, at, str(store))
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
     fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}

@@ -22,6 +22,7 @@ from sweep.stores.location import Where
 from sweep.stores.lock import locked
 from sweep.stores.store import CODE, Store, check_store, create_or_resume, existing_store, replace_store
 from sweep.studies.provenance import provenance
+from sweep.studies.record import RECORD, recorded
 from sweep.studies.study import Study
 
 
@@ -108,7 +109,9 @@ def run_study(
                 progress.say(f"no point in {store} has failed")
         accumulator = _accumulator(plan, opened, again)
         with choose_executor(study, accumulator.survey.pending.cost, resources, progress.say) as (place, run):
-            opened = opened or create_or_resume(store, study, provenance(study))
+            opened = opened or create_or_resume(
+                store, study, provenance(study) | {RECORD: recorded(study, plan.costs())}
+            )
             opened.verify()
             _record_code(opened, study, progress)
             if unused := len(opened.rows) - accumulator.survey.held.blocks:

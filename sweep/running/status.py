@@ -9,41 +9,52 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import SweepError
+from sweep.contract import Named, SweepError
 from sweep.executing.execute import available_cores
 from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS, Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import TARGET, Plan
 from sweep.running.axis_progress import by_axis
-from sweep.running.reproduce import study_of
 from sweep.running.run import plan_study
 from sweep.stores.location import Where
 from sweep.stores.lock import holder
-from sweep.stores.store import existing_store, finished_blocks, open_dataset
+from sweep.stores.opened import UNFINISHED, OpenLedger, OpenStore
+from sweep.stores.root import is_new
+from sweep.studies.record import recorded_study
 from sweep.studies.study import Study
 
 
 def status_report(store: Where) -> dict[str, Any]:
     """Return the progress and provenance of a store, as its ledger has it, which is newer than its dataset.
 
-    Raises SweepError if there is no store.
+    Nothing that the store names is imported: what an experiment declares, the store has recorded.  Where it has not,
+    the progress is that of the last writing, and a ``note`` says so.  Raises SweepError if there is no store.
     """
-    dataset = open_dataset(store)
-    attributes = dataset.attrs
-    axes, status, realisations = _progress(store, dataset)
+    opened = OpenStore(store)
+    attributes = opened.attributes
+    ledger = opened.ledger()
+    dataset = None if is_new(opened.root) else opened.dataset()
+    note: dict[str, str] = {} if dataset is not None else {"note": UNFINISHED}
+    try:
+        axes, units, status, realisations = _of_ledger(opened, ledger)
+    except SweepError as error:
+        if dataset is None:
+            raise SweepError(f"{UNFINISHED} ({'; '.join(error.problems)})", str(opened.location)) from error
+        axes, units, status, realisations = _of_dataset(dataset)
+        note = {"note": f"as of the last writing: {'; '.join(error.problems)}"}
     wanted = int(attributes["n_sim"]) * int(attributes["n_cat"])
-    completion = by_axis(axes, status, realisations, wanted)
     return {
         "title": attributes["title"],
+        **note,
         "complete": bool(np.all((status == DONE) | (status == EXCLUDED))),
-        "running": str(holder(store) or "no"),
-        "last written": attributes["finished"],
+        "running": str(holder(opened.location) or "no"),
+        "last written": attributes.get("finished", "never"),
         "points": {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)},
-        "blocks in the ledger": finished_blocks(store),
+        "blocks in the ledger": len(ledger.ledger.rows),
         "realisations done": int(realisations.sum()),
-        "axes": completion,
-        "units": {axis: dataset[axis].attrs.get("units", "") for values in axes.values() for axis in values[0]},
-        "failures": json.loads(attributes["failures"]),
+        "axes": by_axis(axes, status, realisations, wanted),
+        "units": units,
+        "failures": json.loads(attributes.get("failures", "{}")),
         "provenance": {
             key: attributes[key]
             for key in (
@@ -61,28 +72,40 @@ def status_report(store: Where) -> dict[str, Any]:
     }
 
 
-def _progress(
-    store: Where, dataset: xr.Dataset
-) -> tuple[dict[str, list[dict[str, Any]]], NDArray[np.int8], NDArray[np.int64]]:
-    """Return the values along each dimension, and the status and the realisations of each point."""
-    try:
-        study = study_of(store)
-        opened = existing_store(store, study)
-    except SweepError:  # the experiment is not here or another version: the dataset has what it had when last written
-        opened = None
-    if opened is None:
-        dimensions = [str(dimension) for dimension in dataset["status"].dims]
-        axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
-        return axes, dataset["status"].values, dataset["n_sim_done"].values
+Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int8], NDArray[np.int64]]
+"""The values along each dimension, the units of the axes, and the status and the realisations of each point."""
+
+
+def _of_ledger(opened: OpenStore, ledger: OpenLedger) -> Progress:
+    """Return the progress that the ledger knows; raises SweepError where the store has not recorded what that takes."""
+    study = recorded_study(opened.attributes, str(opened.location))
+    if study.sampling.precision is not None:
+        raise SweepError("how many realisations reach a precision, only the experiment can say")
     grid = Grid(study)
-    accumulator = Accumulator(Plan(grid), opened.rows, opened.sums(), opened.failures)
+    try:
+        accumulator = Accumulator(Plan(grid), ledger.ledger.rows, ledger.ledger.sums(), ledger.failures)
+    except (KeyError, TypeError, ValueError) as error:
+        raise SweepError(f"the record of its experiment does not fit its points ({error})") from error
     axes = {
         dimension: [
-            dict(zip(names, values, strict=True)) for values in zip(*(study.axes[n] for n in names), strict=True)
+            dict(zip(names, map(_plain, values), strict=True))
+            for values in zip(*(study.axes[name] for name in names), strict=True)
         ]
         for dimension, names in grid.dimensions.items()
     }
-    return axes, accumulator.status.reshape(grid.shape), accumulator.realisations.reshape(grid.shape)
+    units = {name: study.experiment.parameter(name).unit for name in study.axes}
+    return axes, units, accumulator.status.reshape(grid.shape), accumulator.realisations.reshape(grid.shape)
+
+
+def _plain(value: Any) -> Any:
+    return value.name if isinstance(value, Named) else value
+
+
+def _of_dataset(dataset: xr.Dataset) -> Progress:
+    dimensions = [str(dimension) for dimension in dataset["status"].dims]
+    axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
+    units = {d: str(dataset[d].attrs.get("units", "")) for d in dimensions}
+    return axes, units, dataset["status"].values, dataset["n_sim_done"].values
 
 
 def plan_report(study: Study, store: Where, workers: int | None = None) -> dict[str, Any]:

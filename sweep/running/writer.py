@@ -23,6 +23,7 @@ from sweep.running.results import assemble, assemble_samples, code_variable
 from sweep.stores.code import codes_of_points, records_of
 from sweep.stores.store import Store
 from sweep.studies.provenance import host, now, provenance
+from sweep.studies.record import RECORD, recorded
 
 FLUSH_EVERY_S = 1.0
 LATEST_FLUSH_S = 2.0
@@ -69,7 +70,7 @@ class Writer:
         """Start with an open store whose ledger the accumulator holds."""
         self.plan, self.accumulator, self.store = plan, accumulator, store
         self._pending, self._held = pending, held
-        self._provenance = provenance(plan.grid.study)
+        self._provenance = provenance(plan.grid.study) | {RECORD: recorded(plan.grid.study, plan.costs())}
         self._provenance["started"] = store.attributes.get("started", self._provenance["started"])
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0

@@ -22,7 +22,9 @@ NOT_BOUND = (
     f"has store format {UNBOUND}, in which nothing says of a chunk where it belongs: files that were exchanged are not "
     f"found.  The next `sweep run` of the study makes it format {FORMAT}, in which they are"
 )
-CUT_SHORT = "is unfinished: its run ended while it wrote the results; nothing is damaged, and the same `sweep run` goes on"
+CUT_SHORT = (
+    "is unfinished: its run ended while it wrote the results; nothing is damaged, and the same `sweep run` goes on"
+)
 
 
 @dataclass(frozen=True)

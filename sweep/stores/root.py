@@ -10,7 +10,7 @@ from sweep.stores.location import Location, reading
 
 FORMAT = 3
 UNBOUND = 2
-"""The format before: nothing in it says which chunk belongs where.  It is read, and the next writing makes it `FORMAT`."""
+"""The format before: nothing in it says which chunk belongs where.  The next writing of a store makes it `FORMAT`."""
 
 ROOT, COPY = "zarr.json", "blocks/zarr.json"
 

@@ -17,6 +17,7 @@ from sweep.stores.identity import differences, identity
 from sweep.stores.ledger import columns_of
 from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.stores.opened import OpenStore, damaged_ledger
+from sweep.stores.origin import ORIGIN, origin
 from sweep.stores.root import COPY, ROOT, find_root, is_bound, read_root
 from sweep.studies.study import Study
 
@@ -119,6 +120,7 @@ class Store:
         digests = {name: array.digest() for name, array in arrays.items()}
         named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
         attributes |= identity(self.study) | {
+            ORIGIN: origin(self.location),
             "ledger": self._bound_shapes(),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
             "generation": self.attributes.get("generation", 0) + 1,
@@ -210,7 +212,8 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
     location = located(where)
     root = _find(location, study)
     if root is None:
-        root = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
+        told = {**identity(study), ORIGIN: origin(location)}
+        root = snapshot.root_document({**attributes, **told, "complete": 0, "generation": 0}, {})
         with writing(location):
             location.put(ROOT, sealed(root, ROOT))
     store = Store(location, study, root)

@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -64,11 +64,14 @@ def study_from_dict(document: Mapping[str, Any], name: str = "study") -> Study:
     return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}).study()
 
 
-def study_of_attributes(attributes: Mapping[str, Any], where: str) -> Study:
+def study_of_attributes(
+    attributes: Mapping[str, Any], where: str, experiment: Callable[[str], Experiment] | None = None
+) -> Study:
     """Return the study whose results have these attributes; raises SweepError as `load_study`, for example where the
     file of its experiment is gone.
 
-    Published numbers are left out if their file is.
+    Published numbers are left out if their file is.  ``experiment`` returns what stands for the one of a reference,
+    which is imported otherwise.
     """
     try:
         document = json.loads(attributes["study_document"])
@@ -81,7 +84,7 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str) -> Study:
         (table, key): "" for table in ("axes", "fixed") for key in document.get(table, {}) if overrides
     }
     laid_over = (overrides,) if overrides else ()
-    return replace(_Reader(document, text, Path(where), [], laid_over, changed).study(), name=name)
+    return replace(_Reader(document, text, Path(where), [], laid_over, changed, experiment).study(), name=name)
 
 
 def _option(text: str) -> str:
@@ -99,7 +102,9 @@ class _Reader:
         problems: list[str],
         overrides: tuple[str, ...],
         overridden: Mapping[Place, str],
+        experiment: Callable[[str], Experiment] | None = None,
     ) -> None:
+        self.find_experiment = experiment
         self.document, self.text, self.path = document, text, path
         self.problems = Problems(text, path, problems, overridden)
         self.overrides, self.overridden = overrides, overridden
@@ -181,6 +186,8 @@ class _Reader:
         return Form.model_validate({"title": "", **rest})
 
     def _experiment(self, form: Form) -> Experiment | None:
+        if self.find_experiment is not None:
+            return self.find_experiment(form.experiment)
         try:
             return read_experiment(form.experiment, self.path.parent)
         except SweepError as error:

@@ -57,7 +57,7 @@ def test_the_ledger_grows_over_chunks_in_few_files(tmp_path, study):
     for start, size in ((0, chunk - 1), (chunk + 5, chunk)):
         keys, sums = rows(size, start)
         assert np.array_equal(again.sums()[[again.rows[k] for k in keys]], sums)
-    assert len([p for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()]) < 30  # of 262,156 blocks
+    assert len([p for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()]) < 40  # of 262,156 blocks
 
 
 def test_an_index_whose_sums_did_not_reach_the_disk_does_not_count(tmp_path, study):
@@ -98,7 +98,7 @@ def test_a_store_made_up_to_its_root_is_resumed(tmp_path, study):
 
 def test_a_store_without_results_says_so(tmp_path, study):
     open_store(tmp_path / "s.zarr", study)
-    with pytest.raises(SweepError, match="no results yet"):
+    with pytest.raises(SweepError, match="is unfinished: .* nothing is damaged"):
         open_dataset(tmp_path / "s.zarr")
 
 
@@ -159,7 +159,9 @@ def test_a_newer_format_is_refused_politely(tmp_path, study):
     document["attributes"]["linksweep_format"] = 99
     root.write_text(json.dumps(document))
     (tmp_path / "s.zarr" / "blocks" / "zarr.json").unlink()
-    with pytest.raises(SweepError, match=r"format 99; this version of linksweep reads format 2. It is newer: upgrade"):
+    with pytest.raises(
+        SweepError, match=r"format 99; this version of linksweep reads formats 2 and 3. It is newer: upgrade"
+    ):
         open_store(tmp_path / "s.zarr", study)
 
 

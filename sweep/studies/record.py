@@ -1,0 +1,110 @@
+"""What a store records of an experiment, so that whoever looks at the store need not import it."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any
+
+from sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError
+from sweep.studies.reader import study_of_attributes
+from sweep.studies.study import Study
+from sweep.tablefile import as_json
+
+RECORD = "experiment_record"
+"""The attribute of a store that holds it, as JSON."""
+
+Costs = tuple[tuple[str, ...], Mapping[tuple[Any, ...], float]]
+"""The axes on which the cost of a point depends, and the cost by their values."""
+
+
+def recorded(study: Study, costs: Costs | None) -> str:
+    """Return the record of a study's experiment: all that it declares, and the costs of the study's points if known."""
+    experiment = study.experiment
+    return json.dumps(
+        {
+            "name": experiment.name,
+            "version": experiment.version,
+            "parameters": [_declared(parameter) for parameter in experiment.parameters],
+            "outputs": [_declared(output) for output in experiment.outputs],
+            "sample_outputs": [_declared(output) for output in experiment.sample_outputs],
+            "sums": dict(experiment.sums),
+            "coordinates": dict(experiment.coordinates),
+            "component_units": dict(experiment.component_units),
+            "shared": list(experiment.shared),
+            **({} if costs is None else {"cost_axes": costs[0], "costs": {_key(k): v for k, v in costs[1].items()}}),
+        }
+    )
+
+
+def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
+    """Return the study of a store with an experiment that knows what the store recorded of it, and computes nothing.
+
+    Raises SweepError where the record, or a table that the study names, is not there, or does not fit.
+    """
+    if RECORD not in attributes:
+        raise SweepError("has no record of its experiment: it was written by an older version", where)
+    try:
+        experiment = _experiment(json.loads(attributes[RECORD]))
+        document = json.loads(attributes["study_document"])
+        plain = {key: value for key, value in document.items() if key not in ("define", "published", "claim")}
+        return study_of_attributes({**attributes, "study_document": json.dumps(plain)}, where, lambda _: experiment)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
+
+
+def _experiment(record: Mapping[str, Any]) -> Experiment:
+    outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
+    return Experiment(
+        name=record["name"],
+        version=record["version"],
+        parameters=tuple(_made(Parameter, parameter) for parameter in record["parameters"]),
+        sums={name: tuple(shape) for name, shape in record["sums"].items()},
+        outputs=outputs,
+        evaluate=_computes_nothing,
+        summarise=_computes_nothing,
+        coordinates={name: tuple(labels) for name, labels in record["coordinates"].items()},
+        component_units={name: tuple(units) for name, units in record["component_units"].items()},
+        samples=_computes_nothing if samples else None,
+        sample_outputs=samples,
+        cost=_cost(record),
+        shared=tuple(record["shared"]),
+    )
+
+
+def _cost(record: Mapping[str, Any]) -> Callable[[Point], float]:
+    if "costs" not in record:
+        return _computes_nothing
+    names, costs = record["cost_axes"], record["costs"]
+    return lambda point: float(costs[_key(tuple(point[name] for name in names))])
+
+
+def _key(values: tuple[Any, ...]) -> str:
+    return as_json(list(values))
+
+
+def _computes_nothing(*_arguments: Any, **_named: Any) -> Any:
+    raise SweepError("the record of an experiment computes nothing")
+
+
+def _declared(declared: Parameter | Output) -> dict[str, Any]:
+    """Return the fields that differ from their defaults, as JSON has them."""
+    found: dict[str, Any] = {}
+    for field in fields(declared):
+        value = getattr(declared, field.name)
+        if field.name == "defined":
+            value = [[named.name, named.identity] for named in value]
+        if not callable(value) and value not in (field.default, []):
+            found[field.name] = value.item() if hasattr(value, "item") else value
+    return found
+
+
+def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
+    known = {field.name for field in fields(kind)}
+    values = {name: _tuples(value) for name, value in stored.items() if name in known}
+    if "defined" in values:
+        values["defined"] = tuple(Named(name, identity, None) for name, identity in values["defined"])
+    return kind(**({"default": None} if kind is Parameter else {}) | values)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value

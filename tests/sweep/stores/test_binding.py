@@ -1,0 +1,386 @@
+"""Files of a store that were exchanged, mixed or are those of an older format: found, refused or harmless."""
+
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import sys
+from hashlib import blake2b
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
+from sweep.stores import folder, ledger
+from sweep.stores.checksums import sealed, unsealed
+from sweep.stores.folder import Folder
+from sweep.stores.location import located
+from sweep.stores.repair import check, repair
+from sweep.stores.store import create_or_resume, existing_store, open_dataset
+from sweep.studies.provenance import provenance
+from sweep.studies.reader import study_from_dict
+
+SERIAL = Resources(pool="serial")
+
+
+def small_chunks(monkeypatch, rows=4):
+    monkeypatch.setattr(ledger, "FEWEST_ROWS", rows)
+    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**15})
+
+
+@pytest.fixture
+def two_writings(tmp_path, coins, monkeypatch):
+    """A store of two writings, with several chunks in its ledger: arrays have chunks under both of their names."""
+    small_chunks(monkeypatch)
+    first = coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 600, "n_cat": 20, "seed": 7}}
+    run_study(study_from_dict(first), tmp_path / "s.zarr", SERIAL)
+    study = study_from_dict(first | {"axes": {"coins": [1, 5, 9]}})
+    run_study(study, tmp_path / "s.zarr", SERIAL)
+    return study, tmp_path / "s.zarr"
+
+
+def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
+    _, store = two_writings
+    wanted = open_dataset(store)
+    files = sorted(path for path in store.rglob("*") if path.is_file())
+    assert len([file for file in files if "blocks/sums/c" in str(file)]) > 1
+    found = exchanged = 0
+    for one, other in itertools.combinations(files, 2):
+        contents = one.read_bytes(), other.read_bytes()
+        if contents[0] == contents[1]:
+            continue
+        exchanged += 1
+        one.write_bytes(contents[1])
+        other.write_bytes(contents[0])
+        try:
+            is_found = bool(check(store))
+        except SweepError:
+            is_found = True
+        try:
+            xr.testing.assert_identical(open_dataset(store), wanted)
+        except SweepError:
+            assert is_found, (one, other)
+        named = {path.relative_to(store).as_posix() for path in (one, other)}
+        root = json.loads(wanted.attrs["ledger"]) and json.loads((store / "zarr.json").read_text())
+        one.write_bytes(contents[0])
+        other.write_bytes(contents[1])
+        assert is_found or not named & in_use(store), (one, other, root["node_type"])
+        found += is_found
+    assert found > 0.9 * exchanged
+
+
+def in_use(store):
+    """The files that the root document means, and those of the ledger; the rest is of the writing before."""
+    from sweep.stores import snapshot
+
+    root = json.loads((store / "zarr.json").read_text())
+    arrays = snapshot.arrays_of(root)
+    ledger_files = {p.relative_to(store).as_posix() for p in (store / "blocks").rglob("*") if p.is_file()}
+    return {"zarr.json", *(f"{name}/zarr.json" for name in arrays), *snapshot.chunk_keys(arrays), *ledger_files}
+
+
+def test_exchanged_chunks_of_the_ledger_are_repaired_to_the_same_bits(two_writings):
+    study, store = two_writings
+    wanted = open_dataset(store)
+    one, other = (store / "blocks" / "sums" / "c" / str(number) / "0" for number in (0, 1))
+    contents = one.read_bytes(), other.read_bytes()
+    one.write_bytes(contents[1])
+    other.write_bytes(contents[0])
+    assert set(check(store).ledger) == {"blocks/sums/c/0/0", "blocks/sums/c/1/0"}
+    with pytest.raises(SweepError, match="blocks/sums/c/0/0 is damaged"):
+        existing_store(store, study)
+    repair(store)
+    again, _ = run_study(study, store, SERIAL)
+    xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+    assert not check(store)
+
+
+def test_samples_of_another_block_are_found(tmp_path, monkeypatch):
+    small_chunks(monkeypatch)
+    study = study_from_dict(
+        {
+            "title": "Samples",
+            "axes": {"n_obj": [20, 30]},
+            "fixed": {"catalogue": "quasars", "v_max": 15.0},
+            "sampling": {"n_sim": 600, "n_cat": 4, "seed": 5, "keep_samples": True},
+        }
+    )
+    run_study(study, tmp_path / "s.zarr", SERIAL)
+    chunks = tmp_path / "s.zarr" / "blocks" / "samples" / "c"
+    shutil.copy(chunks / "1" / "0", chunks / "0" / "0")
+    assert "blocks/samples/c/0/0" in check(tmp_path / "s.zarr").ledger
+    with pytest.raises(SweepError, match="blocks/samples/c/0/0 is damaged"):
+        existing_store(tmp_path / "s.zarr", study).verify()
+    (chunks / "0" / "0").unlink()  # rows whose samples are lost do not count as done
+    held = existing_store(tmp_path / "s.zarr", study).rows
+    assert 0 < len(held) < len(json.loads((tmp_path / "s.zarr" / "zarr.json").read_text())) + 10
+    assert all(len(existing_store(tmp_path / "s.zarr", study).samples(key)) for key in held)
+
+
+def as_format_2(store):
+    """Turn a store into what the version before wrote, by its own rules."""
+
+    def old_seal(document):
+        document["attributes"].pop("checksum", None)
+        plain = json.dumps(document, sort_keys=True).encode()
+        document["attributes"]["checksum"] = blake2b(plain, digest_size=8).hexdigest()
+        return json.dumps(document).encode()
+
+    shutil.rmtree(store / "blocks" / "digests")
+    for file in store.rglob("zarr.json"):
+        document = json.loads(file.read_text())
+        attributes = document["attributes"]
+        if "linksweep_format" in attributes:
+            attributes["linksweep_format"] = 2
+            shapes = json.loads(attributes["ledger"])
+            del shapes["digests"]
+            attributes["ledger"] = json.dumps(shapes)
+            for name in ("chunk_checksums", "experiment_record", "written_by"):
+                attributes.pop(name, None)
+        is_of_the_dataset = document["node_type"] == "array" and file.parent.parent == store
+        if is_of_the_dataset:
+            attributes.pop("checksum", None)
+        file.write_bytes(json.dumps(document).encode() if is_of_the_dataset else old_seal(document))
+
+
+def test_a_store_of_format_2_is_read_and_bound_by_the_next_writing(two_writings, coins):
+    study, store = two_writings
+    wanted = open_dataset(store)
+    as_format_2(store)
+    report = check(store)
+    assert not report
+    assert any("store format 2" in remark and "format 3" in remark for remark in report.remarks)
+    xr.testing.assert_identical(open_dataset(store).drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+    rows = existing_store(store, study).rows
+    again, _ = run_study(study, store, SERIAL)
+    xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+    assert existing_store(store, study).rows == rows
+    report = check(store)
+    assert not report
+    assert not report.remarks
+    chunk = store / "blocks" / "sums" / "c" / "0" / "0"
+    shutil.copy(store / "blocks" / "sums" / "c" / "1" / "0", chunk)
+    assert "blocks/sums/c/0/0" in check(store).ledger
+
+
+def test_exchanged_documents_of_format_2_give_a_sentence(two_writings):
+    study, store = two_writings
+    as_format_2(store)
+    documents = sorted(file for file in store.rglob("zarr.json"))
+    for one, other in itertools.combinations(documents, 2):
+        contents = one.read_bytes(), other.read_bytes()
+        one.write_bytes(contents[1])
+        other.write_bytes(contents[0])
+        for read in (check, open_dataset, lambda path: existing_store(path, study)):
+            try:
+                read(store)
+            except SweepError as error:
+                assert all(len(problem) > 10 for problem in error.problems)
+        one.write_bytes(contents[0])
+        other.write_bytes(contents[1])
+
+
+COPIES = 100
+RUN = """
+import sys
+from sweep.executing.choose import Resources
+from sweep.running import writer
+from sweep.running.run import run_study
+from sweep.planning import work_queue
+from sweep.studies.reader import study_from_dict
+import json
+writer.FLUSH_EVERY_S = writer.WRITE_EVERY_S = -1.0
+writer.WRITE_SHARE = 1e9
+work_queue.TARGET = 1.0
+print("ready", flush=True)
+while True:
+    for seed in range(3):
+        document = json.loads(sys.argv[2])
+        document["sampling"]["seed"] = 7
+        run_study(study_from_dict(document), sys.argv[1] + f"/{seed}.zarr", Resources(pool="serial"))
+    import shutil
+    for seed in range(3):
+        shutil.rmtree(sys.argv[1] + f"/{seed}.zarr")
+"""
+
+
+def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
+    """`cp -r` of a store that is written as often as possible: values are those of a finished run, or there is a
+    message; nothing is mixed.
+    """
+    document = coins | {"sampling": {"n_sim": 600, "n_cat": 20, "seed": 7}}
+    wanted, _ = run_study(study_from_dict(document), tmp_path / "whole.zarr", SERIAL)
+    whole = existing_store(tmp_path / "whole.zarr", study_from_dict(document))
+    expected = {key: whole.sums()[row].tobytes() for key, row in whole.rows.items()}
+    (tmp_path / "runs").mkdir()
+    process = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", RUN, str(tmp_path / "runs"), json.dumps(document)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout.readline() == "ready\n"
+        read = 0
+        for number in range(COPIES):
+            copy = tmp_path / "copy.zarr"
+            shutil.rmtree(copy, ignore_errors=True)
+            source = tmp_path / "runs" / f"{number % 3}.zarr"
+            subprocess.run(["cp", "-r", str(source), str(copy)], check=False, stderr=subprocess.DEVNULL)
+            try:
+                dataset = open_dataset(copy)
+            except SweepError:
+                continue
+            finally:
+                try:
+                    held = existing_store(copy, study_from_dict(document))
+                except SweepError:
+                    held = None
+                if held is not None:
+                    assert all(expected[key] == held.sums()[row].tobytes() for key, row in held.rows.items())
+            done = dataset["status"].values == 1
+            assert np.array_equal(dataset["share"].values[done], wanted["share"].values[done])
+            assert np.isnan(dataset["share"].values[~done]).all()
+            read += 1
+        assert read
+    finally:
+        process.kill()
+        process.communicate()
+
+
+class Killed(BaseException):
+    """The end of a process before an operation on a file."""
+
+
+OPERATIONS = ("put", "create", "swap", "delete")
+
+
+@pytest.mark.parametrize("where", ["folder", "bucket"])
+def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request, tmp_path, coins, monkeypatch):
+    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    study = study_from_dict(coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 100, "n_cat": 20, "seed": 7}})
+    base = str(tmp_path) if where == "folder" else request.getfixturevalue("bucket")
+    kind = type(located(f"{base}/s.zarr"))
+    before = {name: getattr(kind, name) for name in (*OPERATIONS, "put_all")}
+    done, last = [], [10**9]
+
+    def counted(name):
+        def operation(place, key, *arguments):
+            done.append(key)
+            if len(done) > last[0] and not key.endswith(".lock"):
+                raise Killed
+            return before[name](place, key, *arguments)
+
+        return operation
+
+    def one_by_one(place, files):
+        for key, content in files.items():
+            kind.put(place, key, content)
+
+    for name in OPERATIONS:
+        monkeypatch.setattr(kind, name, counted(name))
+    monkeypatch.setattr(kind, "put_all", one_by_one)
+    wanted, _ = run_study(study, f"{base}/whole.zarr", SERIAL)
+    total = len(done)
+    assert total > 20
+    said = set()
+    for number in range(1, total, 1 if where == "folder" else 3):
+        store = f"{base}/{number}.zarr"
+        done.clear()
+        last[0] = number
+        with pytest.raises(Killed):
+            run_study(study, store, SERIAL)
+        last[0] = 10**9
+        try:
+            report = check(store)
+        except SweepError as error:
+            assert error.problems == ["no store there"]
+        else:
+            assert not report, (number, report)
+            said.update(remark.split(":")[0] for remark in report.remarks)
+        again, _ = run_study(study, store, SERIAL)
+        xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+        report = check(store)
+        assert not report
+        assert not report.remarks
+    assert {"is unfinished", "is incomplete"} & said
+
+
+def test_a_store_of_the_first_moment_is_unfinished(tmp_path, coins, sweep):
+    study = study_from_dict(coins)
+    create_or_resume(tmp_path / "s.zarr", study, provenance(study))
+    (tmp_path / "s.zarr" / "blocks" / "zarr.json").unlink()
+    code, out, _ = sweep("check", tmp_path / "s.zarr")
+    assert code == 0
+    assert "is unfinished" in out
+    for command in ("show", "status"):
+        code, out, err = sweep(command, tmp_path / "s.zarr")
+        assert "is unfinished" in out + err
+        assert "damaged;" not in err
+
+
+def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins):
+    """Never "not a store of linksweep", in a folder or a bucket, with a copy of the root or before there is one."""
+    study = study_from_dict(coins)
+    create_or_resume(place, study, provenance(study))
+    location = located(place)
+    root = location.get("zarr.json")
+    for copy in (location.get("blocks/zarr.json"), None):
+        if copy is None:
+            location.delete("blocks/zarr.json")
+        for at in range(0, len(root), 37):
+            location.put("zarr.json", root[:at] + bytes([root[at] ^ 4]) + root[at + 1 :])
+            with pytest.raises(SweepError, match="damaged"):
+                open_dataset(place)
+
+
+def test_every_bit_of_a_document_counts():
+    content = sealed({"zarr_format": 3, "node_type": "group", "attributes": {"seed": 7, "axes": "v_max"}}, "zarr.json")
+    assert unsealed(content, "zarr.json")["attributes"]["seed"] == 7
+    for at, bit in itertools.product(range(len(content)), range(8)):
+        flipped = content[:at] + bytes([content[at] ^ (1 << bit)]) + content[at + 1 :]
+        with pytest.raises(ValueError, match="."):
+            unsealed(flipped, "zarr.json")
+    with pytest.raises(ValueError, match="does not match"):
+        unsealed(content, "blocks/zarr.json")
+
+
+def test_a_file_that_was_replaced_by_an_equal_one_is_not_swapped(tmp_path, monkeypatch):
+    """Who waited for the system's lock on a file that has gone since does not hold that of the new one."""
+    place = Folder(tmp_path)
+    place.put("lock", b"old")
+    flock = folder.fcntl.flock
+
+    def late(descriptor, operation):
+        (tmp_path / "other").write_bytes(b"old")
+        (tmp_path / "other").replace(tmp_path / "lock")
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(folder.fcntl, "flock", late)
+    assert not place.swap("lock", b"old", b"new")
+    assert place.get("lock") == b"old"
+    monkeypatch.undo()
+    assert place.swap("lock", b"old", b"new")
+
+
+def test_a_file_and_its_folder_are_on_the_disk(tmp_path, monkeypatch):
+    synchronised = []
+    fsync = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda number: (synchronised.append(os.fstat(number).st_ino), fsync(number))[1])
+    Folder(tmp_path).put("a/b", b"content")
+    assert synchronised == [(tmp_path / "a" / "b").stat().st_ino, (tmp_path / "a").stat().st_ino]
+
+
+def test_an_incomplete_larger_store_is_not_shown_as_whole(tmp_path, coins):
+    larger = study_from_dict(coins)
+    dataset, _ = run_study(larger, tmp_path / "s.zarr", SERIAL)
+    store = existing_store(tmp_path / "s.zarr", larger)
+    status = dataset["status"].copy()
+    status.loc[{"metal": "tin", "coins": 5}] = 0
+    store.write(dataset.assign(status=status))
+    smaller = study_from_dict(coins | {"axes": {"metal": ["tin"], "coins": [5]}})
+    part, _ = run_study(smaller, tmp_path / "s.zarr", SERIAL)
+    assert part["status"].values.tolist() == [[1]]

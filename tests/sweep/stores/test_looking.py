@@ -1,0 +1,157 @@
+"""Looking at a store runs nothing that it names; computing from a stranger's store asks first."""
+
+import json
+import shutil
+from pathlib import Path
+
+import click
+import pytest
+
+from sweep.cli import main
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.running.reproduce import reproduce, study_of
+from sweep.running.run import run_study
+from sweep.running.status import status_report
+from sweep.stores.checksums import sealed
+from sweep.studies.reader import study_from_dict
+
+SERIAL = Resources(pool="serial")
+COINS = (Path(__file__).parents[1] / "coins.py").read_text()
+MARKING = 'from pathlib import Path\nPath({marker!r}).write_text("was here")\n'
+
+COMPUTING = {"retry", "reproduce"}
+"""Commands that compute from a store, and ask."""
+
+ARGUMENTS = {  # by command: what a user would type about a store, several times where there are several ways
+    "calibrate": [[]],
+    "check": [["STORE"]],
+    "compare": [["STORE"]],
+    "find": [["STORE", "--where", "share < 0.5", "--along", "coins"]],
+    "fit": [["STORE", "--over", "coins"]],
+    "list": [[]],
+    "match": [["STORE", "STORE"]],
+    "new": [["mine", "STORE"]],
+    "params": [["STORE"]],
+    "plan": [["STORE"], ["STORE/study.toml"]],
+    "plot": [["STORE"], ["STORE", "--kind", "sky"], ["STORE", "--kind", "accuracy"], ["STORE", "--kind", "map"]],
+    "repair": [["STORE"]],
+    "report": [["STORE"]],
+    "reproduce": [["STORE", "--at", "metal=tin,coins=1"]],
+    "retry": [["STORE"]],
+    "run": [["STORE"], ["STORE/study.toml"]],
+    "scaling": [["STORE"], ["STORE/study.toml"]],
+    "schema": [["STORE"]],
+    "show": [["STORE"], ["STORE", "--format", "csv"]],
+    "status": [["STORE"], ["STORE", "--json"]],
+}
+STUDY = """
+title = "Coins"
+experiment = "x.py:experiment"
+[axes]
+metal = ["gold", "tin"]
+coins = [1, 5]
+[sampling]
+n_sim = 100
+n_cat = 2
+"""
+
+
+@pytest.fixture
+def evil(tmp_path, coins):
+    """A store whose code lies inside it and leaves a marker when it is imported, and the marker."""
+    place = tmp_path / "elsewhere" / "code"
+    place.mkdir(parents=True)
+    (place / "x.py").write_text(COINS)
+    marker, store = tmp_path / "marker", tmp_path / "g.zarr"
+    document = coins | {"experiment": f"{place / 'x.py'}:experiment", "sampling": {"n_sim": 100, "n_cat": 2}}
+    run_study(study_from_dict(document), store, SERIAL)
+    for file in ("zarr.json", "blocks/zarr.json"):
+        root = json.loads((store / file).read_text())
+        stored = root["attributes"]["study_document"]
+        root["attributes"]["study_document"] = stored.replace(str(place), str(store))
+        (store / file).write_bytes(sealed(root, file))
+    (store / "x.py").write_text(MARKING.format(marker=str(marker)) + COINS)
+    (store / "study.toml").write_text(STUDY)
+    return store, marker
+
+
+def test_every_command_is_tried():
+    assert isinstance(main, click.Group)
+    assert set(ARGUMENTS) == set(main.commands), "say above how a new command looks at a store"
+
+
+@pytest.mark.parametrize("command", sorted(set(ARGUMENTS) - {"calibrate"}))
+def test_no_command_runs_what_a_store_names(evil, sweep, tmp_path, command):
+    store, marker = evil
+    for arguments in ARGUMENTS[command]:
+        code, _, err = sweep(command, *(a.replace("STORE", str(store)) for a in arguments), cwd=tmp_path)
+        assert not marker.exists(), arguments
+        assert "Traceback" not in err, err
+        if command in COMPUTING or arguments == ["STORE/study.toml"]:
+            assert code == 2
+            assert "--trust" in err
+            assert str(store) in err
+    if command in COMPUTING:
+        assert f"would run {store}/x.py, which lies inside the store" in err
+        code, _, err = sweep(command, *(a.replace("STORE", str(store)) for a in ARGUMENTS[command][0]), "--trust")
+        assert code == 0, err
+        assert marker.exists()
+
+
+def test_status_of_a_store_needs_only_the_store(evil, sweep):
+    store, _ = evil
+    code, out, err = sweep("status", store, "--json")
+    assert code == 0, err
+    report = json.loads(out)
+    assert report["points"]["done"] == 6
+    assert report["complete"]
+    assert "note" not in report
+
+
+def test_a_store_from_elsewhere_asks_once(tmp_path, coins):
+    (tmp_path / "x.py").write_text(COINS)
+    document = coins | {"experiment": f"{tmp_path / 'x.py'}:experiment"}
+    run_study(study_from_dict(document), tmp_path / "s.zarr", SERIAL)
+    study_of(tmp_path / "s.zarr")  # written here: nothing to ask
+    shutil.copytree(tmp_path / "s.zarr", tmp_path / "copy.zarr")
+    with pytest.raises(SweepError, match=r"would run .*x.py, and the store was not written here: .* give --trust"):
+        study_of(tmp_path / "copy.zarr")
+    again = reproduce(tmp_path / "copy.zarr", "metal=tin,coins=5", trust=True)
+    assert again.differences == {}
+    run_study(study_of(tmp_path / "copy.zarr", trust=True), tmp_path / "copy.zarr", SERIAL, retry=True)
+    study_of(tmp_path / "copy.zarr")  # written here since
+
+
+@pytest.mark.parametrize("who", ["host", "user"])
+def test_another_host_or_user_is_elsewhere(tmp_path, coins, monkeypatch, who):
+    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
+    monkeypatch.setattr(f"sweep.stores.origin.{'host' if who == 'host' else '_user'}", lambda: "another")
+    with pytest.raises(SweepError, match=r"coins.py, and the store was not written here"):
+        study_of(tmp_path / "s.zarr")
+
+
+def test_a_store_of_our_own_experiment_asks_nothing(tmp_path, store_of):
+    shutil.copytree(store_of("quasars"), tmp_path / "q.zarr")
+    assert study_of(tmp_path / "q.zarr").experiment.name == "link"
+
+
+def test_functions_that_a_study_defines_count_as_code(tmp_path, store_of):
+    shutil.copytree(store_of("quasars"), tmp_path / "q.zarr")
+    root = json.loads((tmp_path / "q.zarr" / "zarr.json").read_text())
+    document = json.loads(root["attributes"]["study_document"])
+    document["define"] = {"model": {"mine": {"sigma_pm": str(tmp_path / "m.py") + ":curve"}}}
+    root["attributes"]["study_document"] = json.dumps(document)
+    (tmp_path / "q.zarr" / "zarr.json").write_bytes(sealed(root, "zarr.json"))
+    with pytest.raises(SweepError, match=r"would run .*m.py, and the store was not written here"):
+        study_of(tmp_path / "q.zarr")
+
+
+def test_a_store_without_a_record_says_what_it_cannot(tmp_path, coins):
+    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
+    root = json.loads((tmp_path / "s.zarr" / "zarr.json").read_text())
+    del root["attributes"]["experiment_record"]
+    (tmp_path / "s.zarr" / "zarr.json").write_bytes(sealed(root, "zarr.json"))
+    report = status_report(tmp_path / "s.zarr")
+    assert report["note"].startswith("as of the last writing: has no record of its experiment")
+    assert report["points"]["done"] == 6
