@@ -76,7 +76,19 @@ HOUSE = {
         *("columns", "tables", "options", "result", "summary", "ecsv", "galaxy_table", "skymap", "outputs", "match"),
     ],
     "sweep.tie": [
-        *("icrf", "hipparcos", "tables", "matching", "setup", "spectrum", "solution", "dataset", "planning", "text"),
+        *(
+            "icrf",
+            "hipparcos",
+            "tables",
+            "matching",
+            "setup",
+            "spectrum",
+            "solution",
+            "dataset",
+            "link_tables",
+            "planning",
+            "text",
+        ),
     ],
     "sweep.cli": [
         *("group", "shell_completion", "options", "output", "signals", "log_options", "running", "rerun"),
