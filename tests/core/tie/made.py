@@ -19,7 +19,7 @@ def stars(n, seed=1, pm=100.0, parallax=10.0, epoch=2016.0):
     """Return five-parameter astrometry with errors near 0.1 mas, all correlations and radial velocities."""
     rng = np.random.default_rng(seed)
     ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-0.98, 0.98, n))
-    values = np.array([ra, dec, rng.uniform(1.0, parallax, n) * MAS, *(rng.normal(0.0, pm * MAS, (2, n)))])
+    values = np.array([ra, dec, rng.uniform(0.2 * parallax, parallax, n) * MAS, *(rng.normal(0.0, pm * MAS, (2, n)))])
     errors = rng.uniform(0.05, 0.2, (5, n)) * MAS
     return Astrometry(
         values, errors, np.full(n, epoch), random_correlations(rng, n), rng.normal(0.0, 40.0, n), columns={}
