@@ -114,7 +114,7 @@ def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, **g
     columns), REFERENCE whatever was measured of the same objects, or zero-motion for quasars.
     """
     from sweep.tie import text
-    from sweep.tie.solution import tie as solve
+    from sweep.tie.link_tables import tie as solve
 
     _refuse_existing(output)
     bins, known = given.pop("bins"), given.pop("known_spin")

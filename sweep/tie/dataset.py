@@ -12,12 +12,11 @@ from core.tie.clips import Clipped, separation
 from core.tie.differences import differences
 from core.unknowns import PARAMETERS, SpinByBin
 from sweep.tie.setup import SIGNS, Options
+from sweep.tie.solution import Link
 from sweep.tie.spectrum import spectrum
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from sweep.tie.solution import Link
 
 Array = NDArray[np.float64]
 
@@ -25,7 +24,7 @@ ROWS_KEPT = 100_000
 """Tables with more rows are not repeated in a result."""
 
 
-def as_dataset(link: "Link", options: Options) -> "xr.Dataset":
+def as_dataset(link: Link, options: Options) -> "xr.Dataset":
     """Return the dataset of a link, in mas and mas/yr and in the sign of ``options``."""
     import xarray as xr
 
@@ -81,7 +80,7 @@ def as_dataset(link: "Link", options: Options) -> "xr.Dataset":
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
-def _add_sources(link: "Link", variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     setup, own = link.setup, link.setup.problem.satellite
     coordinates |= {
         "source": setup.names.astype(str),
@@ -103,7 +102,7 @@ def _add_sources(link: "Link", variables: dict[str, Any], coordinates: dict[str,
         }
 
 
-def _add_rows(link: "Link", variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     problem = link.setup.problem
     own = problem.satellite
     found = differences(own, problem.rows, problem.source, problem.taken_out(own))
@@ -148,7 +147,7 @@ def _add_steps(found: Clipped, names: NDArray[np.str_], variables: dict[str, Any
     }
 
 
-def _add_spectrum(link: "Link", main: Array, variables: dict[str, Any], coordinates: dict[str, Any]) -> None:
+def _add_spectrum(link: Link, main: Array, variables: dict[str, Any], coordinates: dict[str, Any]) -> None:
     powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main)
     if not powers:
         return
@@ -165,7 +164,7 @@ def _add_spectrum(link: "Link", main: Array, variables: dict[str, Any], coordina
     variables |= {name: (("field", "degree"), values) for name, values in table.items()}
 
 
-def _add_bins(link: "Link", errors: Array, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+def _add_bins(link: Link, errors: Array, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     unknowns = link.setup.problem.unknowns
     for block in unknowns.blocks:
         if isinstance(block, SpinByBin):

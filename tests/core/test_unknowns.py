@@ -1,0 +1,160 @@
+"""Blocks of unknowns and vector harmonics, against closed forms, SciPy and the simulated link."""
+
+import numpy as np
+import pytest
+from scipy.special import sph_harm_y
+
+from core.constants import MAS
+from core.frames import position, triad, turned
+from core.harmonics import terms, toroidal
+from core.harmonics import turned as quarter_turn
+from core.link import design_matrix
+from core.unknowns import Objects, parse_unknowns
+
+
+def sky(n, seed=0):
+    rng = np.random.default_rng(seed)
+    ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
+    return Objects(ra, dec, *(rng.normal(0.0, 500.0 * MAS, (2, n))))
+
+
+def all_fields(degree, ra, dec):
+    fields = toroidal(degree, ra, dec)
+    return np.concatenate([fields, quarter_turn(fields)])
+
+
+def test_the_fields_are_orthogonal_to_degree_7():
+    x, weights = np.polynomial.legendre.leggauss(24)
+    ra = np.arange(32) * 2.0 * np.pi / 32
+    grid_ra, grid_x = np.meshgrid(ra, x)
+    fields = all_fields(7, grid_ra.ravel(), np.arcsin(grid_x.ravel())).reshape(126, -1)
+    gram = fields * np.tile(np.repeat(weights, 32) * 2.0 * np.pi / 32, 2) @ fields.T
+    norms = [1.0 if term.order == 0 else 2.0 for degree in range(1, 8) for term in terms("t", degree)]
+    np.testing.assert_allclose(gram, np.diag([*norms, *norms]), atol=1e-13)
+
+
+def test_the_fields_are_the_gradients_of_scipys_harmonics():
+    objects, step = sky(50), 1e-5
+    fields = toroidal(5, objects.ra, objects.dec)
+    place = 0
+    for degree in range(1, 6):
+        for term in terms("t", degree):
+
+            def harmonic(ra, dec, term=term):
+                return sph_harm_y(term.degree, term.order, 0.5 * np.pi - dec, ra)
+
+            ra, dec = objects.ra, objects.dec
+            by_dec = (harmonic(ra, dec + step) - harmonic(ra, dec - step)) / (2.0 * step)
+            by_ra = (harmonic(ra + step, dec) - harmonic(ra - step, dec)) / (2.0 * step) / np.cos(dec)
+            field = np.array([by_dec, -by_ra]) / np.sqrt(degree * (degree + 1))
+            expected = {"": field.real, "re": 2.0 * field.real, "im": -2.0 * field.imag}[term.part]
+            np.testing.assert_allclose(fields[place], expected, atol=2e-7, rtol=1e-6)
+            place += 1
+
+
+def test_the_fields_are_finite_and_right_at_the_poles():
+    ra, dec = np.array([0.3, 0.3]), np.array([0.5 * np.pi, -0.5 * np.pi])
+    near = toroidal(4, ra, dec * (1.0 - 1e-9))
+    np.testing.assert_allclose(toroidal(4, ra, dec), near, atol=1e-7)
+
+
+def test_degree_1_is_rotation_and_glide():
+    objects = sky(40)
+    factor = np.sqrt(8.0 * np.pi / 3.0)
+    rotation = np.array([0.3, -0.7, 1.1])
+    r1, r2, r3 = rotation
+    # Mignard & Klioner 2012, Sect. 4.1
+    coefficients = np.array([factor * r3, -np.sqrt(4.0 * np.pi / 3.0) * r1, np.sqrt(4.0 * np.pi / 3.0) * r2])
+    for vector, harmonics in (("spin", [0, 1, 2]), ("glide", [3, 4, 5])):
+        direct = parse_unknowns(vector).matrix(objects) @ rotation
+        by_harmonics = parse_unknowns("vsh_motion:1").matrix(objects)[..., harmonics] @ coefficients
+        np.testing.assert_allclose(by_harmonics, direct, atol=1e-14)
+    for vector, harmonics in (("orientation", [0, 1, 2]), ("position_glide", [3, 4, 5])):
+        direct = parse_unknowns(vector, corrections=False).matrix(objects) @ rotation
+        by_harmonics = parse_unknowns("vsh_position:1").matrix(objects)[..., harmonics] @ coefficients
+        np.testing.assert_allclose(by_harmonics, direct, atol=1e-14)
+
+
+def test_a_turned_sky_has_a_field_of_the_same_degree_and_power():
+    objects = sky(400, seed=3)
+    coefficients = np.random.default_rng(5).normal(size=7)
+    part = slice(8, 15)  # degree 3
+    field = np.tensordot(coefficients, toroidal(3, objects.ra, objects.dec)[part], axes=1)
+    from scipy.spatial.transform import Rotation
+
+    matrix = Rotation.from_rotvec([0.4, -1.0, 0.7]).as_matrix()
+    p, q, r = triad(objects.ra, objects.dec)
+    ra, dec = position(turned(matrix, r))
+    new = triad(ra, dec)
+    vector = turned(matrix, p * field[0] + q * field[1])
+    seen = np.concatenate([np.sum(new.p * vector, axis=0), np.sum(new.q * vector, axis=0)])
+    design = toroidal(3, ra, dec)[part].reshape(7, -1).T
+    found, *_ = np.linalg.lstsq(design, seen, rcond=None)
+    np.testing.assert_allclose(design @ found, seen, atol=1e-12)
+    power = np.array([1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])
+    assert power @ found**2 == pytest.approx(power @ coefficients**2, rel=1e-12)
+
+
+@pytest.mark.parametrize("glide", [False, True])
+@pytest.mark.parametrize("corrections", [False, True])
+def test_the_blocks_are_the_design_of_the_simulated_link(glide, corrections):
+    objects = sky(30)
+    text = "orientation,spin,glide" if glide else "orientation,spin"
+    matrix = parse_unknowns(text, corrections=corrections).matrix(objects)
+    old = design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec, corrections, glide)
+    assert np.array_equal(matrix[:, [0, 1, 3, 4]], np.moveaxis(old, 0, 1))
+    assert not matrix[:, 2].any()
+
+
+def test_a_rate_moves_the_position_of_a_source_with_another_epoch():
+    objects, years = sky(5), np.array([0.0, 1.0, -2.0, 0.5, 10.0])
+    matrix = parse_unknowns("orientation,spin,glide,vsh_motion:2", corrections=False).matrix(objects, years)
+    np.testing.assert_array_equal(matrix[:, :2, 3:], years[:, None, None] * matrix[:, 3:, 3:])
+    np.testing.assert_array_equal(matrix[:, 3:, :3], 0.0)
+
+
+def test_harmonics_leave_out_what_stands_beside_them():
+    together = parse_unknowns("spin,glide,vsh_motion:3")
+    assert len(together) == 6 + 2 * 5 + 2 * 7
+    assert len(parse_unknowns("vsh_motion:3")) == 2 * (3 + 5 + 7)
+    assert len(parse_unknowns("spin,vsh_motion:1")) == 6
+    assert len(parse_unknowns("vsh_position:2-2")) == 10
+    matrix = together.matrix(sky(200))
+    assert np.linalg.matrix_rank(matrix.reshape(-1, len(together))) == len(together)
+    assert len(set(together.labels)) == len(together)
+
+
+def test_a_spin_for_each_bin_acts_in_its_bin_alone():
+    objects = sky(4)
+    columns = {"mag": np.array([5.0, 6.0, 7.9, 12.0])}
+    unknowns = parse_unknowns("spin", ("mag", [6.0, 8.0]), columns)
+    matrix = unknowns.matrix(Objects(objects.ra, objects.dec, objects.pmra, objects.pmdec, columns))
+    plain = parse_unknowns("spin").matrix(objects)
+    assert unknowns.labels[0] == "omega_x[-inf,6)"
+    for source, which in enumerate([0, 1, 1, 2]):
+        expected = np.zeros((5, 9))
+        expected[:, 3 * which : 3 * which + 3] = plain[source]
+        np.testing.assert_array_equal(matrix[source], expected)
+    assert len(parse_unknowns("spin", ("mag", [1.0, 2.0]), columns)) == 3  # bins without sources have no unknowns
+
+
+@pytest.mark.parametrize(
+    ("text", "bins", "message"),
+    [
+        ("", None, "no unknowns"),
+        ("orientaton", None, "'orientaton' are not known; known are orientation"),
+        ("spin,spin", None, "spin twice"),
+        ("spin:2", None, "only vsh_position and vsh_motion have a degree"),
+        ("vsh_motion", None, "give a degree"),
+        ("vsh_motion:0", None, "degrees are from 1"),
+        ("vsh_motion:3-2", None, "the lower one first"),
+        ("spin,glide,vsh_motion:1", None, "are these already"),
+        ("orientation", ("mag", [6.0]), "not among the unknowns"),
+        ("spin", ("mag", [6.0]), "no numbers 'mag'"),
+        ("spin", ("g", [8.0, 6.0]), "increase"),
+        ("spin", ("g", [6.0]), "g is missing in 1 of 2"),
+    ],
+)
+def test_a_wrong_line_is_refused(text, bins, message):
+    with pytest.raises(ValueError, match=message):
+        parse_unknowns(text, bins, {"g": np.array([5.0, np.nan])})
