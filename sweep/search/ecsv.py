@@ -12,7 +12,7 @@ from sweep.contract import SweepError, suggest
 from sweep.search.columns import TYC, UNITS
 from sweep.search.result import STAR_MOTIONS, Result, match_columns
 from sweep.search.summary import summarise
-from sweep.tablefile import read_astropy_table
+from sweep.table_reader import read_table
 
 COLUMN_UNITS: Mapping[str, str] = {
     **{STAR_MOTIONS.get(name, name): unit for name, unit in UNITS.items()},
@@ -66,7 +66,7 @@ def read_matches(path: Path) -> Any:
 
     Raises SweepError where a column is missing, in another unit or of another kind, or a class unknown.
     """
-    table = read_astropy_table(path)
+    table = read_table(path)
     problems: list[str] = []
     for name in ("ra", "dec", "ra_error", "dec_error", "PGC", *MATCH_COLUMNS):
         if name not in table.colnames:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sweep.contract import SweepError
 from sweep.search.columns import TYC, ColumnReader
-from sweep.tablefile import read_astropy_table
+from sweep.table_reader import read_table
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -89,7 +89,7 @@ def read_galaxies(path: Path, reading: Reading | None = None) -> SkyTable:
 
 
 def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
-    table = read_astropy_table(path)
+    table = read_table(path)
     reader = ColumnReader(table, reading.columns)
     if len(table) == 0:
         raise SweepError("has no rows", str(path))
