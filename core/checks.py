@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue
-from core.expected_errors import errors_at_limit, errors_of_objects
+from core.expected_errors import SIDES, errors_at_limit, errors_of_objects
 from core.function_curve import CurveError
 from core.missions import MissionUnavailableError
 from core.quasars import BRIGHTEST_MAG
@@ -104,7 +104,8 @@ def _check_available(point: Point) -> str | None:
             return "v_max needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
         available = available_objects(point)
     except ValueError as error:
-        return str(error)
+        path = getattr(point["file"], "path", None)
+        return str(error) if path is None else f"{error} ({path})"
     except SweepError as error:
         return f"{error} ({error.where})"
     wanted = max(2, point["n_obj"] or 0)
@@ -131,10 +132,14 @@ def _check_error_models(point: Point, objects: Catalogue | None) -> str | None:
             return f"v_max = {faintest:g} mag: the curve of {str(model)!r} ends at {end:g} mag"
         if not isinstance(model, str):
             _probe(model, _brightest(point) if objects is None else float(np.min(objects.v_mag)), faintest)
-    own = objects is not None and objects.sigma is not None
     for side, errors in (("reference", point["reference_errors"]), ("satellite", kind)):
-        if errors == "catalogue" and not own:
+        if errors == "catalogue" and (objects is None or objects.own_errors(side) is None):
             return f"{side}_errors = 'catalogue': the {catalogue} catalogue has no errors of its own"
+    if objects is not None and kind == point["reference_errors"] == "catalogue" and objects.reference is None:
+        return (
+            "reference_errors and satellite_errors are both 'catalogue', but the objects have errors of one side only"
+            + ("; name those of the other: columns = { reference_pmra_error = ... }" if catalogue == "file" else "")
+        )
     return None
 
 
@@ -161,7 +166,7 @@ def _check_errors(point: Point) -> str | None:
     if not position_mas and not motion_mas_yr:
         return None
     if not position_mas > 0.0 or not motion_mas_yr > 0.0:
-        return _one_without_error(exact_positions=not position_mas > 0.0)
+        return _one_without_error(point, exact_positions=not position_mas > 0.0)
     if SMALLEST_ERROR <= position_mas <= LARGEST_ERROR and SMALLEST_ERROR <= motion_mas_yr <= LARGEST_ERROR:
         return None
     return _out_of_bounds(position_mas, motion_mas_yr)
@@ -174,7 +179,7 @@ def _check_errors_of_objects(point: Point, objects: Catalogue) -> str | None:
     without = ~(errors > 0.0)
     position, motion = without[:2].all(), without[2:].all()
     if position or motion:
-        return _one_without_error(exact_positions=bool(position))
+        return _one_without_error(point, exact_positions=bool(position))
     if without.any():
         row = 1 + int(np.argmax(without.any(axis=0)))
         return f"object {row} has an observable without any error, which cannot be weighed"
@@ -184,9 +189,15 @@ def _check_errors_of_objects(point: Point, objects: Catalogue) -> str | None:
     return None
 
 
-def _one_without_error(exact_positions: bool) -> str:
+def _one_without_error(point: Point, exact_positions: bool) -> str:
     exact, noisy = ("positions", "proper motions") if exact_positions else ("proper motions", "positions")
-    return f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
+    problem = f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
+    side = next((side for side in SIDES if point[f"{side}_errors"] == "none"), None)
+    if side is None:
+        return problem
+    # the unknowns separate but for A21, so any error of the others leaves sigma as it is
+    alone, zero = ("spin", "pm") if exact_positions else ("orientation", "pos")
+    return f"{problem} (for the {alone} alone: {side}_errors = 'normal' with {side}_sigma_{zero} = 0)"
 
 
 def _out_of_bounds(position_mas: float, motion_mas_yr: float) -> str:
@@ -200,8 +211,8 @@ def _check_method(point: Point, objects: Catalogue | None) -> str | None:
     """Projected errors need a fixed design; what is near the limit is told by the catalogue when it is drawn."""
     if point["method"] == "catalogue":
         return None
-    own = "catalogue" in (point["satellite_errors"], point["reference_errors"])
-    if own and objects is not None and objects.correlation is not None:
+    own = [objects.own_errors(s) for s in SIDES if objects is not None and point[f"{s}_errors"] == "catalogue"]
+    if any(errors is not None and errors.correlation is not None for errors in own):
         return "method = 'projected' needs uncorrelated errors, and those of the file are correlated"
     position_mas = (
         errors_at_limit(point, "reference").pos_mas

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from core.catalogue import Catalogue
+from core.catalogue import Catalogue, OwnErrors
 from core.constants import MAS
 from core.missions import Mission
 
@@ -74,22 +74,27 @@ class MagnitudeErrors(_Uncorrelated):
 
 @dataclass(frozen=True)
 class CatalogueErrors:
-    """The errors that the catalogue lists for each object, with their correlations if it has any, times ``scale``.
+    """The errors that the catalogue lists for each object of a side, with their correlations if any, times ``scale``.
 
     Raises ValueError for a catalogue without errors of its own.
     """
 
     scale: float = 1.0
+    side: str = "satellite"
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return the catalogue's own errors; shape (4, N)."""
-        if catalogue.sigma is None:
-            raise ValueError("the catalogue has no errors of its own")
-        return self.scale * catalogue.sigma
+        return self.scale * self._own(catalogue).sigma
 
     def correlation(self, catalogue: Catalogue) -> Array | None:
         """Return the catalogue's own correlations; shape (N, 4, 4)."""
-        return catalogue.correlation
+        return self._own(catalogue).correlation
+
+    def _own(self, catalogue: Catalogue) -> OwnErrors:
+        own = catalogue.own_errors(self.side)
+        if own is None:
+            raise ValueError("the catalogue has no errors of its own")
+        return own
 
 
 def _four_rows(sigma_pos_mas: Array, sigma_pm_mas_yr: Array) -> Array:

@@ -56,7 +56,8 @@ def has_errors(point: Point, side: str) -> bool:
     if kind == "magnitude":
         return True  # a curve is positive everywhere
     objects = own_objects(point)
-    return objects is not None and objects.sigma is not None and bool(np.any(objects.sigma))
+    own = None if objects is None else objects.own_errors(side)
+    return own is not None and bool(np.any(own.sigma))
 
 
 def _scale(point: Point, side: str) -> float:

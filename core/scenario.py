@@ -40,7 +40,7 @@ FAINTEST_MAG = {"synthetic": 15.0, "quasars": float(V_MAX[-1]), "galaxies": GALA
 
 _OF_CATALOGUE = (
     *("catalogue", "n_obj", "v_min", "v_max", "mean_pm", "pm_distribution", "zone_of_avoidance", "sky_contrast"),
-    *("counts", "positions", "file", "columns", "pmra_cos_dec"),
+    *("counts", "positions", "file", "columns", "units", "pmra_cos_dec"),
 )
 """Parameters of a point that decide which catalogue is drawn."""
 
@@ -101,7 +101,7 @@ def error_model(point: Point, side: str) -> ErrorModel:
         return NormalErrors(point[f"{side}_sigma_pos"], point[f"{side}_sigma_pm"], scale)
     if kind == "magnitude":
         return MagnitudeErrors(mission_of(point["model"]), point["mission_length"], scale)
-    return CatalogueErrors(scale) if kind == "catalogue" else NoErrors()
+    return CatalogueErrors(scale, side) if kind == "catalogue" else NoErrors()
 
 
 def own_objects(point: Point) -> Catalogue | None:
@@ -113,22 +113,26 @@ def own_objects(point: Point) -> Catalogue | None:
 
 def table_objects(point: Point) -> Catalogue:
     """Return the objects of the file that are brighter than the limit."""
-    return _table_objects(point["file"], point["columns"], point["pmra_cos_dec"], point["v_max"])
+    return _table_objects(point["file"], point["columns"], point["units"], point["pmra_cos_dec"], point["v_max"])
 
 
 def whole_table(point: Point) -> Catalogue:
     """Return all objects of the file."""
-    return _table_objects(point["file"], point["columns"], point["pmra_cos_dec"], None)
+    return _table_objects(point["file"], point["columns"], point["units"], point["pmra_cos_dec"], None)
 
 
 @lru_cache(maxsize=4)
 def _table_objects(
-    table: Table, columns: tuple[tuple[str, str], ...], pmra_cos_dec: bool | None, v_max: float | None
+    table: Table,
+    columns: tuple[tuple[str, str], ...],
+    units: tuple[tuple[str, str], ...],
+    pmra_cos_dec: bool | None,
+    v_max: float | None,
 ) -> Catalogue:
     """Make a catalogue once in a process for every check and block; a table is known by its content."""
     if v_max is None:
-        return catalogue_from_table(table, dict(columns), pmra_cos_dec)
-    whole = _table_objects(table, columns, pmra_cos_dec, None)
+        return catalogue_from_table(table, dict(columns), pmra_cos_dec, dict(units))
+    whole = _table_objects(table, columns, units, pmra_cos_dec, None)
     return whole.take(np.flatnonzero(whole.v_mag <= v_max))
 
 

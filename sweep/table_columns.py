@@ -71,7 +71,7 @@ def in_time(table: Any, name: str, stated: str | None = None) -> bool:
 
 
 def rows_listed(bad: NDArray[np.bool_], values: Any = None) -> str:
-    """Return the first rows (from 1) where ``bad`` holds, with their values if there are any: '3 (95.2), 7 and 2 more'."""
+    """Return the first rows (from 1) where ``bad`` holds, with their values: '3 (95.2), 7 (91) and 2 more'."""
     rows = np.flatnonzero(bad)
     shown = [str(row + 1) if values is None else f"{row + 1} ({values[row]})" for row in rows[:ROWS_NAMED]]
     return ", ".join(shown) + (f" and {len(rows) - ROWS_NAMED} more" if len(rows) > ROWS_NAMED else "")
@@ -103,7 +103,7 @@ def _missing(column: Any) -> NDArray[np.bool_]:
 
 
 def _factor(unit: Any, wanted: str, right_ascension: bool) -> float | None:
-    """Return the factor from one unit to another, with 15 degrees an hour where time is an angle; None if there is none."""
+    """Return the factor from one unit to another, None if there is none; an hour of right ascension is 15 deg."""
     from astropy.units import Unit, UnitsError, hour, hourangle
 
     for given in (unit, unit * hourangle / hour) if right_ascension else (unit,):

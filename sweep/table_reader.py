@@ -1,4 +1,4 @@
-"""The one reader of tables: FITS, VOTable, ECSV, CSV and other delimited text, Parquet, and CDS tables with a ReadMe."""
+"""The one reader of tables: FITS, VOTable, ECSV, delimited text, Parquet, and CDS tables with their ReadMe."""
 
 import bz2
 import fnmatch
@@ -30,8 +30,8 @@ _SEXAGESIMAL = {"RAdeg": ("", "RAh", "RAm", "RAs", 15.0), "DEdeg": ("DE-", "DEd"
 def read_table(path: Path) -> Any:
     """Return the table in a file as an astropy Table, its columns with units where the file gives them.
 
-    What is missing is masked, or NaN.  The format follows from the content, not from the name.  Where there are columns
-    RAh, RAm, RAs and DE-, DEd, DEm, DEs as at CDS, RAdeg and DEdeg (deg) are made of them.  Raises SweepError that names
+    What is missing is masked, or NaN.  The format follows from the content, not from the name.  Of columns RAh, RAm,
+    RAs and DE-, DEd, DEm, DEs, as at CDS, RAdeg and DEdeg (deg) are made.  Raises SweepError that names
     the file, and the row where there is one, for what cannot be read.
     """
     try:
@@ -62,27 +62,30 @@ def _read(path: Path, content: bytes) -> Any:
     if packed is not None:
         try:
             content = packed(content)
-        except (EOFError, ValueError, lzma.LZMAError) as error:
+        except (EOFError, ValueError, OSError, lzma.LZMAError) as error:
             raise SweepError(f"is packed, but not whole: {error}") from error
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
-    if not start:
-        raise SweepError("has no rows")
-    if start.startswith(b"PK\3\4"):
-        raise SweepError("is a zip archive (or a spreadsheet): unpack or export the table in it")
     if start.startswith(b"SIMPLE  ="):
         return _by_astropy("fits", io.BytesIO(content) if packed else path)
-    if start.startswith(b"PAR1"):
-        return _parquet(content)
-    if start.startswith(b"<"):
-        return _votable(content)
-    if start.startswith(b"# %ECSV"):
-        return _ecsv(content)
-    if start.startswith(b"\\"):
-        return _by_astropy("ascii.ipac", content.decode("utf-8", "replace"))
-    if b"byte-by-byte description" in content[:100_000].lower():
-        return _by_astropy("ascii.mrt", content.decode("utf-8", "replace").splitlines())
+    readers = {b"PAR1": _parquet, b"<": _votable, b"# %ECSV": _ecsv, b"PK\3\4": _archive, b"": _text}
+    read = next(read for mark, read in readers.items() if start.startswith(mark))
+    return read(content) if read is not _text else _text(content, path)
+
+
+def _archive(content: bytes) -> Any:
+    raise SweepError("is a zip archive (or a spreadsheet): unpack or export the table in it")
+
+
+def _text(content: bytes, path: Path) -> Any:
+    text = content.decode("utf-8", "replace")
+    if not text.strip():
+        raise SweepError("has no rows")
+    if text.startswith("\\"):
+        return _by_astropy("ascii.ipac", text)
+    if "byte-by-byte description" in text[:100_000].lower():
+        return _by_astropy("ascii.mrt", text.splitlines())
     if (readme := readme_of(path)) is not None:
-        return _with_readme(path, content, readme)
+        return _with_readme(path, text, readme)
     try:
         return read_delimited(content)
     except ValueError as error:
@@ -198,7 +201,7 @@ def _unpacked(path: Path) -> str:
     return re.sub(r"\.(gz|bz2|xz)$", "", path.name, flags=re.IGNORECASE)
 
 
-def _with_readme(path: Path, content: bytes, readme: Path) -> Any:
+def _with_readme(path: Path, text: str, readme: Path) -> Any:
     described = _described(readme)
     if not described:
         raise SweepError(
@@ -210,14 +213,14 @@ def _with_readme(path: Path, content: bytes, readme: Path) -> Any:
 
     reader = Cds(readme=str(readme))
     reader.guessing = False
-    lines = [line for line in content.decode("utf-8", "replace").splitlines() if line.strip()]
+    lines = [line for line in text.splitlines() if line.strip()]
     try:
         reader.data.table_name = _unpacked(path)
         reader.inputter.table_name = _unpacked(path)
         return reader.read(lines)
     except Exception as error:  # what a ReadMe has that astropy does not know has no type of its own
-        text = " ".join(str(error).split())[:300]
-        raise SweepError(f"cannot be read with the {readme.name} beside it: {type(error).__name__}: {text}") from error
+        said = " ".join(str(error).split())[:300]
+        raise SweepError(f"cannot be read with the {readme.name} beside it: {type(error).__name__}: {said}") from error
 
 
 def _add_degrees(table: Any) -> None:
@@ -234,5 +237,5 @@ def _add_degrees(table: Any) -> None:
         values = factor * (first + minutes / 60.0 + seconds / 3600.0)
         if sign:
             negative = np.array([str(text).strip() == "-" for text in np.ma.filled(np.ma.asarray(table[sign]), "+")])
-            values = np.ma.where(negative, -values, values)
+            values = values * np.where(negative, -1.0, 1.0)
         table[name] = MaskedColumn(np.ma.getdata(values), mask=np.ma.getmaskarray(values), unit="deg")

@@ -1,4 +1,4 @@
-"""Tables of delimited text: CSV, TSV as VizieR sends it, `;` or blanks between columns, comments, units, ECSV's body."""
+"""Tables of delimited text: CSV, TSV as VizieR sends it, `;` or blanks between columns, comments and units."""
 
 import csv
 import io
@@ -125,7 +125,8 @@ def _layout(content: bytes) -> _Layout:
 
 def _units_and_rules(lines: "_Lines", delimiter: str, n_columns: int) -> tuple[list[str] | None, int]:
     """Return the units in the lines after the names, if there are any, and where the first row begins."""
-    units, start, after = None, lines.after, []
+    units, start = None, lines.after
+    after: list[list[str]] = []
     for line in lines:
         fields = _fields(line.lstrip("#"), delimiter)
         commented = line.startswith("#")

@@ -142,7 +142,10 @@ def test_points_without_a_problem_can_be_computed(changes):
         ({}, {"v_max": 11.0}),
         ({}, {"n_obj": 3, "v_max": 14.0, "solve_glide": True}),
         ({}, {"reference_errors": "catalogue"}),
-        ({}, {"reference_errors": "catalogue", "satellite_errors": "catalogue", "weighting": "equal"}),
+        (
+            {f"reference_{name}_error": np.full(6, 0.3) for name in ("ra", "dec", "pmra", "pmdec")},
+            {"reference_errors": "catalogue", "satellite_errors": "catalogue", "weighting": "equal"},
+        ),
         ({}, {"satellite_errors": "catalogue", "positions": "isotropic"}),
         ({"errors": False}, {"model": "gaia-2001"}),
         ({"magnitudes": False}, {"satellite_errors": "catalogue"}),
@@ -215,7 +218,7 @@ def test_points_with_a_problem(changes, problem):
         ({"phot_g_mean_mag": np.full(6, 22.0)}, {"model": "gaia-2001"}, "v_max = 22 mag: the curve of 'gaia-2001'"),
         ({"errors": False}, {"reference_errors": "catalogue"}, "reference_errors = 'catalogue': the file catalogue"),
         ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
-        ({"dec": np.full(6, 90.0)}, {}, "dec is not between -90 and 90 deg, poles excluded, in row 1, 2, 3, 4, 5"),
+        ({"dec": np.full(6, 90.0)}, {}, "dec is not between -90 and 90 deg, poles excluded, in row 1 (90), 2 (90)"),
         ({"pmra_error": np.zeros(6), "pmdec_error": np.zeros(6)}, {"satellite_errors": "catalogue"}, "proper motions"),
         ({"pmra_error": np.full(6, 1e-10)}, {"satellite_errors": "catalogue"}, "errors of 0.1 mas and 1e-10 mas/yr"),
     ],
@@ -537,7 +540,7 @@ class Watched(dict):
     keys = items = values = copy = __or__ = __iter__
 
 
-FILE_ONLY = {"columns", "pmra_cos_dec"}
+FILE_ONLY = {"columns", "units", "pmra_cos_dec"}
 SIGMAS = {f"{side}_sigma_{what}" for side in ("reference", "satellite") for what in ("pos", "pm")}
 NEVER = {"mean_pm", "pm_distribution", "epsilon", "omega", "epsilon_size", "omega_size", "directions", "glide"}
 NEVER |= {"corrections", "arithmetic"}
