@@ -201,11 +201,11 @@ def _has_decimal_commas(body: bytes) -> bool:
 
 def _utf8(content: bytes) -> bytes:
     content = content.removeprefix(b"\xef\xbb\xbf")
+    if b"\0" in content[:4096]:
+        raise ValueError("is neither a table format that is known nor text")
     try:
         content.decode("utf-8")
     except UnicodeDecodeError:
-        if b"\0" in content[:4096]:
-            raise ValueError("is neither a table format that is known nor text") from None
         return content.decode("latin-1").encode("utf-8")
     return content.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in content else content
 

@@ -399,7 +399,10 @@ BAD_STARS = {
     "infinite": ({"ra": [1.0, np.inf, 1.0, 1.0]}, "row 2 has an infinite ra"),
     "ra range": ({"ra": [-0.1, 1.0, 1.0, 360.1]}, "rows 1 (-0.1), 4 (360.1) have an ra outside 0..360 deg"),
     "dec range": ({"dec": [0.0, 90.1, 0.0, 0.0]}, "row 2 (90.1) has a dec outside -90..90 deg"),
-    "text": ({"ra": ["00 01 02"] * 3 + ["x"]}, "column 'ra' is text that is no angle like 12 34 56.7 or 12:34:56.7 in row 4 ('x')"),
+    "text": (
+        {"ra": ["00 01 02"] * 3 + ["x"]},
+        "column 'ra' is text that is no angle like 12 34 56.7 or 12:34:56.7 in row 4 ('x')",
+    ),
     "vectors": ({"ra": [[1.0, 2.0]] * 4}, "column 'ra' does not hold numbers"),
     "no error": ({"ra_error": None}, "give its error in arcsec with --error"),
     "zero error": ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, "row 1 (0.0) has a ra_error that is not above 0"),
