@@ -1,3 +1,4 @@
+# ruff: noqa: E101, W291
 """Tables as strangers have them: every format, units, gaps and angles, and one sentence for each that is wrong."""
 
 import gzip
