@@ -21,11 +21,24 @@ estimates.
 
 
 @dataclass(frozen=True)
+class OwnErrors:
+    """Errors that a catalogue lists for its objects: ``sigma`` (4, N), ``correlation`` (N, 4, 4) as in `Catalogue`."""
+
+    sigma: Array
+    correlation: Array | None = None
+
+    def take(self, index: NDArray[np.intp] | slice) -> "OwnErrors":
+        """Return those of the objects at these indices."""
+        return OwnErrors(self.sigma[:, index], None if self.correlation is None else self.correlation[index])
+
+
+@dataclass(frozen=True)
 class Catalogue:
     """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.
 
     ``sigma`` (4, N), where the catalogue has its own errors, are those of (ra*, dec, pmra, pmdec) in rad and rad/yr,
-    ``correlation`` (N, 4, 4) the correlations of an object's four errors.
+    ``correlation`` (N, 4, 4) the correlations of an object's four errors.  They are those of the satellite where the
+    ``reference`` has others.
     """
 
     ra: Array
@@ -35,6 +48,7 @@ class Catalogue:
     v_mag: Array
     sigma: Array | None = None
     correlation: Array | None = None
+    reference: OwnErrors | None = None
 
     def __len__(self) -> int:
         return len(self.ra)
@@ -49,6 +63,7 @@ class Catalogue:
             v_mag=self.v_mag[index],
             sigma=None if self.sigma is None else self.sigma[:, index],
             correlation=None if self.correlation is None else self.correlation[index],
+            reference=None if self.reference is None else self.reference.take(index),
         )
 
     def some(self, rng: np.random.Generator, n_obj: int) -> "Catalogue":
@@ -56,6 +71,12 @@ class Catalogue:
         if n_obj >= len(self):
             return self
         return self.take(np.sort(rng.choice(len(self), n_obj, replace=False)))
+
+    def own_errors(self, side: str) -> OwnErrors | None:
+        """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
+        if side == "reference" and self.reference is not None:
+            return self.reference
+        return None if self.sigma is None else OwnErrors(self.sigma, self.correlation)
 
     def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
         """Return the same objects, with their proper motions along the local triad, at other positions."""

@@ -72,7 +72,7 @@ def _check_errors(point: Point) -> str | None:
     if not position_mas and not motion_mas_yr:
         return None
     if not position_mas > 0.0 or not motion_mas_yr > 0.0:
-        return _one_without_error(exact_positions=not position_mas > 0.0)
+        return _one_without_error(point, exact_positions=not position_mas > 0.0)
     if SMALLEST_ERROR <= position_mas <= LARGEST_ERROR and SMALLEST_ERROR <= motion_mas_yr <= LARGEST_ERROR:
         return None
     return _out_of_bounds(position_mas, motion_mas_yr)
@@ -85,7 +85,7 @@ def _check_errors_of_objects(point: Point, objects: Catalogue) -> str | None:
     without = ~(errors > 0.0)
     position, motion = without[:2].all(), without[2:].all()
     if position or motion:
-        return _one_without_error(exact_positions=bool(position))
+        return _one_without_error(point, exact_positions=bool(position))
     if without.any():
         row = 1 + int(np.argmax(without.any(axis=0)))
         return f"object {row} has an observable without any error, which cannot be weighed"
@@ -95,9 +95,15 @@ def _check_errors_of_objects(point: Point, objects: Catalogue) -> str | None:
     return None
 
 
-def _one_without_error(exact_positions: bool) -> str:
+def _one_without_error(point: Point, exact_positions: bool) -> str:
     exact, noisy = ("positions", "proper motions") if exact_positions else ("proper motions", "positions")
-    return f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
+    problem = f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
+    side = next((side for side in SIDES if point[f"{side}_errors"] == "none"), None)
+    if side is None:
+        return problem
+    # the unknowns separate but for A21, so any error of the others leaves sigma as it is
+    alone, zero = ("spin", "pm") if exact_positions else ("orientation", "pos")
+    return f"{problem} (for the {alone} alone: {side}_errors = 'normal' with {side}_sigma_{zero} = 0)"
 
 
 def _out_of_bounds(position_mas: float, motion_mas_yr: float) -> str:

@@ -95,6 +95,9 @@ PARAMETERS = (
     Parameter("file", "file", None, "table of objects for catalogue = 'file' (Gaia column names by default)"),
     Parameter("columns", "map", (), "names of the table's columns where they are not Gaia's"),
     Parameter(
+        "units", "map", (), "units of quantities whose columns have none: ra = 'hourangle'; default: Gaia's units"
+    ),
+    Parameter(
         "pmra_cos_dec",
         "bool",
         None,
@@ -261,7 +264,7 @@ SHARED = (
     # Quasars of a brighter limit (at half magnitudes) are the first of a fainter one; others only change magnitudes,
     # and a file's are the same rows.
     "v_max",
-    # Not: catalogue, n_obj, counts, positions, file, columns, pmra_cos_dec, which make other objects of the same
+    # Not: catalogue, n_obj, counts, positions, file, columns, units, pmra_cos_dec, which make other objects of the same
     # numbers, so that nothing is common to compare; and method, which draws others.
 )
 """Parameters whose values do not change the random numbers of a block, only what is made of them."""

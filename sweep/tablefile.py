@@ -1,8 +1,7 @@
-"""A table in a file as the value of a parameter: known by its content, read by astropy where it is needed."""
+"""A table in a file as the value of a parameter: known by its content, read where it is needed."""
 
 import hashlib
 import json
-import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -12,26 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Named, SweepError
+from sweep.table_columns import column_values, in_time, rows_listed
+from sweep.table_reader import read_table, readme_of
 
 Array = NDArray[np.float64]
 
-FORMATS = {
-    ".ecsv": "ascii.ecsv",
-    ".csv": "ascii.csv",
-    ".fits": "fits",
-    ".fit": "fits",
-    ".vot": "votable",
-    ".xml": "votable",
-    ".mrt": "ascii.mrt",
-    ".parquet": "parquet",
-    ".dat": "ascii.cds",
-}
-"""The astropy format of each file ending; a further .gz is allowed.  A .dat has its CDS ReadMe beside it."""
-
 NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
 """Columns that name a row, in any case of letters, best first."""
-
-ROWS_NAMED = 5
 
 
 @dataclass(frozen=True)
@@ -52,32 +38,22 @@ class TableFile:
         name = next((known[name] for name in NAMES if name in known), None)
         return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
 
-    def numbers(self, name: str, unit: str) -> Array:
-        """Return a column as float64 in ``unit`` (that of the file is converted; none is taken for granted).
+    def numbers(self, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:
+        """Return a column as float64 in ``unit`` as `column_values` does.
 
-        Raises SweepError for an unknown column, one of text, another kind of unit, or missing values, whose rows
-        (counted from 1) it names.
+        Raises SweepError as `column_values`, and for missing values, whose rows (counted from 1) it names.
         """
-        from astropy import units
-
-        table = _load(self)
-        if name not in table.colnames:
-            raise SweepError(f"no column {name!r}; there are {', '.join(table.colnames)}", self.path)
-        column = table[name]
-        if getattr(column, "dtype", np.dtype(object)).kind not in "fiu" or column.ndim != 1:
-            raise SweepError(f"column {name!r} does not hold numbers", self.path)
-        values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(np.float64), np.nan)
-        bad = np.flatnonzero(~np.isfinite(values)) + 1
-        if len(bad):
-            more = f" and {len(bad) - ROWS_NAMED} more" if len(bad) > ROWS_NAMED else ""
-            listed = ", ".join(map(str, bad[:ROWS_NAMED]))
-            raise SweepError(f"column {name!r} has no finite value in row {listed}{more}", self.path)
-        if column.unit is None:
-            return values
         try:
-            return np.asarray(values * units.Unit(column.unit).to(unit))
-        except (units.UnitsError, ValueError, TypeError) as error:
-            raise SweepError(f"column {name!r} is in {column.unit}, not convertible to {unit}", self.path) from error
+            values = column_values(_load(self), name, unit, stated, right_ascension)
+        except ValueError as error:
+            raise SweepError(str(error), self.path) from error
+        if not np.all(good := np.isfinite(values)):
+            raise SweepError(f"column {name!r} has no finite value in row {rows_listed(~good)}", self.path)
+        return values
+
+    def in_time(self, name: str, stated: str | None = None) -> bool:
+        """Return whether a column is in units of time, so that it does not include cos(dec)."""
+        return in_time(_load(self), name, stated)
 
 
 def table_file(path: Path) -> TableFile:
@@ -85,31 +61,12 @@ def table_file(path: Path) -> TableFile:
     if not path.is_file():
         raise SweepError("no such file", str(path))
     content = hashlib.sha256(path.read_bytes())
-    if _format(path) == "ascii.cds":
-        if not (path.parent / "ReadMe").is_file():
-            raise SweepError("a CDS table needs its ReadMe beside it", str(path))
-        content.update((path.parent / "ReadMe").read_bytes())
+    if (readme := readme_of(path)) is not None:
+        content.update(readme.read_bytes())
     table = TableFile(str(path.resolve()), content.hexdigest())
     if not len(_load(table)):
         raise SweepError("has no rows", str(path))
     return table
-
-
-def read_astropy_table(path: Path) -> Any:
-    """Return the astropy Table in a file; raises SweepError where there is none that can be read."""
-    file_format = _format(path)
-    if not path.is_file():
-        raise SweepError("no such file", str(path))
-    from astropy.table import Table
-
-    options = {"readme": str(path.parent / "ReadMe")} if file_format == "ascii.cds" else {}
-    try:
-        with warnings.catch_warnings():  # of units and headers that do not matter for the columns that are used
-            warnings.simplefilter("ignore")
-            return Table.read(path, format=file_format, **options)
-    except Exception as error:  # each of astropy's readers has its own
-        text = " ".join(str(error).split())[:300]
-        raise SweepError(f"cannot be read as {file_format}: {type(error).__name__}: {text}", str(path)) from error
 
 
 def content_digest(value: object) -> str:
@@ -128,14 +85,7 @@ def as_json(value: object) -> str:
     return json.dumps(value, sort_keys=True, default=content_digest)
 
 
-def _format(path: Path) -> str:
-    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() != ".gz"]
-    if not suffixes or suffixes[-1] not in FORMATS:
-        raise SweepError(f"cannot tell its format from its name; known endings are {', '.join(FORMATS)}", str(path))
-    return FORMATS[suffixes[-1]]
-
-
 @lru_cache(maxsize=4)
 def _load(table: TableFile) -> Any:
     """Read a table once in a process: workers evaluate many blocks of the same file."""
-    return read_astropy_table(Path(table.path))
+    return read_table(Path(table.path))

@@ -26,7 +26,10 @@ ONLY_IN = {
     "bokeh": {"sweep.report"},
     "jinja2": {"sweep.report"},
     "pydantic": {"sweep.studies"},
-    "astropy": {"sweep.contract.units", "sweep.tablefile", "sweep.analysis", "sweep.search", "sweep.tie"},
+    "astropy": {
+        *("sweep.contract.units", "sweep.table_text", "sweep.table_columns", "sweep.table_reader", "sweep.analysis"),
+        *("sweep.search", "sweep.tie"),
+    },
     "erfa": {"core.tie.motion"},
     "pygaia": {"core.missions"},
 }
@@ -38,7 +41,7 @@ KNOWS_THE_CONTRACT = {
     *("core.catalogues", "core.errors"),
 }
 # The search is a command beside the platform.
-SEARCH_MAY_USE = {"sweep.contract", "sweep.tablefile"}
+SEARCH_MAY_USE = {"sweep.contract", "sweep.table_reader", "sweep.table_columns", "sweep.formatting"}
 KNOWS_THE_SEARCH = {"sweep.cli.match"}
 CORE_MAY_USE = {
     *("numpy", "scipy", "pygaia", "erfa"),

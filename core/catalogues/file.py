@@ -11,13 +11,14 @@ from core.catalogues.kind import RANDOM_SKY, CatalogueKind, sky_of, too_few
 from core.table_catalogue import Table, catalogue_from_table
 from sweep.contract import Point
 
-Key = tuple[Table, tuple[tuple[str, str], ...], bool | None]
+Names = tuple[tuple[str, str], ...]
+Key = tuple[Table, Names, Names, bool | None]
 
 
 class File(CatalogueKind):
     """`"file"`: the rows between the limits, or n_obj of them at random."""
 
-    parameters = RANDOM_SKY | {"file", "columns", "pmra_cos_dec", "positions", "v_min", "v_max"}
+    parameters = RANDOM_SKY | {"file", "columns", "units", "pmra_cos_dec", "positions", "v_min", "v_max"}
 
     def has_random_positions(self, point: Point) -> bool:
         """Return whether the rows are moved to other positions."""
@@ -64,25 +65,26 @@ class File(CatalogueKind):
 
 
 def _key(point: Point) -> Key:
-    return point["file"], point["columns"], point["pmra_cos_dec"]
+    return point["file"], point["columns"], point["units"], point["pmra_cos_dec"]
 
 
 @lru_cache(maxsize=4)
-def _whole(table: Table, columns: tuple[tuple[str, str], ...], pmra_cos_dec: bool | None) -> Catalogue:
+def _whole(table: Table, columns: Names, units: Names, pmra_cos_dec: bool | None) -> Catalogue:
     """Make a catalogue once in a process for every check and block; a table is known by its content."""
-    return catalogue_from_table(table, dict(columns), pmra_cos_dec)
+    return catalogue_from_table(table, dict(columns), pmra_cos_dec, dict(units))
 
 
 @lru_cache(maxsize=4)
 def _between(
     table: Table,
-    columns: tuple[tuple[str, str], ...],
+    columns: Names,
+    units: Names,
     pmra_cos_dec: bool | None,
     v_min: float | None,
     v_max: float | None,
 ) -> tuple[Catalogue, NDArray[np.intp]]:
     """Return the objects between two limits, and their rows."""
-    whole = _whole(table, columns, pmra_cos_dec)
+    whole = _whole(table, columns, units, pmra_cos_dec)
     kept = np.full(len(whole), True)
     if v_min is not None:
         kept &= whole.v_mag >= v_min

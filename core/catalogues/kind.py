@@ -82,7 +82,8 @@ class CatalogueKind:
         try:
             return self.problem(point)
         except ValueError as error:
-            return str(error)
+            path = getattr(point["file"], "path", None) if "file" in self.parameters else None
+            return str(error) if path is None else f"{error} ({path})"
         except SweepError as error:
             return f"{error} ({error.where})"
 

@@ -31,6 +31,12 @@ from sweep.cli.output import print_whole
     metavar="[NAME:]KEY=COLUMN",
     help="The column with a quantity, of the stars or of the table NAME, e.g. ra=RAmdeg or pgc:PGC=pgc.",
 )
+@click.option(
+    "--unit",
+    multiple=True,
+    metavar="[NAME:]KEY=UNIT",
+    help="The unit of a quantity whose column has none in the file, e.g. ra=hourangle or pgc:ra=deg.",
+)
 @click.option("--epoch", type=float, default=2000.0, show_default=True, help="Julian year of the galaxy positions.")
 @click.option(
     "--ref-epoch", multiple=True, metavar="[NAME=]YEAR", help="Epoch of the stars, instead of a column ref_epoch."
@@ -105,6 +111,7 @@ def match(
     radius: tuple[str, ...],
     error: tuple[str, ...],
     column: tuple[str, ...],
+    unit: tuple[str, ...],
     epoch: float,
     ref_epoch: tuple[str, ...],
     missing_pm: Any,
@@ -122,7 +129,7 @@ def match(
 ) -> None:
     """Find the galaxies in a star catalogue: cross-match STARS with one or more GALAXIES tables.
 
-    Tables are ECSV, FITS, VOTable, CSV, MRT or Parquet with the column names of the Gaia archive; options call a
+    Tables are FITS, VOTable, ECSV, CSV, TSV, MRT or Parquet with the column names of the Gaia archive; options call a
     table by its file name up to the first dot.
 
     \b
@@ -143,6 +150,7 @@ def match(
         error=error,
         ref_epoch=ref_epoch,
         column=column,
+        unit=unit,
         missing_pm=missing_pm,
         epoch=epoch,
         k_sigma=k_sigma,

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import suggest
+from sweep.table_columns import column_values, in_time, rows_listed
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -29,16 +30,20 @@ UNITS: Mapping[str, str] = {
 
 TYC = ("TYC1", "TYC2", "TYC3")
 
-COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id")
+NAME = "name"
+NAMES = ("name", "objname", "object", "designation", "main_id", "id")
+"""Columns with an object's own name, in any case of letters."""
 
-ROWS_NAMED = 5
+COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id", NAME)
+
+ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
 
 
 class ColumnReader:
     """Reads columns of one table and collects what is wrong with them."""
 
-    def __init__(self, table: Any, columns: Mapping[str, str]) -> None:
-        self.table, self.columns = table, columns
+    def __init__(self, table: Any, columns: Mapping[str, str], units: Mapping[str, str] | None = None) -> None:
+        self.table, self.columns, self.units = table, columns, units or {}
         self.problems: list[str] = []
         for key, column in columns.items():
             if key not in COLUMNS:
@@ -48,24 +53,30 @@ class ColumnReader:
                     f"column map {key}={column}: no column {column!r}{suggest(column, table.colnames)}"
                 )
 
+    def column(self, key: str) -> str:
+        """Return the name of the column of a quantity, whether or not the table has it."""
+        if key == NAME and key not in self.columns:
+            return next((name for name in self.table.colnames if name.lower() in NAMES), key)
+        return self.columns.get(key, key)
+
     def has(self, key: str) -> bool:
         """Return whether the table has the column of a quantity."""
-        return self.columns.get(key, key) in self.table.colnames
+        return self.column(key) in self.table.colnames
 
     def label(self, key: str) -> str:
         """Return how messages call a quantity: its name, and that of its column if it is another."""
-        column = self.columns.get(key, key)
+        column = self.column(key)
         return key if column == key else f"{key} (column {column!r})"
 
-    def check(self, bad: Flags, what: str) -> None:
-        """Note that rows have something wrong, where ``bad`` holds."""
+    def check(self, bad: Flags, what: str, values: NDArray[Any] | None = None) -> None:
+        """Note that rows have something wrong, where ``bad`` holds; ``values`` are shown with them."""
         if bad.any():
-            self.problems.append(rows_text(bad, what))
+            self.problems.append(rows_text(bad, what, values))
 
     def require(self, key: str, hint: str = "") -> bool:
         """Return `has`, and note a column that is missing."""
         if not self.has(key):
-            column = self.columns.get(key, key)
+            column = self.column(key)
             if key not in self.columns:
                 self.problems.append(f"no column {column!r}{suggest(column, self.table.colnames)}{hint}")
             return False
@@ -73,31 +84,24 @@ class ColumnReader:
 
     def number(self, key: str, may_miss: bool = False) -> Array | None:
         """Return a column as float64 in its unit of `UNITS`, NaN where it is missing."""
-        from astropy import units
-
-        column = self.table[self.columns.get(key, key)]
-        values = self._plain(key, column, "fiub")
-        if values is None:
+        column, stated = self.column(key), self.units.get(key)
+        try:
+            numbers = column_values(self.table, column, UNITS[key], stated, key in ALONG_RA)
+        except ValueError as error:
+            self.problems.append(f"{error}" if column == key else f"{key}: {error}")
             return None
-        numbers = values.astype(np.float64)
-        unit = getattr(column, "unit", None)
-        if unit is not None:
-            try:
-                factor = units.Unit(unit).to(units.Unit(UNITS[key]))
-            except (units.UnitsError, TypeError, ValueError) as error:
-                self.problems.append(f"{self.label(key)} is in {str(unit)!r}, which is no {UNITS[key]!r}: {error}")
-                return None
-            numbers = numbers if factor == 1.0 else numbers * factor
-        missing = np.isnan(numbers) | self._mask(column)
-        numbers[missing] = np.nan
         if not may_miss:
-            self.check(missing, f"no {self.label(key)}")
+            self.check(np.isnan(numbers), f"no {self.label(key)}")
         self.check(np.isinf(numbers), f"an infinite {self.label(key)}")
         return numbers
 
+    def in_time(self, key: str) -> bool:
+        """Return whether a column is in units of time, so that it does not include cos(dec)."""
+        return in_time(self.table, self.column(key), self.units.get(key))
+
     def integer(self, key: str, may_miss: bool = False) -> Indices | None:
         """Return a column of integers, 0 where it is missing."""
-        column = self.table[self.columns.get(key, key)]
+        column = self.table[self.column(key)]
         values = self._plain(key, column, "iuf")
         if values is None:
             return None
@@ -114,14 +118,17 @@ class ColumnReader:
             self.check(missing, f"no {self.label(key)}")
         return integers
 
-    def text(self, key: str) -> list[str] | None:
-        """Return a column of strings, '' where it is missing."""
-        column = self.table[self.columns.get(key, key)]
-        values = self._plain(key, column, "USO")
+    def text(self, key: str) -> NDArray[np.str_] | None:
+        """Return a column of strings or integers as strings, '' where it is missing."""
+        column = self.table[self.column(key)]
+        values = self._plain(key, column, "USOiu")
         if values is None:
             return None
-        missing = self._mask(column)
-        return ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing.tolist(), strict=True)]
+        missing = self._mask(column).tolist()
+        return np.array(
+            ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing, strict=True)],
+            dtype=np.str_,
+        )
 
     def _plain(self, key: str, column: Any, kinds: str) -> NDArray[Any] | None:
         """Return a column's values, or None and a problem if they are not of these kinds, one a row."""
@@ -139,13 +146,11 @@ class ColumnReader:
         return np.broadcast_to(np.asarray(getattr(column, "mask", False), dtype=bool), (len(self.table),))
 
 
-def rows_text(bad: Flags, what: str) -> str:
+def rows_text(bad: Flags, what: str, values: NDArray[Any] | None = None) -> str:
     """Return 'row 3 has ...' or 'rows 3, 5 and 7 more have ...' for the rows (counted from 1) where ``bad`` holds."""
-    rows = np.flatnonzero(bad) + 1
-    shown = ", ".join(str(row) for row in rows[:ROWS_NAMED])
-    more = f" and {len(rows) - ROWS_NAMED} more" if len(rows) > ROWS_NAMED else ""
-    return f"row{'s' if len(rows) > 1 else ''} {shown}{more} {'have' if len(rows) > 1 else 'has'} {what}"
+    several = np.count_nonzero(bad) > 1
+    return f"row{'s' if several else ''} {rows_listed(bad, values)} {'have' if several else 'has'} {what}"
 
 
 def _as_text(value: Any) -> str:
-    return value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
+    return (value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)).strip()

@@ -12,7 +12,7 @@ from sweep.contract import SweepError, suggest
 from sweep.search.columns import TYC, UNITS
 from sweep.search.result import STAR_MOTIONS, Result, match_columns
 from sweep.search.summary import summarise
-from sweep.tablefile import read_astropy_table
+from sweep.table_reader import read_table
 
 COLUMN_UNITS: Mapping[str, str] = {
     **{STAR_MOTIONS.get(name, name): unit for name, unit in UNITS.items()},
@@ -34,6 +34,7 @@ MATCH_COLUMNS = {
     "n_rival": "other stars and galaxies within the match radius",
     "galaxy_table": "catalogue of the closest entry of the galaxy",
     "galaxy_row": "row of that entry, from 1",
+    "galaxy_name": "name of that entry in its catalogue, if that gives one",
     "galaxy_ra": "position of that entry",
     "galaxy_dec": "position of that entry",
     "found_in": "all catalogues with the galaxy within their radius",
@@ -66,9 +67,10 @@ def read_matches(path: Path) -> Any:
 
     Raises SweepError where a column is missing, in another unit or of another kind, or a class unknown.
     """
-    table = read_astropy_table(path)
+    table = read_table(path)
     problems: list[str] = []
-    for name in ("ra", "dec", "ra_error", "dec_error", "PGC", *MATCH_COLUMNS):
+    needed = {"ra", "dec", "ra_error", "dec_error", "PGC", *MATCH_COLUMNS} - {"galaxy_name"}
+    for name in sorted(needed):
         if name not in table.colnames:
             problems.append(f"no column {name!r}{suggest(name, table.colnames)}; this is no table of `sweep match`")
             continue

@@ -1,7 +1,7 @@
 """What is searched and how, from options as on the command line; nothing is read here."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -10,7 +10,7 @@ from core.constants import ARCSEC
 from core.galaxy_classes import Rules
 from core.sky_pairs import MAX_RADIUS
 from sweep.contract import SweepError, suggest
-from sweep.search.columns import COLUMNS
+from sweep.search.columns import COLUMNS, UNITS
 from sweep.search.tables import EPOCHS, Reading, table_name
 
 DEFAULT_RADIUS_ARCSEC = 5.0
@@ -52,6 +52,7 @@ def plan_search(
     error: Sequence[str] = (),
     ref_epoch: Sequence[str] = (),
     column: Sequence[str] = (),
+    unit: Sequence[str] = (),
     missing_pm: Literal["error", "zero"] = "error",
     epoch: float = DEFAULT_EPOCH,
     k_sigma: float = Rules.k_sigma,
@@ -64,7 +65,8 @@ def plan_search(
     """Return the search that options as on the command line ask for; nothing is read yet.
 
     ``radius`` and ``error`` (arcsec) and ``ref_epoch`` (yr) are NAME=VALUE, or VALUE for all galaxy tables, for all
-    galaxy tables and for all star tables; ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one.
+    galaxy tables and for all star tables; ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one, and
+    ``unit`` likewise KEY=UNIT of a column for which the file gives none.
     The others are those of `Rules` and `Search`.
     Raises SweepError for two tables of one name, unknown names and values out of range.
     """
@@ -90,7 +92,7 @@ def plan_search(
         crowding_stars,
         None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC,
     )
-    radii, readings = _of_tables(star_names, galaxy_names, radius, error, ref_epoch, column, missing_pm)
+    radii, readings = _of_tables(star_names, galaxy_names, radius, error, ref_epoch, column, unit, missing_pm)
     return Search(
         stars, tuple(galaxies), supplement, radii, readings, epoch, rules, epoch_difference_yr, second_epoch_error_mas
     )
@@ -109,6 +111,7 @@ def _of_tables(
     error: Sequence[str],
     ref_epoch: Sequence[str],
     column: Sequence[str],
+    unit: Sequence[str],
     missing_pm: Literal["error", "zero"],
 ) -> tuple[dict[str, float], dict[str, Reading]]:
     """Return the match radii of the galaxy tables and how each table is read; raises SweepError with all problems."""
@@ -125,35 +128,45 @@ def _of_tables(
             values[option] = _per_table(option, texts, allowed, common_for, convert)
         except SweepError as bad:
             problems += bad.problems
-    columns = _column_maps(column, names, star_names, problems)
+    columns = _maps("--column", column, COLUMNS, names, star_names, problems)
+    units = _maps("--unit", unit, UNITS, names, star_names, problems)
     if problems:
         raise SweepError(problems)
     readings = {
-        name: Reading(columns[name], values["--error"].get(name), values["--ref-epoch"].get(name), missing_pm)
+        name: Reading(
+            columns[name], units[name], values["--error"].get(name), values["--ref-epoch"].get(name), missing_pm
+        )
         for name in names
     }
     return values["--radius"], readings
 
 
-def _column_maps(
-    texts: Sequence[str], names: Sequence[str], star_names: Sequence[str], problems: list[str]
+def _maps(
+    option: str,
+    texts: Sequence[str],
+    known: Collection[str],
+    names: Sequence[str],
+    star_names: Sequence[str],
+    problems: list[str],
 ) -> dict[str, dict[str, str]]:
+    """Return {table: {key: value}} of an option that is given as KEY=VALUE or NAME:KEY=VALUE."""
     maps: dict[str, dict[str, str]] = {name: {} for name in names}
-    for named_first in (False, True):  # a map for one table goes before one for all
+    for named_first in (False, True):  # what is for one table goes before what is for all
         for text in texts:
-            key, equals, column = text.partition("=")
+            key, equals, value = text.partition("=")
             name, colon, quantity = key.rpartition(":")
             if bool(colon) is not named_first:
                 continue
-            if not equals or not column or not quantity:
-                problems.append(f"--column {text}: write KEY=COLUMN or NAME:KEY=COLUMN")
+            if not equals or not value or not quantity:
+                what = option[2:].upper()
+                problems.append(f"{option} {text}: write KEY={what} or NAME:KEY={what}")
             elif colon and name not in names:
-                problems.append(f"--column {text}: no table {name!r}{suggest(name, names)}")
-            elif quantity not in COLUMNS:
-                problems.append(f"--column {text}: there is no quantity {quantity!r}{suggest(quantity, COLUMNS)}")
+                problems.append(f"{option} {text}: no table {name!r}{suggest(name, names)}")
+            elif quantity not in known:
+                problems.append(f"{option} {text}: there is no quantity {quantity!r}{suggest(quantity, list(known))}")
             else:
                 for table in [name] if colon else star_names:
-                    maps[table][quantity] = column
+                    maps[table][quantity] = value
     return maps
 
 

@@ -47,6 +47,7 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
     for name in UNITS:
         if (number := _gathered([t.numbers.get(name) for t in result.stars], which, row, np.nan)) is not None:
             columns[STAR_MOTIONS.get(name, name)] = number
+    entry_names = _gathered([table.names for table in result.galaxies], matches.catalogue, matches.entry, "")
     names = np.array([table.name for table in result.galaxies])
     there = np.empty((2, len(matches)))
     for t, table in enumerate(result.galaxies):
@@ -65,6 +66,7 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
         "n_rival": matches.n_rival,
         "galaxy_table": names[matches.catalogue],
         "galaxy_row": matches.entry + 1,
+        **({} if entry_names is None else {"galaxy_name": entry_names}),
         "galaxy_ra": there[0],
         "galaxy_dec": there[1],
         "found_in": np.array([",".join(names[found]) for found in matches.found_in], dtype=str),
@@ -74,13 +76,14 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
 
 
 def _gathered(
-    columns: Sequence[NDArray[Any] | None], which: NDArray[np.int64], row: NDArray[np.int64], missing: float
+    columns: Sequence[NDArray[Any] | None], which: NDArray[np.int64], row: NDArray[np.int64], missing: float | str
 ) -> NDArray[Any] | None:
     """Return rows of one column of several tables, ``missing`` where a table has no such column; None if none has."""
     gathered: NDArray[Any] | None = None
     for t, column in enumerate(columns):
         if column is not None:
             if gathered is None:
-                gathered = np.full((len(row), *column.shape[1:]), missing, dtype=column.dtype)
+                dtype = np.result_type(*(c.dtype for c in columns if c is not None))  # of the longest text
+                gathered = np.full((len(row), *column.shape[1:]), missing, dtype=dtype)
             gathered[which == t] = column[row[which == t]]
     return gathered

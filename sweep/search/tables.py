@@ -9,9 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.constants import DEGREE
 from sweep.contract import SweepError
-from sweep.search.columns import TYC, ColumnReader
-from sweep.tablefile import read_astropy_table
+from sweep.search.columns import ALONG_RA, NAME, TYC, ColumnReader
+from sweep.table_reader import read_table
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -29,12 +30,13 @@ _TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASC
 
 @dataclass(frozen=True)
 class Reading:
-    """How one table is read: columns with another name, and values to take instead of a column.
+    """How one table is read: columns with another name, units that it does not give, and values instead of a column.
 
     ``error_arcsec`` is the error of each coordinate, ``ref_epoch`` (yr) the epoch of all positions.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     error_arcsec: float | None = None
     ref_epoch: float | None = None
     missing_pm: Literal["error", "zero"] = "error"
@@ -46,7 +48,7 @@ class SkyTable:
 
     ``numbers`` has the columns of `UNITS` that the table has; NaN is a missing magnitude or proper motion, nothing else
     is missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier.  ``n_missing_pm``
-    rows have no proper motion.
+    rows have no proper motion.  ``names`` are those of galaxies, '' where there is none.
     """
 
     path: Path
@@ -56,6 +58,7 @@ class SkyTable:
     pgc: Indices | None
     source_id: Indices | None
     n_missing_pm: int = 0
+    names: NDArray[np.str_] | None = None
 
     def __len__(self) -> int:
         return len(self.numbers["ra"])
@@ -89,8 +92,8 @@ def read_galaxies(path: Path, reading: Reading | None = None) -> SkyTable:
 
 
 def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
-    table = read_astropy_table(path)
-    reader = ColumnReader(table, reading.columns)
+    table = read_table(path)
+    reader = ColumnReader(table, reading.columns, reading.units)
     if len(table) == 0:
         raise SweepError("has no rows", str(path))
     numbers = _positions(reader, reading)
@@ -102,10 +105,11 @@ def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
     pgc = reader.integer("PGC", may_miss=True) if not stars and reader.has("PGC") else None
     source_id = reader.integer("source_id") if stars and reader.has("source_id") else None
     if pgc is not None:
-        reader.check(pgc < 0, "a negative PGC number")
+        reader.check(pgc < 0, "a negative PGC number", pgc)
+    names = reader.text(NAME) if not stars and reader.has(NAME) else None
     if reader.problems:
         raise SweepError(reader.problems, str(path))
-    return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, missing_pm)
+    return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, missing_pm, names)
 
 
 def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
@@ -114,9 +118,10 @@ def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
         if reader.require(key) and (values := reader.number(key)) is not None:
             numbers[key] = values
     if "ra" in numbers:
-        reader.check((numbers["ra"] < 0.0) | (numbers["ra"] > 360.0), "an ra outside 0..360 deg")
+        reader.check((numbers["ra"] < 0.0) | (numbers["ra"] > 360.0), "an ra outside 0..360 deg", numbers["ra"])
     if "dec" in numbers:
-        reader.check(np.abs(numbers["dec"]) > 90.0, "a dec outside -90..90 deg")
+        swapped = "; are ra and dec swapped?" if np.all(np.abs(numbers.get("ra", 360.0)) <= 90.0) else ""
+        reader.check(np.abs(numbers["dec"]) > 90.0, f"a dec outside -90..90 deg{swapped}", numbers["dec"])
     keys = ("ra_error", "dec_error")
     if reading.error_arcsec is not None:
         return {**numbers, **{key: np.full(len(reader.table), 1000.0 * reading.error_arcsec) for key in keys}}
@@ -124,9 +129,16 @@ def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
         if reader.require(key, "; or give its error in arcsec with --error") and (
             (values := reader.number(key)) is not None
         ):
-            reader.check(values <= 0.0, f"a {reader.label(key)} that is not above 0")
-            numbers[key] = values
+            reader.check(values <= 0.0, f"a {reader.label(key)} that is not above 0", values)
+            numbers[key] = _with_cos_dec(reader, key, values, numbers)
     return numbers
+
+
+def _with_cos_dec(reader: ColumnReader, key: str, values: Array, numbers: Mapping[str, Array]) -> Array:
+    """Return a column along ra with cos(dec), which one in seconds of time does not include."""
+    if key not in ALONG_RA or not reader.in_time(key) or "dec" not in numbers:
+        return values
+    return np.asarray(values * np.cos(numbers["dec"] * DEGREE))
 
 
 def _motions(reader: ColumnReader, reading: Reading, numbers: dict[str, Array]) -> int:
@@ -142,13 +154,13 @@ def _motions(reader: ColumnReader, reading: Reading, numbers: dict[str, Array]) 
         missing = np.zeros(len(reader.table), dtype=bool)
         for key, column in values.items():
             if column is not None:
-                numbers[key] = column
+                numbers[key] = _with_cos_dec(reader, key, column, numbers)
                 missing |= np.isnan(column)
         for key, column in errors.items():
             if column is not None:
-                reader.check(column < 0.0, f"a negative {reader.label(key)}")
+                reader.check(column < 0.0, f"a negative {reader.label(key)}", column)
                 reader.check(np.isnan(column) & ~missing, f"no {reader.label(key)}")
-                numbers[key] = np.where(missing, np.nan, column)
+                numbers[key] = np.where(missing, np.nan, _with_cos_dec(reader, key, column, numbers))
         n_missing = int(missing.sum())
         if reading.missing_pm == "error":
             reader.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
@@ -165,7 +177,9 @@ def _epoch(reader: ColumnReader, reading: Reading, numbers: dict[str, Array], ne
     elif reader.has("ref_epoch"):
         if (epoch := reader.number("ref_epoch")) is not None:
             low, high = EPOCHS
-            reader.check((epoch < low) | (epoch > high), f"a ref_epoch that is no Julian year ({low:g}..{high:g})")
+            reader.check(
+                (epoch < low) | (epoch > high), f"a ref_epoch that is no Julian year ({low:g}..{high:g})", epoch
+            )
             numbers["ref_epoch"] = epoch
     elif needed:
         reader.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")

@@ -19,6 +19,7 @@ from core.galaxy_classes import (
     SUPPLEMENT,
     UNCERTAIN,
     Rules,
+    chance_pairs,
     classify,
     second_epoch_pm_error,
 )
@@ -408,6 +409,15 @@ def test_local_chance_pairs_follow_the_crowding():
     np.testing.assert_allclose(chance.uniform, 4e8 * np.sin(15.0 * ARCSEC) ** 2)
     assert abs(chance.local - 10.0 * chance.uniform) < 5.0 * chance.local_error
     assert abs(chance.pairs - chance.local) < 4.0 * np.sqrt(chance.local)
+
+
+def test_the_error_of_local_chance_pairs_is_their_scatter():
+    """400 uniform skies: the number scatters by its error about that of uniform skies, so far as 400 can tell."""
+    rng, radius, n_skies = np.random.default_rng(9), 0.5 * DEGREE, 400
+    chances = [chance_pairs(sky_tree(sky(rng, 500)), sky_tree(sky(rng, 300)), radius, 0) for _ in range(n_skies)]
+    local, error = (np.array([getattr(c, name) for c in chances]) for name in ("local", "local_error"))
+    assert abs(local.std() / error.mean() - 1.0) < 4.0 / np.sqrt(2 * n_skies)
+    assert abs(local.mean() - chances[0].uniform) < 4.0 * local.std() / np.sqrt(n_skies)
 
 
 def test_true_counterparts_are_not_taken_for_chance():

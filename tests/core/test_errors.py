@@ -99,8 +99,8 @@ def test_scales_multiply():
     np.testing.assert_allclose(satellite[[0, 2], 0], np.array([10.0, 5.0]) * MAS, rtol=1e-14)
     np.testing.assert_allclose(reference[[0, 2], 0], np.array([42.0, 14.0]) * MAS, rtol=1e-14)
     point |= {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
-    assert scenario(point).reference_errors == CatalogueErrors(14.0)
-    assert scenario(point).satellite_errors == CatalogueErrors(10.0)
+    assert scenario(point).reference_errors == CatalogueErrors(14.0, "reference")
+    assert scenario(point).satellite_errors == CatalogueErrors(10.0, "satellite")
 
 
 def test_mission_length_and_model_reach_the_satellite():

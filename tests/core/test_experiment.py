@@ -146,7 +146,10 @@ def test_points_without_a_problem_can_be_computed(changes):
         ({}, {"v_max": 11.0}),
         ({}, {"n_obj": 3, "v_max": 14.0, "solve_glide": True}),
         ({}, {"reference_errors": "catalogue"}),
-        ({}, {"reference_errors": "catalogue", "satellite_errors": "catalogue", "weighting": "equal"}),
+        (
+            {f"reference_{name}_error": np.full(6, 0.3) for name in ("ra", "dec", "pmra", "pmdec")},
+            {"reference_errors": "catalogue", "satellite_errors": "catalogue", "weighting": "equal"},
+        ),
         ({}, {"satellite_errors": "catalogue", "positions": "isotropic"}),
         ({"errors": False}, {"model": "gaia-2001"}),
         ({"magnitudes": False}, {"satellite_errors": "catalogue"}),
@@ -219,13 +222,56 @@ def test_points_with_a_problem(changes, problem):
         ({"phot_g_mean_mag": np.full(6, 22.0)}, {"model": "gaia-2001"}, "v_max = 22 mag: the curve of 'gaia-2001'"),
         ({"errors": False}, {"reference_errors": "catalogue"}, "reference_errors = 'catalogue': the file catalogue"),
         ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
-        ({"dec": np.full(6, 90.0)}, {}, "dec is not between -90 and 90 deg, poles excluded, in row 1, 2, 3, 4, 5"),
+        ({"dec": np.full(6, 90.0)}, {}, "dec is not between -90 and 90 deg, poles excluded, in row 1 (90), 2 (90)"),
         ({"pmra_error": np.zeros(6), "pmdec_error": np.zeros(6)}, {"satellite_errors": "catalogue"}, "proper motions"),
         ({"pmra_error": np.full(6, 1e-10)}, {"satellite_errors": "catalogue"}, "errors of 0.1 mas and 1e-10 mas/yr"),
     ],
 )
 def test_files_with_a_problem(contents, changes, problem, tmp_path):
     assert check(from_file(gaia_table(tmp_path, **contents), **changes)).startswith(problem)
+
+
+BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
+
+
+def test_one_set_of_errors_is_not_that_of_both_sides(tmp_path):
+    problem = check(from_file(gaia_table(tmp_path), **BOTH))
+    assert problem.startswith("reference_errors and satellite_errors are both 'catalogue', but the objects have errors")
+    assert check(point(catalogue="radio-stars", n_obj=None, **BOTH)).startswith("reference_errors and satellite_errors")
+    table = gaia_table(tmp_path, vlbi_a=np.full(6, 3.0), vlbi_d=np.full(6, 4.0))
+    columns = (("reference_pmdec_error", "vlbi_d"), ("reference_pmra_error", "vlbi_a"))
+    two = from_file(table, columns=columns, **BOTH)
+    computes(two)
+    reference, satellite = (error_model(two, side) for side in ("reference", "satellite"))
+    objects = scenario(two).draw_catalogue(np.random.default_rng(1))
+    np.testing.assert_allclose(reference.standard_errors(objects)[2:, 0] / MAS, [3.0, 4.0], rtol=1e-14)
+    np.testing.assert_allclose(satellite.standard_errors(objects)[2:, 0] / MAS, [0.1, 0.1], rtol=1e-14)
+
+
+def test_proper_motions_alone_and_what_the_message_advises(tmp_path):
+    """The advice leaves the spin as it is: its error is that of the proper motions, whatever error positions get."""
+    table = gaia_table(tmp_path, ra_error=np.zeros(6), dec_error=np.zeros(6), pmra_pmdec_corr=np.zeros(6))
+    alone = from_file(table, reference_errors="catalogue", satellite_errors="none")
+    assert "(for the spin alone: satellite_errors = 'normal' with satellite_sigma_pm = 0)" in check(alone)
+    sums = []
+    for sigma_pos in (0.01, 100.0):
+        advised = alone | {"satellite_errors": "normal", "satellite_sigma_pm": 0.0, "satellite_sigma_pos": sigma_pos}
+        computes(advised)
+        sums.append(evaluated(advised, 10)["predicted_variance"][0, 3:])
+    objects = scenario(alone).draw_catalogue(np.random.default_rng(1))
+    s, c, sin_dec, cos_dec = np.sin(objects.ra), np.cos(objects.ra), np.sin(objects.dec), np.cos(objects.dec)
+    p, q = np.array([-s, c, 0 * s]), np.array([-sin_dec * c, -sin_dec * s, cos_dec])
+    weight = (objects.own_errors("reference").sigma[2:] / MAS) ** -2.0
+    normal = (q * weight[0]) @ q.T + (p * weight[1]) @ p.T
+    for variance in sums:
+        np.testing.assert_allclose(variance / 10.0, np.diag(np.linalg.inv(normal)), rtol=1e-6)
+
+
+def test_a_wrong_table_is_named_with_its_file(tmp_path):
+    table = gaia_table(tmp_path, dec=np.array([1.0, 2.0, 95.0, 3.0, 4.0, 5.0]))
+    problem = check(from_file(table))
+    assert "in row 3 (95)" in problem
+    assert problem.endswith(f"({table.path})")
 
 
 def test_an_ambiguous_file_is_a_problem_of_the_point(tmp_path):
@@ -556,7 +602,7 @@ class Watched(dict):
     keys = items = values = copy = __or__ = __iter__
 
 
-FILE_ONLY = {"columns", "pmra_cos_dec"}
+FILE_ONLY = {"columns", "units", "pmra_cos_dec"}
 SIGMAS = {f"{side}_sigma_{what}" for side in ("reference", "satellite") for what in ("pos", "pm")}
 NEVER = {"mean_pm", "pm_distribution", "epsilon", "omega", "epsilon_size", "omega_size", "directions", "glide"}
 NEVER |= {"corrections", "arithmetic"}

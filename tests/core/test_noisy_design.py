@@ -13,7 +13,7 @@ from core.errors import CatalogueErrors
 from core.experiment import link, scenario
 from core.link import POLE_LIMIT, LinkError, design_matrix, solve
 from core.noise import Tile, tile_objects
-from core.noisy_design import SMALL_ANGLE, FullPath
+from core.noisy_design import ELEMENTS, SMALL_ANGLE, FullPath
 from core.prepared import Draw, prepare
 from core.shared_arrays import Prefixes
 
@@ -161,6 +161,18 @@ def test_an_object_that_its_error_carries_over_the_pole_is_named_as_by_the_desig
     with pytest.raises(LinkError) as by_sums:
         all_at_once(setup, normals)
     assert str(by_sums.value)[:60] == str(by_design.value)[:60]
+
+
+def test_the_object_at_the_pole_is_named_where_it_is_not_in_the_first_part():
+    rng = np.random.default_rng(5)
+    rows = 512
+    objects = catalogue(rng, 40, 0.0, 1.0, 1.0, 0.0, False)
+    assert ELEMENTS // rows < 35 < 40
+    objects.dec[35] = 90.0 * DEGREE - 3.0 * MAS
+    normals = 0.01 * rng.standard_normal((2, 40, 4, rows))
+    normals[1, 35, 1, 11] = 4.0
+    with pytest.raises(LinkError, match="object 35 is at a celestial pole"):
+        all_at_once(set_up(objects), normals)
 
 
 def test_objects_of_one_place_do_not_determine_the_link():

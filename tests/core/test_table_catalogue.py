@@ -71,8 +71,11 @@ class Columns:
     def names(self):
         return tuple(self.columns)
 
-    def numbers(self, name, unit):
+    def numbers(self, name, unit, stated=None, right_ascension=False):
         return np.asarray(self.columns[name], float)
+
+    def in_time(self, name, stated=None):
+        return False
 
 
 def catalogue(columns, names=None, pmra_cos_dec=None):
@@ -133,7 +136,7 @@ def test_fixed_width_table_with_its_readme(tmp_path):
 
 def test_a_parquet_file_that_cannot_be_read_or_has_no_reader(tmp_path):
     (tmp_path / "four.parquet").write_bytes(b"PAR1")
-    with pytest.raises(SweepError, match="cannot be read as parquet"):
+    with pytest.raises(SweepError, match="cannot be read as Parquet"):
         table_file(tmp_path / "four.parquet")
 
 
@@ -182,7 +185,7 @@ def test_unused_columns_may_be_anything(tmp_path):
 
 def test_text_is_no_number(tmp_path):
     table = written(tmp_path, GAIA | {"dec": ["60", "-30", "0.5", "-80"]})
-    with pytest.raises(SweepError, match="column 'dec' does not hold numbers"):
+    with pytest.raises(SweepError, match=r"column .dec. is text that is no angle .* in row 1 \(.60.\)"):
         catalogue_from_table(table, {}, None)
 
 
@@ -255,7 +258,7 @@ def test_without_both_errors_of_the_motions_there_are_none(given):
 @pytest.mark.parametrize("name", ERRORS)
 def test_a_negative_error_is_named(name):
     bad = ERRORS | {name: np.array([0.1, 0.1, -0.1, 0.1])}
-    with pytest.raises(ValueError, match=f"^{name} is negative in row 3$"):
+    with pytest.raises(ValueError, match=rf"^{name} is negative in row 3 \(-0.1\)$"):
         catalogue(GAIA | bad)
 
 
@@ -296,12 +299,12 @@ def test_impossible_correlations_are_named(impossible):
 
 @pytest.mark.parametrize("dec", [90.0, -90.0, 90.5, 200.0])
 def test_poles_and_beyond_are_named(dec):
-    with pytest.raises(ValueError, match=r"^dec is not between -90 and 90 deg, poles excluded, in row 4$"):
+    with pytest.raises(ValueError, match=rf"^dec is not between -90 and 90 deg, poles excluded, in row 4 \({dec:g}\)$"):
         catalogue(GAIA | {"dec": np.array([60.0, -30.0, 0.5, dec])})
 
 
 def test_many_bad_rows_are_cut_short():
-    with pytest.raises(ValueError, match=r"in row 1, 2, 3, 4, 5 and more$"):
+    with pytest.raises(ValueError, match=r"in row 1 \(95\), .*, 5 \(95\) and more; are ra and dec swapped\?$"):
         catalogue({"ra": np.zeros(7), "dec": np.full(7, 95.0)})
 
 
@@ -334,3 +337,94 @@ def test_objects_of_a_file_at_random_positions(tmp_path):
     np.testing.assert_allclose(found.pmra, PMRA * MAS, rtol=1e-14)
     np.testing.assert_array_equal(found.v_mag, MAG)
     assert not np.any(np.isin(found.ra, RA * DEGREE))
+
+
+# ---- units, hours, ranges and the errors of two sides
+
+
+@pytest.mark.parametrize(
+    ("ra", "rows"),
+    [((-180.1, 0.0, 360.0, 10.0), r"1 \(-180.1\)"), ((10.0, 360.5, -180.0, 400.0), r"2 \(360.5\), 4 \(400\)")],
+)
+def test_the_range_of_right_ascensions(ra, rows):
+    with pytest.raises(ValueError, match=rf"^ra is not between -180 and 360 deg in row {rows}$"):
+        catalogue(GAIA | {"ra": np.array(ra)})
+
+
+def test_hours_are_refused_until_they_are_said_to_be(tmp_path):
+    hours = GAIA | {"ra": RA / 15.0}
+    table = written(tmp_path, hours, ".csv")
+    with pytest.raises(
+        SweepError, match=r"column 'ra' has no unit and lies within 0.666667 to 23.9333: hours, degrees"
+    ):
+        catalogue_from_table(table, {}, None)
+    assert is_the_four(catalogue_from_table(table, {}, None, {"ra": "hourangle"}))
+    small = catalogue_from_table(table, {}, None, {"ra": "deg"})
+    np.testing.assert_allclose(small.ra, RA / 15.0 * DEGREE, rtol=1e-14)
+    assert is_the_four(catalogue_from_table(written(tmp_path, hours, units={"ra": "h"}), {}, None))
+
+
+@pytest.mark.parametrize("name", ["parallax", "ra_dec_corr", "rah"])
+def test_units_are_those_of_quantities(name):
+    with pytest.raises(ValueError, match=f"units: {name} is no quantity"):
+        catalogue_from_table(Columns(GAIA), {}, None, {name: "deg"})
+
+
+def test_errors_and_motions_in_seconds_of_time_get_their_cos_dec(tmp_path):
+    cos_dec = np.cos(np.radians(DEC))
+    other = GAIA | ERRORS | {"pmra": PMRA / 15e3 / cos_dec, "ra_error": ERRORS["ra_error"] / 15e3 / cos_dec}
+    other |= {"pmra_error": ERRORS["pmra_error"] / 15e3 / cos_dec}
+    units = UNITS | {"pmra": "s / yr", "pmra_error": "s / yr", "ra_error": "s"}
+    del other["source_id"]  # of no table of Gaia's: seconds of time say enough
+    assert is_the_four(catalogue_from_table(written(tmp_path, other, units=units), {}, None), errors=True)
+
+
+def test_sexagesimal_positions_of_a_file(tmp_path):
+    text = "ra,dec\n00:40:00,+60:00:00\n6 40 00,-30 00 00\n13h20m00s,+00 30 00\n23 56 00,-80 0 0\n"
+    (tmp_path / "t.csv").write_text(text)
+    found = catalogue_from_table(table_file(tmp_path / "t.csv"), {}, None)
+    np.testing.assert_allclose([found.ra, found.dec], np.array([RA, DEC]) * DEGREE, rtol=1e-14)
+
+
+def side(name, factor):
+    return {f"{name}_{key}": factor * values for key, values in ERRORS.items()}
+
+
+@pytest.mark.parametrize(
+    ("given", "reference", "satellite"),
+    [
+        (ERRORS, 1.0, 1.0),
+        (side("reference", 2.0) | side("satellite", 3.0), 2.0, 3.0),
+        (side("reference", 2.0) | side("satellite", 3.0) | ERRORS, 2.0, 3.0),
+        (side("reference", 2.0) | ERRORS, 2.0, 1.0),
+        (side("satellite", 3.0) | ERRORS, 1.0, 3.0),
+        (side("reference", 2.0), 2.0, None),
+        (side("satellite", 3.0), None, 3.0),
+    ],
+)
+def test_each_side_has_its_own_errors_or_those_of_both(given, reference, satellite):
+    found = catalogue(GAIA | given).take(np.array([2, 0]))
+    for name, factor in (("reference", reference), ("satellite", satellite)):
+        own = found.own_errors(name)
+        if name == "reference" and reference is None:
+            assert own is None or factor is None
+            continue
+        assert (own is None) == (factor is None)
+        if own is not None:
+            expected = factor * np.array(list(ERRORS.values()))[:, [2, 0]] * MAS
+            np.testing.assert_allclose(own.sigma, expected, rtol=1e-14)
+
+
+def test_correlations_are_those_of_their_side():
+    columns = side("reference", 2.0) | ERRORS | {"reference_pmra_pmdec_corr": np.full(4, 0.5)}
+    found = catalogue(GAIA | columns)
+    assert found.own_errors("satellite").correlation is None
+    assert np.all(found.own_errors("reference").correlation[:, 2, 3] == 0.5)
+
+
+def test_one_column_is_not_both_sides():
+    names = {"reference_pmra_error": "pmra_error", "satellite_pmra_error": "pmra_error"}
+    with pytest.raises(ValueError, match="reference_pmra_error and satellite_pmra_error are both column 'pmra_error'"):
+        catalogue(GAIA | ERRORS, names)
+    with pytest.raises(ValueError, match="reference_pmra_error needs reference_pmra_error and reference_pmdec_error"):
+        catalogue(GAIA | ERRORS, {"reference_pmra_error": "pmra_error"})

@@ -55,7 +55,7 @@ def galaxy_tables():
             "PGC": [7223, 11404, 65866, 99999],
         }
     )
-    sharp = Table({"ra": [10.0], "dec": [20.0 + 0.2 * ARCSEC]})
+    sharp = Table({"ra": [10.0], "dec": [20.0 + 0.2 * ARCSEC]}, units={"ra": "deg"})  # else: hours?
     return wide, sharp
 
 
@@ -76,7 +76,7 @@ def test_the_command_of_the_document_runs(folder):
     star_table().write("tycho2.fits")
     Table.read("extra.ecsv").write("tycho2_suppl1.fits")
     for table, name in zip(galaxy_tables(), ("pgc.fits", "uzc.csv"), strict=True):
-        table.write(name)
+        table.write(name, format="fits" if name.endswith("fits") else "ascii.ecsv")
     (command,) = commands("galaxy-search.md")
     result = run(*shlex.split(command)[2:])
     assert result.exit_code == 0, result.output
@@ -394,20 +394,23 @@ def test_bad_outputs_are_refused_before_the_search(folder, arguments, message):
 BAD_STARS = {
     "no ra": ({"ra": None}, "no column 'ra'"),
     "misspelt": ({"dec": None, "decl": [0.0] * 4}, "no column 'dec'; did you mean 'decl'?"),
-    "NaN": ({"ra": [np.nan, 1.0, np.nan, 1.0]}, "rows 1, 3 have no ra"),
+    "NaN": ({"ra": [np.nan, 100.0, np.nan, 1.0]}, "rows 1, 3 have no ra"),
     "masked": ({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, "row 3 has no dec"),
     "infinite": ({"ra": [1.0, np.inf, 1.0, 1.0]}, "row 2 has an infinite ra"),
-    "ra range": ({"ra": [-0.1, 1.0, 1.0, 360.1]}, "rows 1, 4 have an ra outside 0..360 deg"),
-    "dec range": ({"dec": [0.0, 90.1, 0.0, 0.0]}, "row 2 has a dec outside -90..90 deg"),
-    "text": ({"ra": ["00 01 02"] * 4}, "ra is not a column of numbers"),
-    "vectors": ({"ra": [[1.0, 2.0]] * 4}, "2-dimensional"),
+    "ra range": ({"ra": [-0.1, 1.0, 1.0, 360.1]}, "rows 1 (-0.1), 4 (360.1) have an ra outside 0..360 deg"),
+    "dec range": ({"dec": [0.0, 90.1, 0.0, 0.0]}, "row 2 (90.1) has a dec outside -90..90 deg"),
+    "text": (
+        {"ra": ["00 01 02"] * 3 + ["x"]},
+        "column 'ra' is text that is no angle like 12 34 56.7 or 12:34:56.7 in row 4 ('x')",
+    ),
+    "vectors": ({"ra": [[1.0, 2.0]] * 4}, "column 'ra' does not hold numbers"),
     "no error": ({"ra_error": None}, "give its error in arcsec with --error"),
-    "zero error": ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, "row 1 has a ra_error that is not above 0"),
+    "zero error": ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, "row 1 (0.0) has a ra_error that is not above 0"),
     "missing error": ({"dec_error": [1.0, np.nan, 1.0, 1.0]}, "row 2 has no dec_error"),
     "half a motion": ({"pmdec": None}, "no column 'pmdec'"),
     "missing motion": ({"pmdec": [np.nan] * 4}, "rows 1, 2, 3, 4 have no proper motion (--missing-pm zero"),
     "infinite motion": ({"pmra": [np.inf, 0.0, 0.0, 0.0]}, "row 1 has an infinite pmra"),
-    "negative pm error": ({"pmra_error": [-1.0, 1.0, 1.0, 1.0]}, "row 1 has a negative pmra_error"),
+    "negative pm error": ({"pmra_error": [-1.0, 1.0, 1.0, 1.0]}, "row 1 (-1.0) has a negative pmra_error"),
     "missing pm error": ({"pmra_error": [np.nan, 1.0, 1.0, 1.0]}, "row 1 has no pmra_error"),
     "no epoch": ({"ref_epoch": None}, "proper motions need the epoch of the positions"),
     "epoch in days": ({"ref_epoch": [2448349.0] * 4}, "a ref_epoch that is no Julian year (1700..2300)"),
@@ -441,7 +444,7 @@ def test_every_bad_star_table_is_a_clear_error(folder, case):
 BAD_GALAXIES = {
     "no rows": (Table({"ra": [], "dec": []}, dtype=[float, float]), "has no rows"),
     "no error": (Table({"ra": [1.0], "dec": [2.0]}), None),
-    "PGC negative": (Table({"ra": [1.0], "dec": [2.0], "PGC": [-1]}), "row 1 has a negative PGC number"),
+    "PGC negative": (Table({"ra": [100.0], "dec": [2.0], "PGC": [-1]}), "row 1 (-1) has a negative PGC number"),
     "PGC text": (Table({"ra": [1.0], "dec": [2.0], "PGC": ["N224"]}), "PGC is not a column of numbers"),
     "missing": (Table({"ra": [1.0] * 9, "dec": [np.nan] * 8 + [2.0]}), "rows 1, 2, 3, 4, 5 and 3 more have no dec"),
 }
@@ -468,7 +471,7 @@ def test_units_that_do_not_fit_are_refused(folder):
     with pytest.raises(SweepError) as error:
         read_stars(folder / "stars.ecsv")
     assert len(error.value.problems) == 2
-    assert "ra is in 'mas / yr', which is no 'deg'" in error.value.problems[0]
+    assert "column 'ra' is in mas / yr, not convertible to deg" in error.value.problems[0]
 
 
 def test_problems_of_all_tables_come_at_once(folder):
@@ -483,9 +486,9 @@ def test_files_that_are_no_tables(folder):
     (folder / "b.txt").write_text("1 2 3")
     (folder / "c.vot").write_text("<html>")
     for name, message in (
-        ("a.fits", "cannot be read as fits"),
-        ("b.txt", "cannot tell its format"),
-        ("c.vot", "cannot be read as votable"),
+        ("a.fits", "has no rows"),
+        ("b.txt", "its first line, '1 2 3', is not one of column names"),
+        ("c.vot", "is a web page, not a table"),
     ):
         with pytest.raises(SweepError, match=message) as error:
             read_galaxies(folder / name)
@@ -547,3 +550,48 @@ def test_help_imports_nothing_heavy():
     heavy = "{'numpy', 'scipy', 'astropy', 'matplotlib'}"
     code = f"import sys, sweep.cli; sys.exit(len({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# ---- what is carried and what is asked
+
+
+def test_the_galaxys_own_name_is_carried(folder):
+    wide, sharp = galaxy_tables()
+    wide["Name"] = ["NGC 1", "M 31", "Leo A", ""]
+    wide.write("wide.csv", overwrite=True)
+    result = run(*WITH_SUPPLEMENT, "-o", "out.ecsv")
+    assert result.exit_code == 0, result.output
+    found = read_matches(folder / "out.ecsv")
+    assert dict(zip(found["PGC"].tolist(), np.ma.filled(found["galaxy_name"], "").tolist(), strict=True)) == {
+        65866: "Leo A",
+        7223: "",  # the entry of sharp, which has no names
+        11404: "M 31",
+        99999: "",
+    }
+    sharp["objname"] = ["a much longer name than any of wide"]
+    sharp.write("sharp.ecsv", overwrite=True)
+    assert run(*WITH_SUPPLEMENT, "-o", "longer.ecsv").exit_code == 0
+    assert "a much longer name than any of wide" in list(read_matches(folder / "longer.ecsv")["galaxy_name"])
+
+
+def test_hours_in_a_table_are_asked_for_and_converted(folder):
+    degrees = run(*ARGUMENTS, "-o", "degrees.ecsv")
+    assert degrees.exit_code == 0, degrees.output
+    stars = star_table()
+    stars["ra"] = stars["ra"] / 15.0
+    stars.write("stars.fits", overwrite=True)
+    refused = run(*ARGUMENTS, "-o", "hours.ecsv")
+    assert refused.exit_code == 2
+    assert "stars.fits: column 'ra' has no unit and lies within 0.666667 to 24" in refused.output
+    assert not (folder / "hours.ecsv").exists()
+    assert run(*ARGUMENTS, "--unit", "ra=hourangle", "-o", "hours.ecsv").exit_code == 0
+    one, other = (read_matches(folder / name) for name in ("degrees.ecsv", "hours.ecsv"))
+    np.testing.assert_array_equal(one["PGC"], other["PGC"])
+    np.testing.assert_allclose(one["ra"], other["ra"], rtol=1e-15)
+
+
+@pytest.mark.parametrize("text", ["ra=parsecs", "stars:ra=mas / yr", "rq=deg", "none:ra=deg", "ra"])
+def test_units_on_the_command_line_are_checked(text, folder):
+    result = run(*ARGUMENTS, "--unit", text)
+    assert result.exit_code == 2
+    assert result.output.startswith("error: ")

@@ -1,0 +1,241 @@
+"""The one reader of tables: FITS, VOTable, ECSV, delimited text, Parquet, and CDS tables with their ReadMe."""
+
+import bz2
+import fnmatch
+import gzip
+import io
+import lzma
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sweep.contract import SweepError
+from sweep.table_text import read_delimited, read_rows
+
+FORMATS = (
+    "FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a CDS table with its ReadMe beside it"
+)
+"""The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz."""
+
+READMES = ("ReadMe", "README", "readme", "ReadMe.txt", "README.txt", "readme.txt")
+
+_PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzma.decompress}
+_DESCRIBED = re.compile(r"^\s*Byte-(?:by|per)-byte Description of file\s*:\s*(.+?)\s*$", re.IGNORECASE | re.MULTILINE)
+_SEXAGESIMAL = {"RAdeg": ("", "RAh", "RAm", "RAs", 15.0), "DEdeg": ("DE-", "DEd", "DEm", "DEs", 1.0)}
+
+
+def read_table(path: Path) -> Any:
+    """Return the table in a file as an astropy Table, its columns with units where the file gives them.
+
+    What is missing is masked, or NaN.  The format follows from the content, not from the name.  Of columns RAh, RAm,
+    RAs and DE-, DEd, DEm, DEs, as at CDS, RAdeg and DEdeg (deg) are made.  Raises SweepError that names
+    the file, and the row where there is one, for what cannot be read.
+    """
+    try:
+        content = path.read_bytes()
+        with warnings.catch_warnings():  # of units and headers that do not matter for the columns that are used
+            warnings.simplefilter("ignore")
+            table = _read(path, content)
+            _add_degrees(table)
+        return table
+    except OSError as error:
+        if not path.exists():
+            raise SweepError("no such file", str(path)) from error
+        raise SweepError(f"cannot be read: {error.strerror or error}", str(path)) from error
+    except SweepError as error:
+        raise SweepError(error.problems, str(path)) from error
+
+
+def readme_of(path: Path) -> Path | None:
+    """Return the ReadMe beside a table that describes it, or should as its name ends in .dat; None if there is none."""
+    readme = next((found for name in READMES if (found := path.parent / name).is_file()), None)
+    if readme is None or not (_unpacked(path).lower().endswith(".dat") or _describes(readme, path)):
+        return None
+    return readme
+
+
+def _read(path: Path, content: bytes) -> Any:
+    packed = next((unpack for mark, unpack in _PACKED.items() if content.startswith(mark)), None)
+    if packed is not None:
+        try:
+            content = packed(content)
+        except (EOFError, ValueError, OSError, lzma.LZMAError) as error:
+            raise SweepError(f"is packed, but not whole: {error}") from error
+    start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if start.startswith(b"SIMPLE  ="):
+        return _by_astropy("fits", io.BytesIO(content) if packed else path)
+    readers = {b"PAR1": _parquet, b"<": _votable, b"# %ECSV": _ecsv, b"PK\3\4": _archive, b"": _text}
+    read = next(read for mark, read in readers.items() if start.startswith(mark))
+    return read(content) if read is not _text else _text(content, path)
+
+
+def _archive(content: bytes) -> Any:
+    raise SweepError("is a zip archive (or a spreadsheet): unpack or export the table in it")
+
+
+def _text(content: bytes, path: Path) -> Any:
+    text = content.decode("utf-8", "replace")
+    if not text.strip():
+        raise SweepError("has no rows")
+    if text.startswith("\\"):
+        return _by_astropy("ascii.ipac", text)
+    if "byte-by-byte description" in text[:100_000].lower():
+        return _by_astropy("ascii.mrt", text.splitlines())
+    if (readme := readme_of(path)) is not None:
+        return _with_readme(path, text, readme)
+    try:
+        return read_delimited(content)
+    except ValueError as error:
+        raise SweepError(str(error)) from error
+
+
+def _by_astropy(form: str, source: Any, **options: Any) -> Any:
+    from astropy.table import Table
+
+    try:
+        return Table.read(source, format=form, **options)
+    except Exception as error:  # each of astropy's readers has its own
+        text = " ".join(str(error).split())[:300]
+        raise SweepError(f"cannot be read as {form}: {type(error).__name__}: {text}") from error
+
+
+def _votable(content: bytes) -> Any:
+    from astropy.io.votable import parse
+
+    head = content[:4096].lower()
+    if b"<html" in head or b"<!doctype html" in head:
+        raise SweepError("is a web page, not a table")
+    try:
+        document = parse(io.BytesIO(content), verify="ignore")
+        tables = [table for table in document.iter_tables() if len(table.fields)]
+    except Exception as error:  # of XML, of base64, of VOTable
+        raise SweepError(f"cannot be read as a VOTable: {' '.join(str(error).split())[:300]}") from error
+    if not tables:
+        infos = [info for resource in document.resources for info in resource.infos if info.name == "QUERY_STATUS"]
+        said = "".join(f": {info.value}: {' '.join((info.content or '').split())[:200]}" for info in infos)
+        raise SweepError(f"has no table in it{said}")
+    if len(tables) > 1:
+        raise SweepError(f"has {len(tables)} tables in it; leave one")
+    return tables[0].to_table(use_names_over_ids=True)
+
+
+def _ecsv(content: bytes) -> Any:
+    """Read the header with astropy and the rows with pandas, which takes a twentieth of the time."""
+    text = content.removeprefix(b"\xef\xbb\xbf")
+    end = 0
+    while text[end : end + 1] == b"#":
+        end = text.find(b"\n", end) + 1 or len(text)
+    names_end = text.find(b"\n", end) + 1 or len(text)
+    table = _by_astropy("ascii.ecsv", text[:names_end].decode("utf-8", "replace").rstrip() + "\n")
+    plain = "__serialized_columns__" not in table.meta and all(
+        type(column).__name__ == "Column" and column.ndim == 1 and column.dtype.kind in "fiubU"
+        for column in table.columns.values()
+    )
+    if not plain:
+        return _by_astropy("ascii.ecsv", text.decode("utf-8", "replace"))
+    delimiter = "," if re.search(rb"^# delimiter: *','", text[:end], re.MULTILINE) else " "
+    if delimiter == " " and b'"' in text[names_end:]:
+        return _by_astropy("ascii.ecsv", text.decode("utf-8", "replace"), fill_values=[("", "0"), ("null", "0")])
+    kinds = [str(column.dtype) if column.dtype.kind != "U" else "str" for column in table.columns.values()]
+    try:
+        rows = read_rows(text[names_end:], table.colnames, delimiter, kinds)
+    except ValueError as error:
+        raise SweepError(f"cannot be read as ECSV: {error}") from error
+    for name, column in table.columns.items():
+        for attribute in ("unit", "description", "format"):
+            setattr(rows[name], attribute, getattr(column, attribute))
+    rows.meta = table.meta
+    return rows
+
+
+def _parquet(content: bytes) -> Any:
+    from astropy.table import MaskedColumn, Table
+
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise SweepError("is a Parquet file, which needs pyarrow: install linksweep[parquet]") from error
+    try:
+        found = parquet.read_table(io.BytesIO(content))
+        units = _by_astropy("parquet", io.BytesIO(content), schema_only=True) if _from_astropy(found) else None
+    except (pa.ArrowException, OSError) as error:
+        raise SweepError(f"cannot be read as Parquet: {' '.join(str(error).split())[:300]}") from error
+    table = Table()
+    for name, field in zip(found.column_names, found.schema, strict=True):
+        column, missing = found[name], found[name].is_null().to_numpy()
+        kind = pa.types
+        if kind.is_decimal(field.type):
+            column = column.cast(pa.float64())
+        if kind.is_dictionary(field.type):
+            column = column.cast(field.type.value_type)
+        if kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_boolean(column.type):
+            values = column.fill_null(False if kind.is_boolean(column.type) else 0).to_numpy()
+        elif kind.is_string(column.type) or kind.is_large_string(column.type):
+            values = np.array(["" if text is None else text for text in column.to_pylist()], dtype=np.str_)
+        else:
+            values = np.empty(len(column), dtype=object)
+            values[:] = column.to_pylist()
+        unit = (field.metadata or {}).get(b"unit", b"").decode() or (units and units[name].unit) or None
+        table[name] = MaskedColumn(values, mask=missing if missing.any() else False, unit=unit)
+    return table
+
+
+def _from_astropy(found: Any) -> bool:
+    return b"table_meta_yaml" in (found.schema.metadata or {})
+
+
+def _described(readme: Path) -> list[str]:
+    text = readme.read_text(encoding="utf-8", errors="replace")
+    return [name for match in _DESCRIBED.findall(text) for name in re.split("[, ]+", match) if name]
+
+
+def _describes(readme: Path, path: Path) -> bool:
+    return any(fnmatch.fnmatch(_unpacked(path), name) for name in _described(readme))
+
+
+def _unpacked(path: Path) -> str:
+    return re.sub(r"\.(gz|bz2|xz)$", "", path.name, flags=re.IGNORECASE)
+
+
+def _with_readme(path: Path, text: str, readme: Path) -> Any:
+    described = _described(readme)
+    if not described:
+        raise SweepError(
+            f"the {readme.name} beside it describes no table byte by byte, so it is not that of a CDS table"
+        )
+    if not _describes(readme, path):
+        raise SweepError(f"the {readme.name} beside it describes {', '.join(described)}, not {_unpacked(path)}")
+    from astropy.io.ascii import Cds
+
+    reader = Cds(readme=str(readme))
+    reader.guessing = False
+    lines = [line for line in text.splitlines() if line.strip()]
+    try:
+        reader.data.table_name = _unpacked(path)
+        reader.inputter.table_name = _unpacked(path)
+        return reader.read(lines)
+    except Exception as error:  # what a ReadMe has that astropy does not know has no type of its own
+        said = " ".join(str(error).split())[:300]
+        raise SweepError(f"cannot be read with the {readme.name} beside it: {type(error).__name__}: {said}") from error
+
+
+def _add_degrees(table: Any) -> None:
+    """Add RAdeg and DEdeg to a table that has hours, minutes and seconds in columns of their own."""
+    from astropy.table import MaskedColumn
+
+    for name, (sign, *parts, factor) in _SEXAGESIMAL.items():
+        if name in table.colnames or not {*parts, *([sign] if sign else [])} <= set(table.colnames):
+            continue
+        columns = [np.ma.asarray(table[part]) for part in parts]
+        if any(column.dtype.kind not in "iuf" for column in columns):
+            continue
+        first, minutes, seconds = (column.astype(np.float64) for column in columns)
+        values = factor * (first + minutes / 60.0 + seconds / 3600.0)
+        if sign:
+            negative = np.array([str(text).strip() == "-" for text in np.ma.filled(np.ma.asarray(table[sign]), "+")])
+            values = values * np.where(negative, -1.0, 1.0)
+        table[name] = MaskedColumn(np.ma.getdata(values), mask=np.ma.getmaskarray(values), unit="deg")

@@ -1,0 +1,273 @@
+"""Tables of delimited text: CSV, TSV as VizieR sends it, `;` or blanks between columns, comments and units."""
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+DELIMITERS = ("\t", ";", "|", ",")
+
+MISSING = ("", "null", "NULL", "None", "NaN", "nan", "N/A", "n/a", "NA", "<NA>", "--", "---", "...", "\\N")
+
+PREFACE_LINES = 100_000
+"""Comments, names, units and rules stand in so many lines at most."""
+
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
+_RULE = re.compile(r"[-=+]+")
+_CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
+_BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Names and units of the columns, what stands between them, and where the first row begins."""
+
+    names: list[str]
+    units: list[str]
+    delimiter: str
+    start: int
+
+
+def read_delimited(content: bytes) -> Any:
+    """Return the astropy Table in delimited text; missing values are masked.
+
+    Lines that begin with # are comments; the names of the columns stand in the first other line, or in the last comment
+    before lines of numbers.  A line of units and a line of dashes may follow.  Raises ValueError that says what is
+    wrong, with rows counted from 1.
+    """
+    content = _utf8(content)
+    layout = _layout(content)
+    twice = sorted({name for name in layout.names if layout.names.count(name) > 1})
+    if twice:
+        raise ValueError(f"two columns are called {', '.join(map(repr, twice))}")
+    table = read_rows(content[layout.start :], layout.names, layout.delimiter)
+    for name, unit in zip(layout.names, layout.units, strict=True):
+        if unit:
+            table[name].unit = _unit(unit)
+    return table
+
+
+def read_rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[str] | None = None) -> Any:
+    """Return rows of text as an astropy Table with these columns, of these types or of what they look like.
+
+    Raises ValueError for a row with more or fewer columns, or with what is not of its type.
+    """
+    import pandas as pd
+    from astropy.table import Column, MaskedColumn, Table
+
+    if body.startswith(b"#") or b"\n#" in body:
+        body = b"\n".join(line for line in body.split(b"\n") if not line.startswith(b"#"))
+    options: dict[str, Any] = {
+        "sep": r"\s+" if delimiter == " " else delimiter,
+        "header": None,
+        "names": list(range(len(names))),
+        "index_col": False,
+        "skipinitialspace": True,
+        "na_values": list(MISSING),
+        "keep_default_na": False,
+        "float_precision": "round_trip",
+        "decimal": "," if delimiter == ";" and _has_decimal_commas(body) else ".",
+        "low_memory": False,
+    }
+    kinds = dict(enumerate(dtypes)) if dtypes else {}
+    types = {k: _nullable(kind) for k, kind in kinds.items()}
+    try:
+        _check_widths(body, len(names), delimiter)
+        frame = pd.read_csv(io.BytesIO(body), dtype=types or None, **options)
+        rounded = [k for k in frame.columns if not kinds and _rounded(frame[k])]
+        whole = pd.read_csv(io.BytesIO(body), dtype="Int64", usecols=rounded, **options) if rounded else frame
+    except pd.errors.EmptyDataError:
+        frame, whole, rounded = pd.DataFrame({k: [] for k in range(len(names))}), None, []
+    except (pd.errors.ParserError, OverflowError) as error:
+        raise ValueError(" ".join(str(error).split())) from error
+    columns = []
+    for k, name in enumerate(names):
+        column = (whole if k in rounded else frame)[k]
+        missing = column.isna().to_numpy(dtype=bool)
+        values = _plain(column, missing, kinds.get(k))
+        columns.append(MaskedColumn(values, name, mask=missing) if missing.any() else Column(values, name))
+    return Table(columns, copy=False)
+
+
+def _layout(content: bytes) -> _Layout:
+    lines = _Lines(content)
+    comments: list[str] = []
+    header = ""
+    for line in lines:
+        if line.startswith("#"):
+            comments.append(line.lstrip("#"))
+        elif line.strip():
+            header = line
+            break
+    if not header.strip():
+        raise ValueError("has no rows")
+    start = lines.before
+    delimiter = _delimiter(header)
+    names = _fields(header, delimiter)
+    if any(_NUMBER.fullmatch(name) for name in names):  # a row already
+        last = comments[-1] if comments else ""
+        commented = next((f for d in (delimiter, " ") if len(f := _fields(last, d)) == len(names)), None)
+        if commented is None or any(_NUMBER.fullmatch(name) for name in commented):
+            raise ValueError(
+                f"its first line, {header.strip()[:60]!r}, is not one of column names (a table of CDS needs its ReadMe "
+                "beside it)"
+            )
+        return _Layout(commented, [_bracketed(name) for name in commented], delimiter, start)
+    units, start = _units_and_rules(lines, delimiter, len(names))
+    names = [name or f"column {k}" for k, name in enumerate(names, start=1)]
+    return _Layout(names, units or [_bracketed(name) for name in names], delimiter, start)
+
+
+def _units_and_rules(lines: "_Lines", delimiter: str, n_columns: int) -> tuple[list[str] | None, int]:
+    """Return the units in the lines after the names, if there are any, and where the first row begins."""
+    units, start = None, lines.after
+    after: list[list[str]] = []
+    for line in lines:
+        fields = _fields(line.lstrip("#"), delimiter)
+        commented = line.startswith("#")
+        if not line.strip() or (not commented and all(_RULE.fullmatch(f) for f in line.split())):
+            if line.strip() and after:
+                units = after[-1]  # VizieR's: what stands above the rule
+            start = lines.after
+        elif units is None and len(fields) == n_columns and _are_units(fields):
+            units, start = fields, lines.after
+        elif commented:
+            start = lines.after
+        elif after or len(fields) != n_columns or any(_NUMBER.fullmatch(f) for f in fields):
+            break
+        else:
+            after.append(fields)
+    return units, start
+
+
+def _are_units(fields: Sequence[str]) -> bool:
+    given = [field for field in fields if field.strip("-")]
+    return bool(given) and all(_unit(field, "raise") is not None for field in given)
+
+
+def _unit(text: str, strict: str = "silent") -> Any:
+    """Return the astropy unit that a text stands for; one that astropy does not know, or None with "raise"."""
+    from astropy.units import Unit
+
+    text = text.strip().strip("[]()").strip()
+    if text in ("", "-", "--", "---"):
+        return None
+    if _CLOCK.fullmatch(text):
+        return Unit(text.strip('"'), parse_strict="silent")
+    if strict == "raise" and not text[0].isalpha():
+        return None
+    for form in ("cds", "generic", "vounit"):
+        try:
+            return Unit(text, format=form)
+        except (ValueError, TypeError):
+            continue
+    return Unit(text, parse_strict="silent") if strict == "silent" else _named_angle(text)
+
+
+def _named_angle(text: str) -> Any:
+    from astropy.units import Unit
+
+    known = {"degrees": "deg", "degree": "deg", "hours": "h", "hr": "h", "radians": "rad", "MJD": "d", "years": "yr"}
+    return Unit(known[text]) if text in known else None
+
+
+def _bracketed(name: str) -> str:
+    """Return the unit in a name like 'ra [deg]', '' if there is none."""
+    match = _BRACKETS.fullmatch(name)
+    return match[1] if match and _unit(match[1], "raise") is not None else ""
+
+
+def _delimiter(line: str) -> str:
+    unquoted = re.sub(r'"[^"]*"', "", line)
+    best = max(DELIMITERS, key=unquoted.count)
+    return best if best in unquoted else " "
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    return [field.strip() for field in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])]
+
+
+def _has_decimal_commas(body: bytes) -> bool:
+    first = body[:4096].split(b"\n")[0].decode("utf-8", "replace")
+    return any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in _fields(first, ";"))
+
+
+def _utf8(content: bytes) -> bytes:
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    if b"\0" in content[:4096]:
+        raise ValueError("is neither a table format that is known nor text")
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return content.decode("latin-1").encode("utf-8")
+    return content.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in content else content
+
+
+class _Lines:
+    """Iterates over the lines of a text; ``before`` and ``after`` are where the last one begins and ends."""
+
+    def __init__(self, content: bytes) -> None:
+        self.content, self.before, self.after, self.count = content, 0, 0, 0
+
+    def __iter__(self) -> "_Lines":
+        return self
+
+    def __next__(self) -> str:
+        if self.after >= len(self.content) or self.count >= PREFACE_LINES:
+            raise StopIteration
+        end = self.content.find(b"\n", self.after)
+        self.before, self.after = self.after, len(self.content) if end < 0 else end + 1
+        self.count += 1
+        return self.content[self.before : self.after].decode("utf-8")
+
+
+def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:
+    """Raise ValueError for the first row that has another number of columns than there are names."""
+    if delimiter == " ":
+        counts = (len(line.split()) for line in body.split(b"\n") if line.strip())
+    elif b'"' in body:
+        counts = (len(row) for row in csv.reader(io.StringIO(body.decode("utf-8")), delimiter=delimiter) if row)
+    else:
+        mark = delimiter.encode()
+        counts = (line.count(mark) + 1 for line in body.split(b"\n") if line and not line.isspace())
+    for row, count in enumerate(counts, start=1):
+        if count != n_columns:
+            raise ValueError(f"row {row} has {count} columns, not {n_columns} as the line of names")
+
+
+def _rounded(column: Any) -> bool:
+    """Return whether integers with gaps among them have become floats that cannot hold them, as Gaia's source_id."""
+    if column.dtype.kind != "f":
+        return False
+    values = column.to_numpy()
+    values = values[~np.isnan(values)]
+    return len(values) < len(column) and bool(np.any(np.abs(values) >= 2.0**53)) and bool(np.all(values % 1.0 == 0.0))
+
+
+def _nullable(kind: str) -> str:
+    """Return pandas' name of a type of NumPy's, with missing values."""
+    dtype = np.dtype("U" if kind in ("string", "str") else kind)
+    if dtype.kind in "iu":
+        return dtype.name.replace("u", "U").replace("int", "Int")
+    return {"b": "boolean", "f": dtype.name}.get(dtype.kind, "str")
+
+
+def _plain(column: Any, missing: NDArray[np.bool_], kind: str | None) -> NDArray[Any]:
+    """Return the values of a column, something where they are missing."""
+    if column.dtype.kind == "f" and str(column.dtype).islower():
+        return np.asarray(column.to_numpy())
+    if column.dtype.kind in "iub":
+        filled = column.fillna(0) if missing.any() else column
+        return np.asarray(
+            filled.to_numpy(dtype=np.dtype(kind) if kind else str(column.dtype).lower().replace("boolean", "bool"))
+        )
+    if len(column) and missing.all() and kind is None:
+        return np.full(len(column), np.nan)
+    return np.array([str(value) for value in column.where(~missing, "")], dtype=np.str_)

@@ -1,0 +1,281 @@
+# ruff: noqa: E101, W291
+"""Tables as strangers have them: every format, units, gaps and angles, and one sentence for each that is wrong."""
+
+import gzip
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.coordinates import Angle
+from astropy.table import Table
+
+from sweep.contract import SweepError
+from sweep.table_columns import column_values, in_time
+from sweep.table_reader import read_table
+
+VIZIER = """\
+#
+#   VizieR Astronomical Server vizier.cds.unistra.fr
+#Table	I_311_hip2:
+#---Details of Columns:
+#	HIP	(I6)	Hipparcos identifier
+HIP	RAJ2000	DEJ2000	RArad	e_RArad	Name
+ 	"h:m:s"	"d:m:s"	rad	mas	
+------	-----------	-----------	-------------	------	----
+     1	00 00 00.22	+01 05 20.4	 0.0000159148	  1.28	A
+     2	00 00 00.91	-00 29 55.8	             	  1.28	B #2
+
+"""
+HIP2 = """\
+I/311               Hipparcos, the New Reduction       (van Leeuwen, 2007)
+================================================================================
+File Summary:
+--------------------------------------------------------------------------------
+ FileName   Lrecl  Records    Explanations
+--------------------------------------------------------------------------------
+ReadMe         80        .    This file
+hip2.dat      276   117955    The Astrometric Catalogue
+--------------------------------------------------------------------------------
+
+Byte-by-byte Description of file: hip2.dat
+--------------------------------------------------------------------------------
+   Bytes Format Units    Label   Explanations
+--------------------------------------------------------------------------------
+   1-  6  I6    ---      HIP     Hipparcos identifier
+   8- 10  I3    ---      Sn      [0,159] Solution type new reduction (1)
+      12  I1    ---      So      [0,5] Solution type old reduction (2)
+      14  I1    ---      Nc      Number of components
+  16- 28 F13.10 rad      RArad   Right Ascension in ICRS, Ep=1991.25
+  30- 42 F13.10 rad      DErad   Declination in ICRS, Ep=1991.25
+  44- 50  F7.2  mas      Plx     Parallax
+  52- 59  F8.2  mas/yr   pmRA    Proper motion in Right Ascension
+  61- 68  F8.2  mas/yr   pmDE    Proper motion in Declination
+--------------------------------------------------------------------------------
+"""
+HIP2_ROWS = """\
+     1   5 0 1  0.0000159148  0.0190068680    4.55    -4.55    -1.29
+     2   5 0 1  0.0000662654 -0.3403239102   20.85   179.70     1.40
+"""
+
+
+def written(folder: Path, name: str, content: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("# made by hand\n# on a Monday\nra,dec,id\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
+        ("ra;dec;id\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),
+        ("ra;dec;id\n10,5;20;1\n200,0;-3;2\n", ["ra", "dec", "id"]),  # a spreadsheet with decimal commas
+        ("ra\tdec\tid\r\n10.5\t20\t1\r\n200\t-3\t2\r\n", ["ra", "dec", "id"]),
+        ("\ufeffra, dec, id\n10.5, 20, 1\n200, -3, 2\n", ["ra", "dec", "id"]),
+        ("# ra dec id\n 10.5  20  1\n200.0  -3  2\n", ["ra", "dec", "id"]),
+        ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
+        ("ra,dec,id\ndeg,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
+        ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
+        ('"ra","dec","id"\n"10.5","20","1"\n"200","-3","2"\n', ["ra", "dec", "id"]),
+    ],
+)
+def test_delimited_text(text, names, tmp_path):
+    for name, content in (("t.csv", text.encode()), ("t.txt.gz", gzip.compress(text.encode()))):
+        table = read_table(written(tmp_path, name, content))
+        assert table.colnames == names
+        np.testing.assert_array_equal([table[n] for n in names], [[10.5, 200.0], [20.0, -3.0], [1, 2]])
+    if "deg" in text:
+        assert [table[n].unit for n in names] == [u.deg, u.deg, None]
+
+
+def test_a_table_of_vizier(tmp_path):
+    table = read_table(written(tmp_path, "asu.tsv", VIZIER))
+    assert table["HIP"].tolist() == [1, 2]
+    assert list(table["Name"]) == ["A", "B #2"]
+    assert table["e_RArad"].unit == u.mas
+    ra = column_values(table, "RAJ2000", "deg", right_ascension=True)
+    dec = column_values(table, "DEJ2000", "deg")
+    np.testing.assert_allclose(ra, Angle(["0h0m0.22s", "0h0m0.91s"]).deg, rtol=1e-14)
+    np.testing.assert_allclose(dec, Angle(["1d5m20.4s", "-0d29m55.8s"]).deg, rtol=1e-14)
+    np.testing.assert_allclose(column_values(table, "RArad", "deg", None, True), [np.degrees(0.0000159148), np.nan])
+
+
+def test_hipparcos_2_with_its_readme(tmp_path):
+    written(tmp_path, "ReadMe", HIP2)
+    for name, content in (("hip2.dat", HIP2_ROWS.encode()), ("hip2.dat.gz", gzip.compress(HIP2_ROWS.encode()))):
+        table = read_table(written(tmp_path, name, content))
+        assert (table["HIP"].tolist(), table["pmRA"].tolist()) == ([1, 2], [-4.55, 179.7])
+        np.testing.assert_allclose(
+            column_values(table, "DErad", "deg"), np.degrees([0.0190068680, -0.3403239102]), rtol=1e-14
+        )
+    with pytest.raises(SweepError, match=r"the ReadMe beside it describes hip2\.dat, not tyc2\.dat"):
+        read_table(written(tmp_path, "tyc2.dat", HIP2_ROWS))
+    written(tmp_path, "ReadMe", "The data of my thesis\n")
+    with pytest.raises(SweepError, match="describes no table byte by byte"):
+        read_table(tmp_path / "hip2.dat")
+
+
+def test_hours_minutes_and_seconds_in_columns_of_their_own(tmp_path):
+    text = "RAh,RAm,RAs,DE-,DEd,DEm,DEs\n12,34,56.7,-,0,30,36\n0,0,1.5,+,45,0,0\n"
+    table = read_table(written(tmp_path, "t.csv", text))
+    np.testing.assert_allclose(table["RAdeg"], Angle(["12h34m56.7s", "0h0m1.5s"]).deg, rtol=1e-14)
+    np.testing.assert_allclose(table["DEdeg"], [-0.51, 45.0], rtol=1e-14)
+
+
+def test_large_identifiers_beside_gaps_keep_their_digits(tmp_path):
+    text = "source_id,ra\n4295806720123456789,1.0\n,2.0\n4295806720123456787,\n"
+    found = read_table(written(tmp_path, "t.csv", text))
+    assert found["source_id"].tolist() == [4295806720123456789, None, 4295806720123456787]
+    assert found["ra"].tolist() == [1.0, 2.0, None]
+
+
+def test_floats_are_read_to_the_last_bit(tmp_path):
+    values = np.random.default_rng(1).normal(size=2000) * 10.0 ** np.arange(-30, 30).repeat(34)[:2000]
+    for name, form in (("t.csv", "ascii.csv"), ("t.ecsv", "ascii.ecsv")):
+        Table({"x": values}).write(tmp_path / name, format=form)
+        np.testing.assert_array_equal(read_table(tmp_path / name)["x"], values)
+
+
+def test_ecsv_is_what_astropy_reads_and_gaias_null_is_a_gap(tmp_path):
+    table = Table({"id": np.array([2**62 + 1, 2]), "ra": [1.5, np.nan], "name": ["a b", "#2"], "ok": [True, False]})
+    table["ra"].unit, table["ra"].description, table.meta["by"] = u.deg, "right", "hand"
+    table.write(tmp_path / "t.ecsv")
+    found = read_table(tmp_path / "t.ecsv")
+    assert [found[n].dtype for n in found.colnames] == [table[n].dtype for n in table.colnames]
+    assert (found["id"].tolist(), list(found["name"])) == ([2**62 + 1, 2], ["a b", "#2"])
+    assert (found["ra"].unit, found["ra"].description, found.meta["by"]) == (u.deg, "right", "hand")
+    gaia = "# %ECSV 1.0\n# ---\n# delimiter: ','\n# datatype:\n# - {name: ra, unit: deg, datatype: float64}\n"
+    gaia += "# - {name: n, datatype: int16}\nra,n\n1.5,null\nnull,3\n"
+    found = read_table(written(tmp_path, "GaiaSource.csv.gz", gzip.compress(gaia.encode())))
+    assert (found["ra"].tolist(), found["n"].tolist()) == ([1.5, None], [None, 3])
+
+
+def test_parquet_with_gaps(tmp_path):
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    table = pa.table({"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None]})
+    parquet.write_table(table, tmp_path / "t.parquet")
+    found = read_table(tmp_path / "t.parquet")
+    assert [found[n].tolist() for n in found.colnames] == [[2**62 + 1, None], [None, 2.5], ["a", None]]
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"", "has no rows"),
+        ("10,20\n30,40\n", "its first line, '10,20', is not one of column names"),
+        ("ra,dec,ra\n1,2,3\n", "two columns are called 'ra'"),
+        ("ra,dec\n1,2\n3\n", "row 2 has 1 columns, not 2"),
+        ("ra,dec\n1,2,3\n", "row 1 has 3 columns, not 2"),
+        ('ra,dec\n1,"2,5"\n1,2,3\n', "row 2 has 3 columns, not 2"),
+        ("ra dec name\n1 2 NGC 1\n", "row 1 has 4 columns, not 3"),
+        (b"\x00\x01\x02\x03" * 10, "neither a table format that is known nor text"),
+        (b"\x1f\x8b\x08\x00bad", "is packed, but not whole"),
+        (b"PK\x03\x04rest", "is a zip archive"),
+        ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
+        ("<VOTABLE version='1.3'><RESOURCE/></VOTABLE>", "has no table in it"),
+        ("<VOTABLE", "cannot be read as a VOTable"),
+        (b"PAR1nonsense", "cannot be read as Parquet"),
+        (b"SIMPLE  =                    T", "cannot be read as fits"),
+        ("# %ECSV 1.0\n# ---\n# nonsense\nra\n1\n", "cannot be read as ascii.ecsv"),
+    ],
+)
+def test_what_is_no_table_is_a_sentence(content, problem, tmp_path):
+    path = written(tmp_path, "t.csv", content)
+    with pytest.raises(SweepError, match="(?s)" + problem.replace("(", r"\(")) as error:
+        read_table(path)
+    assert error.value.where == str(path)
+
+
+def test_two_tables_in_one_votable(tmp_path):
+    one = io.BytesIO()
+    Table({"ra": [1.0]}).write(one, format="votable")
+    text = one.getvalue().decode()
+    body = text[text.index("<TABLE") : text.index("</TABLE>") + 8]
+    with pytest.raises(SweepError, match="has 2 tables in it; leave one"):
+        read_table(written(tmp_path, "t.vot", text.replace(body, body + body)))
+
+
+ANGLES = ["12 34 56.7", "12:34:56.7", " 12h34m56.7s", "12 34.945", "00 00 00"]
+
+
+@pytest.mark.parametrize("right_ascension", [True, False])
+def test_sexagesimal_angles(right_ascension):
+    texts = ANGLES if right_ascension else ["-00 00 01.5", "-12:34:56.7", "+89d59m59.99s", "−1 2 3", "45 30"]
+    table = Table({"x": texts})
+    unit = u.hourangle if right_ascension else u.deg
+    expected = [Angle(text.strip().replace("−", "-"), unit).deg for text in texts]
+    np.testing.assert_allclose(column_values(table, "x", "deg", None, right_ascension), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("text", ["24 00 00", "12 60 00", "12 34 61", "12", "twelve", "12 34 56 78", "1-2-3"])
+def test_texts_that_are_no_right_ascension_are_named(text):
+    with pytest.raises(ValueError, match=r"column 'x' is text that is no angle .* in row 2 \('" + text + r"'\)"):
+        column_values(Table({"x": ["12 34 56", text]}), "x", "deg", None, True)
+
+
+def test_degrees_marked_as_such_are_not_hours_and_hours_are_no_declination():
+    assert column_values(Table({"x": ["187d30m00s"]}), "x", "deg", None, True)[0] == 187.5
+    with pytest.raises(ValueError, match="in row 1"):
+        column_values(Table({"x": ["12h30m00s"]}), "x", "deg")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("ra_h", [0.5, 23.9]),
+        ("RAh", [0.0, 12.0]),
+        ("ra", [0.0, 24.0]),
+        ("ra", [-11.0, 11.0]),
+        ("alpha", [0.1, 6.2]),
+        ("ra", [10.0]),
+        ("ra_s", [100.0, 300.0]),
+        ("RAs", [1.0, 59.0]),
+    ],
+)
+def test_a_right_ascension_that_may_be_in_hours_is_asked_about(name, values):
+    table = Table({name: values})
+    with pytest.raises(ValueError, match=f"column '{name}' has no unit and .* units = {{ ra = \"deg\" }}"):
+        column_values(table, name, "deg", None, True)
+    np.testing.assert_array_equal(column_values(table, name, "deg", "deg", True), values)
+    np.testing.assert_allclose(column_values(table, name, "deg", "hourangle", True), 15.0 * np.array(values))
+    table[name].unit = "deg"
+    np.testing.assert_array_equal(column_values(table, name, "deg", None, True), values)
+
+
+def test_degrees_that_cannot_be_hours_are_not_asked_about():
+    for name in ("ra", "ra_h", "RA_ICRS"):
+        assert column_values(Table({name: [1.0, 24.1]}), name, "deg", None, True)[1] == 24.1
+    assert column_values(Table({"dec": [1.0, -1.0]}), "dec", "deg")[0] == 1.0
+    with pytest.raises(ValueError, match="has a name that speaks of radians"):
+        column_values(Table({"DErad": [1.0, -1.0]}), "DErad", "deg")
+
+
+@pytest.mark.parametrize(
+    ("unit", "degrees"), [("h", 15.0), ("hourangle", 15.0), ("min", 0.25), ("s", 1 / 240), ("rad", 180 / np.pi)]
+)
+def test_units_of_a_right_ascension_are_converted(unit, degrees):
+    table = Table({"ra": [1.0, 2.0]}, units={"ra": unit})
+    np.testing.assert_allclose(column_values(table, "ra", "deg", None, True), [degrees, 2 * degrees], rtol=1e-14)
+    assert in_time(table, "ra") is (unit != "rad")
+
+
+def test_an_error_in_seconds_of_time():
+    table = Table({"e": [1e-6], "pm": [1e-3]}, units={"e": "s", "pm": "s / yr"})
+    np.testing.assert_allclose(column_values(table, "e", "mas", None, True), 1.5e-2, rtol=1e-14)
+    np.testing.assert_allclose(column_values(table, "pm", "mas / yr", None, True), 15.0, rtol=1e-14)
+    assert in_time(table, "e")
+    assert in_time(table, "pm")
+    with pytest.raises(ValueError, match="column 'e' is in s, not convertible to mas"):
+        column_values(table, "e", "mas")
+
+
+def test_a_unit_that_contradicts_the_file_or_is_none():
+    table = Table({"ra": [1.0]}, units={"ra": "deg"})
+    with pytest.raises(ValueError, match="is in deg as its file says, but units say hourangle"):
+        column_values(table, "ra", "deg", "hourangle", True)
+    with pytest.raises(ValueError, match="'hurz' for column 'ra' is no unit"):
+        column_values(table, "ra", "deg", "hurz", True)

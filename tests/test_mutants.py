@@ -1,0 +1,31 @@
+"""The mutation run: its texts stand in the code as it is, and the tests notice what they should."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.mutants import copy_of_checkout, misplaced, mutants
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.mark.parametrize("mutant", mutants(), ids=lambda mutant: f"{mutant['file']}: {mutant['new'][:40]}")
+def test_the_text_of_a_mutant_stands_once_in_its_file(mutant):
+    assert misplaced(mutant) is None
+    assert mutant["new"] != mutant["old"]
+    assert all((ROOT / test).is_file() for test in mutant["test"].split())
+
+
+def test_a_copy_may_be_changed(tmp_path):
+    copy = copy_of_checkout(tmp_path)
+    assert (copy / "core" / "link.py").read_bytes() == (ROOT / "core" / "link.py").read_bytes()
+
+
+@pytest.mark.slow
+def test_a_sample_of_mutants_is_killed():
+    command = [sys.executable, "benchmarks/mutants.py", "--sample", "5", "--seed", "1"]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "5 of 5 killed" in run.stdout
