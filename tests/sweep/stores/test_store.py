@@ -98,7 +98,7 @@ def test_a_store_made_up_to_its_root_is_resumed(tmp_path, study):
 
 def test_a_store_without_results_says_so(tmp_path, study):
     open_store(tmp_path / "s.zarr", study)
-    with pytest.raises(SweepError, match="is unfinished: .* nothing is damaged"):
+    with pytest.raises(SweepError, match=r"is unfinished: .* nothing is damaged"):
         open_dataset(tmp_path / "s.zarr")
 
 
