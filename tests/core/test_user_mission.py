@@ -26,8 +26,11 @@ AMEX = {
     "nominal_length": 2.0,
     "sigma_pm": [{"at": 9, "sigma": 0.139, "slope": 0.215}, {"at": 15.0, "sigma": 14.2, "slope": 0.973}],
     "position_ratio": 0.60,
+    "floor_pm": 0.0315,
+    "floor_pos": 0.60 * 0.0315,
 }
 GAIA = {"nominal_length": 5.0, "sigma_pm": [{"at": 15.0, "sigma": 0.01496, "slope": 0.443}], "position_ratio": 1.15}
+GAIA |= {"floor_pm": 3e-3, "floor_pos": 3e-3}
 
 
 class Power:
@@ -134,6 +137,12 @@ def test_identity_is_what_decides_the_numbers():
         ({"unit": "arcsec"}, ("unit", "'arcsec': must be 'mas' or 'uas' (a year for proper motions)")),
         ({"unit": ["mas"]}, ("unit", "['mas']: must be 'mas' or 'uas' (a year for proper motions)")),
         ({"source": 1}, ("source", "1: must be a text that says where the numbers come from")),
+        ({"range": [12.0]}, ("range", "[12.0]: must be [brightest, faintest], two magnitudes from -5 to 30")),
+        (
+            {"range": [12.0, 11.0]},
+            ("range", "[12.0, 11.0]: must be [brightest, faintest], two magnitudes from -5 to 30"),
+        ),
+        ({"floor_pm": 0.0}, ("floor_pm", "the least error = 0.0: must be a number from 1e-09 to 1e+07")),
         ({"faint_limit": 19.0}, ("faint_limit", "19 mag: the table ends at 18 mag")),
         ({"faint_limit": math.nan}, ("faint_limit", "nan: must be a number >= -5 and <= 30 [mag]")),
         ({"sigma_pm": [[9.0, 0.1]]}, ("sigma_pm", "1 row: a table needs at least two")),
@@ -202,3 +211,14 @@ def test_curves_of_missions_side_by_side():
     np.testing.assert_allclose(curves.sigma_pm_mas_yr[0, :3], [3e-3, 8e-3, 60e-3], rtol=1e-12)
     np.testing.assert_allclose(curves.sigma_pos_mas[0, :3], [3e-3, 9e-3, 70e-3], rtol=1e-12)
     assert curves.sigma_pos_mas[2, 1] == pytest.approx(0.6 * (0.139 * math.exp(0.215 * 6) + 14.2), rel=1e-12)
+
+
+def test_a_range_and_a_floor_of_ones_own():
+    """Both ends of a table are its range; a floor counts in the identity, a range is only warned of."""
+    assert mission(TABLE).valid_mag == (TABLE["sigma_pm"][0][0], TABLE["sigma_pm"][-1][0])
+    ranged = TABLE | {"range": [10.0, 16.0]}
+    assert mission(ranged).valid_mag == (10.0, 16.0)
+    assert identity(ranged) == identity(TABLE)
+    low = TABLE | {"floor_pm": TABLE["sigma_pm"][-1][1]}
+    assert np.ptp(mission(low).sigma_pm_mas_yr(V)) == 0.0
+    assert identity(low) != identity(TABLE)
