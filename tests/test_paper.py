@@ -64,6 +64,7 @@ def test_galaxies_give_0_16(results):
     assert abs(results("galaxies")["sigma_spin"].item() - 0.16) < 0.02
 
 
+@pytest.mark.slow
 def test_the_error_falls_as_one_over_root_n(results):
     dataset = results("sqrt-n")
     n_obj, sigma = dataset["n_obj"].values, dataset["sigma_spin"].values

@@ -65,7 +65,7 @@ PartitionName=short Nodes={name} Default=YES MaxTime=INFINITE State=UP OverSubsc
                 ["slurmd", "-D", "-c", "-f", config],
             )
         ]
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 500
         while self.run("sinfo", "-h", "-o", "%T") != "idle":
             if time.monotonic() > deadline:
                 self.close()

@@ -7,11 +7,9 @@ from tests.sweep.executing.test_faults import LONG, quiet, reference, results, s
 from tests.sweep.outside import wait_until
 from tests.sweep.slurm import Slurm, why_not
 
-pytestmark = pytest.mark.slow  # starts a SLURM of its own
-
 __all__ = ["reference"]
 
-pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not())
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(why_not()), reason=why_not())]
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ OPTIONS = [
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 ]
-PATIENCE_S = 60  # a hang, not a speed limit
+PATIENCE_S = 500  # a hang, not a speed limit
 
 # Elements in all shadow roots too, where BokehJS puts its own.
 EVERYTHING = """
