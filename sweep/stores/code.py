@@ -12,9 +12,10 @@ from sweep.contract import SweepError
 from sweep.load import code_differences, code_of
 from sweep.planning.accumulator import DONE, Accumulator
 from sweep.planning.plan import Plan, ledger_key
-from sweep.stores.identity import find_root
 from sweep.stores.location import Where, located
-from sweep.stores.store import CODE, finished_blocks
+from sweep.stores.opened import OpenStore
+from sweep.stores.root import find_root
+from sweep.stores.store import CODE
 from sweep.studies.study import Study
 
 UNKNOWN, SEVERAL = 0, -1
@@ -51,7 +52,8 @@ def check_code(where: Where, study: Study) -> None:
     """Raise SweepError where there is a store whose blocks were made by other code than a study's."""
     location = located(where)
     root = find_root(location)
-    if root is not None and (found := differences_of_code(root["attributes"], study)) and finished_blocks(location):
+    found = [] if root is None else differences_of_code(root["attributes"], study)
+    if found and OpenStore(location, root).ledger().ledger.rows:
         raise SweepError(
             [
                 "was made by other code, whose numbers would be mixed up with those of today's; --accept-code goes on "

@@ -190,7 +190,7 @@ class Store:
         root = read_root(self.location)
         root["attributes"][CODE] = self.attributes[CODE] = code
         with writing(self.location):
-            self.location.put(ROOT, sealed({key: value for key, value in root.items() if key != "checksum"}))
+            self.location.put(ROOT, sealed(root, ROOT))
             self._copied = None
             self.keep_copy(self.attributes)
 
@@ -212,14 +212,18 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
     location = located(where)
     root = _find(location, study)
     if root is None:
-        told = {**identity(study), ORIGIN: origin(location)}
-        root = snapshot.root_document({**attributes, **told, "complete": 0, "generation": 0}, {})
+        root = _new_root(location, study, attributes)
         with writing(location):
             location.put(ROOT, sealed(root, ROOT))
     store = Store(location, study, root)
     with writing(location):
         store.keep_copy(store.attributes)
     return store
+
+
+def _new_root(location: Location, study: Study, attributes: Mapping[str, Any]) -> dict[str, Any]:
+    told = {**attributes, **identity(study), ORIGIN: origin(location), "complete": 0, "generation": 0}
+    return snapshot.root_document(told, {})
 
 
 def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> None:
@@ -238,8 +242,7 @@ def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> 
         # The index first: killed from here on, the old store is one that has lost its blocks.
         for key in sorted(ours, key=lambda key: not key.startswith("blocks/index/c/")):
             location.delete(key)
-        fresh = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
-        location.put(ROOT, sealed(fresh))
+        location.put(ROOT, sealed(_new_root(location, study, attributes), ROOT))
 
 
 def existing_store(where: Where, study: Study) -> Store | None:
