@@ -60,18 +60,19 @@ def _is_ours(name: str, file: str | None) -> bool:
 def _explain(module: ModuleType, hidden: str) -> None:
     """Let an attribute that our package does not have be explained by the file that has its name."""
     ours = getattr(module, "__getattr__", None)
+    name = module.__name__
 
-    def getattribute(attribute: str) -> Any:
+    def explained(attribute: str) -> Any:
         try:
             if ours is not None:
                 return ours(attribute)
         except AttributeError:
             pass
-        if attribute.startswith("__"):
-            raise AttributeError(f"module {module.__name__!r} has no attribute {attribute!r}")
+        if attribute.startswith("__") or importlib.util.find_spec(f"{name}.{attribute}"):
+            raise AttributeError(f"module {name!r} has no attribute {attribute!r}")  # Python looks for a submodule next
         raise ImportError(
-            f"{module.__name__!r} is a package of linksweep and has no {attribute!r}; {hidden}, which has the same "
-            "name, cannot be imported: rename it"
+            f"{name!r} is a package of linksweep and has no {attribute!r}; {hidden}, which has the same name, cannot "
+            "be imported: rename it"
         )
 
-    vars(module)["__getattr__"] = getattribute
+    vars(module)["__getattr__"] = explained
