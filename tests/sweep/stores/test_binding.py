@@ -48,6 +48,7 @@ def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
     wanted = open_dataset(store)
     files = sorted(path for path in store.rglob("*") if path.is_file())
     assert len([file for file in files if "blocks/sums/c" in str(file)]) > 1
+    used = in_use(store)
     found = exchanged = 0
     for one, other in itertools.combinations(files, 2):
         contents = one.read_bytes(), other.read_bytes()
@@ -65,10 +66,9 @@ def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
         except SweepError:
             assert is_found, (one, other)
         named = {path.relative_to(store).as_posix() for path in (one, other)}
-        root = json.loads(wanted.attrs["ledger"]) and json.loads((store / "zarr.json").read_text())
         one.write_bytes(contents[0])
         other.write_bytes(contents[1])
-        assert is_found or not named & in_use(store), (one, other, root["node_type"])
+        assert is_found or not named & used, (one, other)
         found += is_found
     assert found > 0.9 * exchanged
 
@@ -170,7 +170,8 @@ def test_a_store_of_format_2_is_read_and_bound_by_the_next_writing(two_writings,
 def test_exchanged_documents_of_format_2_give_a_sentence(two_writings):
     study, store = two_writings
     as_format_2(store)
-    documents = sorted(file for file in store.rglob("zarr.json"))
+    documents = sorted(store.rglob("zarr.json"))
+    problems: list[str] = []
     for one, other in itertools.combinations(documents, 2):
         contents = one.read_bytes(), other.read_bytes()
         one.write_bytes(contents[1])
@@ -179,9 +180,11 @@ def test_exchanged_documents_of_format_2_give_a_sentence(two_writings):
             try:
                 read(store)
             except SweepError as error:
-                assert all(len(problem) > 10 for problem in error.problems)
+                problems += error.problems
         one.write_bytes(contents[0])
         other.write_bytes(contents[1])
+    assert problems
+    assert all(" " in problem for problem in problems)
 
 
 COPIES = 100
@@ -269,9 +272,10 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request
 
     def counted(name):
         def operation(place, key, *arguments):
-            done.append(key)
-            if len(done) > last[0] and not key.endswith(".lock"):
-                raise Killed
+            if not key.endswith(".lock"):
+                done.append(key)
+                if len(done) > last[0]:
+                    raise Killed
             return before[name](place, key, *arguments)
 
         return operation
@@ -287,18 +291,18 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request
     total = len(done)
     assert total > 20
     said = set()
-    for number in range(1, total, 1 if where == "folder" else 3):
+    for number in range(0, total, 1 if where == "folder" else 3):
         store = f"{base}/{number}.zarr"
         done.clear()
         last[0] = number
         with pytest.raises(Killed):
             run_study(study, store, SERIAL)
         last[0] = 10**9
-        try:
-            report = check(store)
-        except SweepError as error:
-            assert error.problems == ["no store there"]
+        if located(store).get("zarr.json") is None:
+            with pytest.raises(SweepError, match="no store there"):
+                check(store)
         else:
+            report = check(store)
             assert not report, (number, report)
             said.update(remark.split(":")[0] for remark in report.remarks)
         again, _ = run_study(study, store, SERIAL)

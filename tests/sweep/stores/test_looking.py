@@ -14,6 +14,8 @@ from sweep.running.reproduce import reproduce, study_of
 from sweep.running.run import run_study
 from sweep.running.status import status_report
 from sweep.stores.checksums import sealed
+from sweep.stores.folder import Folder
+from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
@@ -155,3 +157,12 @@ def test_a_store_without_a_record_says_what_it_cannot(tmp_path, coins):
     report = status_report(tmp_path / "s.zarr")
     assert report["note"].startswith("as of the last writing: has no record of its experiment")
     assert report["points"]["done"] == 6
+
+
+@pytest.mark.parametrize("look", [status_report, open_dataset], ids=["status", "show"])
+def test_the_root_document_is_read_once(tmp_path, coins, monkeypatch, look):
+    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
+    get, reads = Folder.get, []
+    monkeypatch.setattr(Folder, "get", lambda place, key: (reads.append(key), get(place, key))[1])
+    look(tmp_path / "s.zarr")
+    assert reads.count("zarr.json") == 1
