@@ -17,7 +17,7 @@ from core.tie.normal_sums import Problem, inverted
 from core.tie.sources import SourceTable
 from core.unknowns import Rotation, SpinByBin, Unknowns, parse_unknowns
 from sweep.contract import SweepError
-from sweep.table_reader import read_table
+from sweep import table_reader
 from sweep.tie.matching import Match, match
 from sweep.tie.tables import AstrometricTable, TableOptions, read_table
 
@@ -165,7 +165,7 @@ def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float)
         return Unknowns((Rotation(),)), sign * vector * MAS
     from astropy import units
 
-    table = read_table(Path(spin))
+    table = table_reader.read_table(Path(spin))
     lows = [name for name in table.colnames if name.endswith("_min")]
     if len(lows) != 1 or (high := lows[0][:-4] + "_max") not in table.colnames:
         raise SweepError("a table of spins has one column COLUMN_min and one COLUMN_max", str(spin))

@@ -14,7 +14,7 @@ from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows
 from core.unknowns import PARAMETERS
 from sweep.contract import SweepError
-from sweep.table_reader import read_table
+from sweep import table_reader
 from sweep.tie import hipparcos, icrf
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     if path.suffix.lower() in (".txt", ".dat") and icrf.is_icrf(path):
         astrometry, names = icrf.read_icrf(path)
         return AstrometricTable(str(path), digest, astrometry, names)
-    reader = _Reader(read_table(path), path, options)
+    reader = _Reader(table_reader.read_table(path), path, options)
     astrometry, names = reader.astrometry()
     return AstrometricTable(str(path), digest, astrometry, names)
 
