@@ -131,3 +131,7 @@ def test_digests_of_points_are_long_and_do_not_depend_on_the_order_of_axes():
     assert {len(digest) for digest in digests} == {16}
     assert all(len({digest[k : k + 8] for digest in digests}) == len(digests) for k in (0, 8))  # every byte counts
     assert all(other == found[0] for other in found[1:])
+    study = study_from_dict({"title": "", "experiment": COINS, "axes": axes})
+    reversed_ = replace(study.experiment, parameters=study.experiment.parameters[::-1])  # nor on that of a declaration
+    grid = make_grid(replace(study, experiment=reversed_))
+    assert {tuple(sorted(point.parameters.items())): point.digest for point in grid.points()} == found[0]
