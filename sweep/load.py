@@ -190,8 +190,7 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     if sources is None and place.partition(".")[0] not in OURS:
         sources = _sources_of_module(place)
         if sources is None:
-            names = packages_distributions().get(place.partition(".")[0], [])
-            code |= {f"package {name}": _version(name) for name in sorted(set(names))}
+            code |= {f"package {name}": _version(name) for name in _distributions_of(place.partition(".")[0])}
     if sources is not None:
         code |= {f"file {name}": text for name, text in sources.digests.items()}
         defaults = {p.name: json.dumps(p.written_default(), default=str) for p in experiment.parameters}
@@ -215,6 +214,12 @@ def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, n
     return phrases
 
 
+@lru_cache(maxsize=16)
+def _distributions_of(package: str) -> list[str]:
+    return sorted(set(packages_distributions().get(package, [])))
+
+
+@lru_cache(maxsize=16)  # as they were when the module was loaded: Python does not load it again
 def _sources_of_module(name: str) -> Sources | None:
     """Return the sources of a module that is not in an installed distribution, with what it imports beside its top
     package; None for one that is, or that is not in Python.
