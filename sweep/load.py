@@ -5,6 +5,7 @@ which code they are.
 import importlib
 import json
 import sys
+import sysconfig
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,6 +20,9 @@ from sweep.sources import OURS, Sources, forget_module, make_module, read_source
 
 SOURCES = "__linksweep_sources__"
 """The attribute by which a module of a file knows what it was made of."""
+
+INSTALLED = {"site-packages", "dist-packages"}
+"""Names of folders in which installed distributions are."""
 
 _provided: dict[tuple[str, str], Sources] = {}
 """Sources that another process has sent, by path and digest: the file itself may not be here, or be another one."""
@@ -114,8 +118,10 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None)
     try:
         module = _module_of_file(place, folder, digest) if place.endswith(".py") else importlib.import_module(place)
         return module, getattr(module, attribute, None)
-    except SweepError:
-        raise
+    except SweepError as error:
+        if not error.where:
+            raise
+        raise SweepError(error.problems, f"{reference}, {error.where}") from error  # in a declaration
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
         where = _line_of(error)
         text = error.msg if isinstance(error, SyntaxError) else str(error)
@@ -127,9 +133,9 @@ def _line_of(error: BaseException) -> str:
     """Return the file and line of a user's code at which an exception was raised, in brackets."""
     if isinstance(error, SyntaxError) and error.filename:
         return f" ({error.filename}, line {error.lineno})"
-    ours = str(Path(__file__).parent)
+    not_own = (str(Path(__file__).parent), sysconfig.get_path("stdlib"))
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
-    own = [frame for frame in frames if not frame.filename.startswith(ours)]
+    own = [f for f in frames if not f.filename.startswith(not_own) and not INSTALLED & set(Path(f.filename).parts)]
     return f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
 
 
@@ -190,8 +196,7 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     if sources is None and place.partition(".")[0] not in OURS:
         sources = _sources_of_module(place)
         if sources is None:
-            names = packages_distributions().get(place.partition(".")[0], [])
-            code |= {f"package {name}": _version(name) for name in sorted(set(names))}
+            code |= {f"package {name}": _version(name) for name in _distributions_of(place.partition(".")[0])}
     if sources is not None:
         code |= {f"file {name}": text for name, text in sources.digests.items()}
         defaults = {p.name: json.dumps(p.written_default(), default=str) for p in experiment.parameters}
@@ -215,12 +220,18 @@ def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, n
     return phrases
 
 
+@lru_cache(maxsize=16)
+def _distributions_of(package: str) -> list[str]:
+    return sorted(set(packages_distributions().get(package, [])))
+
+
+@lru_cache(maxsize=16)  # as they were when the module was loaded: Python does not load it again
 def _sources_of_module(name: str) -> Sources | None:
     """Return the sources of a module that is not in an installed distribution, with what it imports beside its top
     package; None for one that is, or that is not in Python.
     """
     path = getattr(sys.modules.get(name), "__file__", None)
-    if path is None or not path.endswith(".py") or {"site-packages", "dist-packages"} & set(Path(path).parts):
+    if path is None or not path.endswith(".py") or INSTALLED & set(Path(path).parts):
         return None
     file = Path(path).resolve()
     above = name.count(".") + (file.name == "__init__.py")

@@ -97,16 +97,20 @@ def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
     assert totals == {expected.tobytes()}
 
 
-def test_a_failed_point_is_given_out_no_more_and_never_done():
-    document = {"title": "", "experiment": COINS, "sampling": {"n_sim": 512 * 40}, "axes": {"coins": [1, 2]}}
-    plan = Plan(make_grid(study_from_dict(document)))
+@pytest.mark.parametrize("given_before", [0, 3])
+def test_a_failed_point_is_given_out_no_more_and_never_done(given_before):
+    study = study_from_dict({"title": "", "experiment": COINS, "sampling": {"n_sim": 160}, "axes": {"coins": [1, 2]}})
+    costly = replace(study.experiment, cost=lambda point: 2.0**24)  # ten blocks of 16 realisations, a task each
+    plan = Plan(make_grid(replace(study, experiment=costly)))
     accumulator = Accumulator(plan, {}, np.empty((0, 0)))
     pending = Pending(plan, accumulator)
     first, second = plan.grid.points()
+    before = [work for task in pending.take(given_before) for work in task]
+    assert {point.digest for work in before for point in work.points} <= {first.digest}
     accumulator.fail(first.index)
-    given = [work for task in pending.take(10**6) for work in task]
-    assert {point.digest for work in given for point in work.points} == {second.digest}
-    for block in plan.blocks(1.0):  # those that were under way
+    after = [work for task in pending.take(10**6) for work in task]
+    assert {point.digest for work in after for point in work.points} == {second.digest}
+    for block in plan.blocks(2.0**24):  # those that were under way
         assert accumulator.add(first, block, np.ones(2)) == []
     assert accumulator.status[first.index] == FAILED
 
@@ -131,3 +135,7 @@ def test_digests_of_points_are_long_and_do_not_depend_on_the_order_of_axes():
     assert {len(digest) for digest in digests} == {16}
     assert all(len({digest[k : k + 8] for digest in digests}) == len(digests) for k in (0, 8))  # every byte counts
     assert all(other == found[0] for other in found[1:])
+    study = study_from_dict({"title": "", "experiment": COINS, "axes": axes})
+    reversed_ = replace(study.experiment, parameters=study.experiment.parameters[::-1])  # nor on that of a declaration
+    grid = make_grid(replace(study, experiment=reversed_))
+    assert {tuple(sorted(point.parameters.items())): point.digest for point in grid.points()} == found[0]

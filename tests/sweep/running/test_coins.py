@@ -160,7 +160,7 @@ def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
 def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
     monkeypatch.setattr("sweep.executing.worker.run_block", lambda *arguments: (np.full((1, 2), np.nan), None))
     dataset, failures = run(coins, tmp_path / "s.zarr")
-    assert set(failures.values()) == {"share: not a number"}
+    assert set(failures.values()) == {"share is NaN"}
     assert (dataset["status"] == 2).all()
 
 
