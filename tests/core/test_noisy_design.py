@@ -171,7 +171,7 @@ def test_the_object_at_the_pole_is_named_where_it_is_not_in_the_first_part():
     objects.dec[35] = 90.0 * DEGREE - 3.0 * MAS
     normals = 0.01 * rng.standard_normal((2, 40, 4, rows))
     normals[1, 35, 1, 11] = 4.0
-    with pytest.raises(LinkError, match="object 35 is at a celestial pole"):
+    with pytest.raises(LinkError, match=r"object 35 is at a celestial pole.*\(dec = (90\.0|89\.99)"):
         all_at_once(set_up(objects), normals)
 
 
