@@ -7,6 +7,8 @@ import io
 import lzma
 import re
 import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,16 +69,21 @@ def _read(path: Path, content: bytes) -> Any:
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
     if start.startswith(b"SIMPLE  ="):
         return _by_astropy("fits", io.BytesIO(content) if packed else path)
-    readers = {b"PAR1": _parquet, b"<": _votable, b"# %ECSV": _ecsv, b"PK\3\4": _archive, b"": _text}
-    read = next(read for mark, read in readers.items() if start.startswith(mark))
-    return read(content) if read is not _text else _text(content, path)
+    readers: dict[bytes, Callable[[bytes], Any]] = {
+        b"PAR1": _parquet,
+        b"<": _votable,
+        b"# %ECSV": _ecsv,
+        b"PK\3\4": _archive,
+        b"": partial(_text, path),
+    }
+    return next(read for mark, read in readers.items() if start.startswith(mark))(content)
 
 
 def _archive(content: bytes) -> Any:
     raise SweepError("is a zip archive (or a spreadsheet): unpack or export the table in it")
 
 
-def _text(content: bytes, path: Path) -> Any:
+def _text(path: Path, content: bytes) -> Any:
     text = content.decode("utf-8", "replace")
     if not text.strip():
         raise SweepError("has no rows")

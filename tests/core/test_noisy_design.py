@@ -167,11 +167,11 @@ def test_the_object_at_the_pole_is_named_where_it_is_not_in_the_first_part():
     rng = np.random.default_rng(5)
     rows = 512
     objects = catalogue(rng, 40, 0.0, 1.0, 1.0, 0.0, False)
-    assert ELEMENTS // rows < 35 < 40
+    assert ELEMENTS // rows < 35
     objects.dec[35] = 90.0 * DEGREE - 3.0 * MAS
     normals = 0.01 * rng.standard_normal((2, 40, 4, rows))
     normals[1, 35, 1, 11] = 4.0
-    with pytest.raises(LinkError, match="object 35 is at a celestial pole"):
+    with pytest.raises(LinkError, match=r"object 35 is at a celestial pole.*\(dec = (90\.0|89\.99)"):
         all_at_once(set_up(objects), normals)
 
 
