@@ -43,21 +43,20 @@ def no_pauses(monkeypatch):
     monkeypatch.setattr(dask_executor, "FIRST_PAUSE_S", 1e-3)
 
 
-def failing(times):
-    """Return what fails on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
-    left = [times]
+FAILURES_LEFT = [0]
 
-    def run(*arguments):
-        left[0] -= 1
-        if left[0] >= 0:
-            raise UnboundLocalError("cannot access local variable 'result'")
-        return run_on_worker(*arguments)
 
-    return run
+def failing(*arguments):
+    """Fail on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
+    FAILURES_LEFT[0] -= 1
+    if FAILURES_LEFT[0] >= 0:
+        raise UnboundLocalError("cannot access local variable 'result'")
+    return run_on_worker(*arguments)
 
 
 def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_executor, "run_on_worker", failing(4))
+    monkeypatch.setattr(dask_executor, "run_on_worker", failing)
+    monkeypatch.setitem(FAILURES_LEFT, 0, 4)
     sentences = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS, sentences)
     assert not failures
@@ -68,7 +67,8 @@ def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
 
 
 def test_one_that_stays_stops_the_run_and_blames_no_point(study, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_executor, "run_on_worker", failing(10**6))
+    monkeypatch.setattr(dask_executor, "run_on_worker", failing)
+    monkeypatch.setitem(FAILURES_LEFT, 0, 10**6)
     with pytest.raises(SweepError, match=r"failed 6 times outside of the experiment, last with UnboundLocalError"):
         run_study(study, tmp_path / "s.zarr", THREADS)
     assert not existing_store(tmp_path / "s.zarr", study).failures
