@@ -53,8 +53,9 @@ def prepare_streams() -> None:
         elif stream is None:
             setattr(sys, name, _Unfailing(open(descriptor, "wb", closefd=False), "utf-8"))  # noqa: SIM115
         elif isinstance(stream, io.TextIOWrapper):
-            ways = {"line_buffering": stream.line_buffering, "write_through": stream.write_through}
-            setattr(sys, name, _Unfailing(stream.buffer, stream.encoding, errors="backslashreplace", **ways))
+            lines, through = stream.line_buffering, stream.write_through
+            unfailing = _Unfailing(stream.buffer, stream.encoding, "backslashreplace", None, lines, through)
+            setattr(sys, name, unfailing)
 
 
 def output_problem() -> str | None:

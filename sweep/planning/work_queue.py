@@ -51,7 +51,7 @@ class Pending:
         return tasks
 
     def settle(self, works: Sequence[Work], seconds: Array) -> list[Work]:
-        """Note the ``seconds`` that each point of each block of a task took, (rows,), and return the blocks that were computed.
+        """Note the ``seconds``, (rows,), that each point of each block of a task took; return the computed blocks.
 
         There may be fewer seconds than points: a worker stops where a task takes too long.  The rest is pending again.
         """

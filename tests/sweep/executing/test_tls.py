@@ -8,6 +8,8 @@ import xarray as xr
 
 from tests.sweep.outside import Outside
 
+PATIENCE_S = 240.0
+
 
 class Files:
     """An authority's certificate, and a certificate of its with the key."""
@@ -39,35 +41,47 @@ def outside(tmp_path, files):
         yield outside
 
 
-def test_a_study_runs_over_tls(link_study, tmp_path, sweep, files, outside):
-    run = ("run", link_study, "--set", "n_sim=50", "-o")
-    code, _, err = sweep(*run, tmp_path / "tls.zarr", "--scheduler", outside.address, *files.options())
+@pytest.fixture
+def run(start_sweep):
+    """A function that runs `sweep` in a process of its own: one that hangs is ended, and no other test with it."""
+
+    def to_its_end(*arguments):
+        process = start_sweep(*arguments)
+        _, err = process.communicate(timeout=PATIENCE_S)
+        return process.returncode, err
+
+    return to_its_end
+
+
+def test_a_study_runs_over_tls(link_study, tmp_path, run, files, outside):
+    study = ("run", link_study, "--set", "n_sim=50", "-o")
+    code, err = run(*study, tmp_path / "tls.zarr", "--scheduler", outside.address, *files.options())
     assert code == 0, err
     assert f"the Dask scheduler at {outside.address}" in err
-    code, _, err = sweep(*run, tmp_path / "serial.zarr", "--pool", "serial")
+    code, err = run(*study, tmp_path / "serial.zarr", "--pool", "serial")
     assert code == 0, err
     here, there = (xr.open_zarr(tmp_path / f"{name}.zarr").load().drop_attrs() for name in ("serial", "tls"))
     xr.testing.assert_identical(here, there)
 
 
 @pytest.mark.slow
-def test_dasks_own_configuration_is_enough(link_study, tmp_path, start_sweep, files, outside, monkeypatch):
+def test_dasks_own_configuration_is_enough(link_study, tmp_path, run, files, outside, monkeypatch):
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CA_FILE", files.ca)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT", files.cert)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY", files.key)
     monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "true")
-    run = start_sweep("run", link_study, "--set", "n_sim=50", "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
-    _, err = run.communicate(timeout=120)  # read when Dask is imported
-    assert run.returncode == 0, err
+    study = ("run", link_study, "--set", "n_sim=50", "-o", tmp_path / "s.zarr")
+    code, err = run(*study, "--scheduler", outside.address)  # read when Dask is imported
+    assert code == 0, err
 
 
 @pytest.mark.parametrize("wrong", ["strangers", "none", "rubbish"])
-def test_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, sweep, outside, wrong):
+def test_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, run, outside, wrong):
     strangers = Files(tmp_path / "strangers")
     if wrong == "rubbish":
         (tmp_path / "strangers" / "key.pem").write_text("no key\n")
     options = () if wrong == "none" else strangers.options()
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address, *options)
+    code, err = run("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address, *options)
     assert code == 2, err
     assert len(err.splitlines()) == 1, err
     says = {"rubbish": "cannot use the TLS files", "none": "no certificates for", "strangers": "no Dask scheduler"}

@@ -1,5 +1,7 @@
 """Blocks tile the realisations exactly once, and nothing but the point itself decides its numbers."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,8 +9,8 @@ from hypothesis import strategies as st
 
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
-from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, TARGET, Plan, generators, ledger_key
-from sweep.planning.work_queue import Pending
+from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, generators, ledger_key
+from sweep.planning.work_queue import MAX_BLOCKS, TASK_S, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 
@@ -91,22 +93,71 @@ def test_streams_of_neighbours_are_uncorrelated():
     assert np.abs(correlation).max() < 5 / np.sqrt(20_000)  # 496 pairs: 5 sigma
 
 
-def test_tasks_hold_all_work_in_order_and_no_more_than_the_target(coins):
+def given_out(pending, seconds_of, workers=1):
+    """Return all tasks, each measured when as many as keep so many workers busy have been given out after it."""
+    tasks, out = [], []
+    while True:
+        while len(out) < 4 * workers and (more := pending.take(1)):
+            tasks += more
+            out += more
+        if not out:
+            return tasks
+        works = out.pop(0)
+        seconds = [seconds_of(point) for work in works for point in work.points]
+        assert pending.settle(works, np.array(seconds)) == works
+
+
+def test_tasks_hold_all_work_in_order(coins):
     plan = plan_of(coins, n_sim=300_000)
-    batches = Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(10**6)
+    batches = given_out(Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))), lambda point: 1e-4)
     expected = [
         ledger_key(point.digest, block)
         for point in plan.grid.points()
         for block in plan.blocks(plan.cost(point.parameters))
     ]
     assert [key for batch in batches for work in batch for key in work.ledger_keys()] == expected
-    assert all(len(batch) == 1 or sum(w.cost for w in batch) <= TARGET for batch in batches)
     assert len(batches) < sum(map(len, batches)) / 50  # blocks of coins are small: many go into one task
 
 
-def test_small_points_share_a_task(coins):
-    plan = plan_of(coins, n_sim=1, n_cat=1)
-    assert len(Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(10)) == 1
+def points_of(coins, count):
+    axes = {"coins": {"start": 1, "stop": count, "step": 1}}
+    return plan_of({**coins, "axes": axes}, n_sim=1, n_cat=1)
+
+
+@pytest.mark.parametrize("workers", [1, 4, 16])
+@pytest.mark.parametrize("seconds", [1e-5, 1e-3, 0.02, 0.5, 30.0])
+def test_tasks_are_of_about_a_second_and_enough_for_all(coins, seconds, workers):
+    """Whatever the experiment declares as its cost: here one random number for each realisation."""
+    plan = points_of(coins, 5000)
+    tasks = given_out(Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))), lambda point: seconds, workers)
+    assert sum(map(len, tasks)) == 5000
+    assert all(len(task) == 1 or len(task) * seconds <= 1.01 * TASK_S for task in tasks)
+    assert all(len(task) <= MAX_BLOCKS for task in tasks)
+    assert len(tasks) >= 4 * workers
+    assert (
+        len(tasks) <= 4 * workers + 2 * 4 * workers * math.log(5000) + 2 * 5000 * seconds / TASK_S + 5000 / MAX_BLOCKS
+    )
+    assert all(len(task) == 1 for task in tasks[: 4 * workers])  # nothing was measured before
+
+
+def test_tasks_become_shorter_where_points_become_slower(coins):
+    plan = points_of(coins, 5000)
+    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    tasks = given_out(pending, lambda point: 1e-4 if point.index < 2500 else 0.3)
+    slow = [task for task in tasks if task[0].points[0].index >= 2500]
+    assert max(map(len, slow[20:])) <= 4
+
+
+def test_what_a_worker_did_not_come_to_is_pending_again(coins):
+    plan = points_of(coins, 200)
+    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    [first] = pending.take(1)
+    pending.settle(first, np.array([1e-6]))
+    [task] = pending.take(1)
+    assert len(task) > 10
+    assert pending.settle(task, np.full(7, 1.0)) == task[:7]
+    left = [work for works in given_out(pending, lambda point: 1.0) for work in works]
+    assert [work.points[0].index for work in left] == list(range(8, 200))
 
 
 def test_a_block_is_bounded(coins):

@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -19,8 +18,11 @@ from sweep.running.run import run_study
 from sweep.stores.store import Store
 from sweep.studies.reader import study_from_dict
 
-GENEROUS_S = 10.0
-"""What a busy machine may take to end; benchmarks/interrupt.py prints how long it takes."""
+PATIENCE_S = 120.0
+"""What is waited for a process that is to end; benchmarks/interrupt.py prints how long it takes."""
+
+ENDLESS_S = 3600.0
+"""Longer than a test may take: what waits for it fails."""
 
 SLEEPERS = str(Path(__file__).parents[1] / "sleepers.py") + ":experiment"
 SERIAL = Resources(pool="serial")
@@ -110,22 +112,6 @@ def test_another_error_after_a_signal_stays_what_it_is():
         ended_as(body)
 
 
-def test_a_signal_in_executed_text_leaves_the_exit_code_alone(tmp_path):
-    """As the body of a dataclass is, which is imported; with -m Python ends by the signal else."""
-    (tmp_path / "script.py").write_text(
-        "import signal, sys; from sweep.interrupt import RunInterruptedError, watched\n"
-        "try:\n"
-        "    with watched():\n"
-        "        exec('signal.raise_signal(signal.SIGINT)')\n"
-        "except RunInterruptedError:\n"
-        "    sys.exit(130)"
-    )
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[3])])}
-    command = [sys.executable, "-m", "script"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (130, "")
-
-
 @pytest.mark.parametrize(
     ("module", "code", "said"),
     [("sweep.cli.group", -signal.SIGINT, ""), ("sweep.contract", 130, "interrupted\n")],
@@ -142,7 +128,7 @@ def test_interrupted_while_modules_are_imported(start_sweep, module, code, said)
         "command.main()"
     )
     process = start_sweep(command=[sys.executable, "-c", script, "list"])
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out, err) == (code, "", said)
 
 
@@ -171,22 +157,18 @@ def test_what_a_finaliser_swallows_comes_again():
 
     def body(interruptions):
         Swallower()
-        threading.Event().wait(30)
+        threading.Event().wait(ENDLESS_S)
 
-    begun = time.monotonic()
     assert ended_as(body) == signal.SIGINT
-    assert time.monotonic() - begun < GENEROUS_S
 
 
 def test_what_a_library_swallows_comes_again():
     def body(interruptions):
         with suppress(BaseException):
             signal.raise_signal(signal.SIGINT)
-        threading.Event().wait(30)
+        threading.Event().wait(ENDLESS_S)
 
-    begun = time.monotonic()
     assert ended_as(body) == signal.SIGINT
-    assert time.monotonic() - begun < GENEROUS_S
 
 
 @pytest.mark.parametrize("where", ["finally", "except", "with"])
@@ -288,24 +270,22 @@ def group_of(pid):
 
 
 def check_nobody_left(pid):
-    deadline = time.monotonic() + GENEROUS_S
+    deadline = time.monotonic() + PATIENCE_S
     while (left := group_of(pid)) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not left
 
 
 def stopped(process, number):
-    """Send a signal to a whole process group, as a terminal does, and return exit code, stderr and seconds."""
-    begun = time.monotonic()
+    """Send a signal to a whole process group, as a terminal does, and return exit code and stderr."""
     os.killpg(process.pid, number)
-    _, err = process.communicate(timeout=60)
-    seconds = time.monotonic() - begun
+    _, err = process.communicate(timeout=PATIENCE_S)
     check_nobody_left(process.pid)
-    return process.returncode, err, seconds
+    return process.returncode, err
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE_S
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.02)
     assert condition()
@@ -330,18 +310,17 @@ def wait_for(condition):
     ],
     ids=str,
 )
-def test_blocks_of_half_a_minute_are_not_waited_for(tmp_path, start_sweep, number, code, words, pool):
-    (tmp_path / "study.toml").write_text(sleepers(30.0))
+def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, number, code, words, pool):
+    (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
     store = tmp_path / "s.zarr"
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, *pool, start_new_session=True)
     assert "20 points" in process.stderr.readline()
     time.sleep(0.5)
-    returned, err, seconds = stopped(process, number)
+    returned, err = stopped(process, number)
     assert returned == code
     said = f"{words}; 0 realisations of this run are kept in {store}; the same command goes on from there"
     assert err.splitlines()[-1] == said
     assert len(err.splitlines()) <= 2  # the other is the address of the dashboard
-    assert seconds < GENEROUS_S
     assert xr.open_zarr(store).attrs["complete"] == 0
 
 
@@ -353,17 +332,16 @@ def answers_sigterm(pid):
 
 @pytest.mark.parametrize("moment", [0.4, *(pytest.param(m, marks=pytest.mark.slow) for m in (0.0, 0.7, 1.0, 1.3))])
 def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
-    (tmp_path / "study.toml").write_text(sleepers(30.0))
+    (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
     process = start_sweep(
         "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr", "--workers", 2, start_new_session=True
     )
     wait_for(lambda: answers_sigterm(process.pid))
     time.sleep(moment)
-    returned, err, seconds = stopped(process, signal.SIGINT)
+    returned, err = stopped(process, signal.SIGINT)
     assert returned == 130
     assert "interrupted" in err
     assert "Traceback" not in err
-    assert seconds < GENEROUS_S
 
 
 def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
@@ -373,7 +351,7 @@ def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
         "import time, sweep.stores.store, sweep.cli\n"
         "def slow(self, dataset):\n"
         "    print('writing', flush=True)\n"
-        "    time.sleep(30)\n"
+        "    time.sleep(3600)\n"
         "sweep.stores.store.Store.write = slow\n"
         "sweep.cli.main()"
     )
@@ -383,11 +361,10 @@ def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
     os.killpg(process.pid, signal.SIGINT)
     time.sleep(0.3)
     assert process.poll() is None  # a short write is waited for
-    returned, err, seconds = stopped(process, signal.SIGINT)
+    returned, err = stopped(process, signal.SIGINT)
     assert returned == 130
     assert err.endswith("stopped at once\n")
     assert "Traceback" not in err
-    assert seconds < GENEROUS_S
 
 
 def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep):
@@ -395,7 +372,7 @@ def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep):
     store = tmp_path / "s.zarr"
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, "--pool", "serial", start_new_session=True)
     wait_for((store / "blocks" / "index" / "c").exists)
-    returned, err, _ = stopped(process, signal.SIGTERM)
+    returned, err = stopped(process, signal.SIGTERM)
     assert returned == 143, err
     assert int(xr.open_zarr(store)["n_sim_done"].sum()) > 0
     code, _, err = sweep("run", tmp_path / "study.toml", "-o", store)

@@ -1,0 +1,92 @@
+"""Standard streams that are full or closed, and text that they cannot hold: a sentence or a clean exit code."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sweep.executing.choose import Resources
+from sweep.executing.worker import MAX_MESSAGE
+from sweep.running.run import run_study
+from sweep.stores.store import open_dataset
+from sweep.studies.reader import load_study
+
+UNSAYABLE = str(Path(__file__).parents[1] / "unsayable.py") + ":experiment"
+SAID = "error: standard output cannot be written: No space left on device\n"
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A store of which one point failed, with a message that no file can hold."""
+    folder = tmp_path_factory.mktemp("streams")
+    (folder / "study.toml").write_text(
+        f'title = "Unsayable"\nexperiment = "{UNSAYABLE}"\naxes = {{ place = [1, 2, 3] }}\nsampling = {{ n_sim = 2 }}\n'
+    )
+    study = load_study(str(folder / "study.toml"))
+    run_study(study, folder / "s.zarr", Resources(pool="serial"))
+    return folder / "s.zarr"
+
+
+def shell(redirection, *arguments, unbuffered=""):
+    """Run ``sweep`` with redirected streams; return exit code, standard output and standard error."""
+    command = ["/bin/sh", "-c", f'exec "$@" {redirection}', "sh", sys.executable, "-m", "sweep", *map(str, arguments)]
+    environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    "arguments",
+    [("list",), ("--help",), ("show", "STORE"), ("show", "STORE", "--json"), ("status", "STORE", "--json")],
+    ids=" ".join,
+)
+def test_a_full_device_is_one_sentence(store, arguments, unbuffered):
+    arguments = [store if word == "STORE" else word for word in arguments]
+    assert shell(">/dev/full", *arguments, unbuffered=unbuffered) == (2, "", SAID)
+
+
+def test_a_run_whose_table_cannot_be_printed_is_kept(link_study, tmp_path):
+    run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr", "--quiet")
+    assert shell(">/dev/full", *run) == (2, "", SAID)
+    assert open_dataset(tmp_path / "s.zarr").attrs["complete"] == 1
+
+
+@pytest.mark.parametrize("redirection", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+@pytest.mark.parametrize("arguments", [("list",), ("show", "STORE"), ("status", "STORE", "--json")], ids=" ".join)
+def test_streams_that_nobody_reads_are_no_problem(store, arguments, redirection):
+    arguments = [store if word == "STORE" else word for word in arguments]
+    _, out, _ = shell("", *arguments)
+    code, said, err = shell(redirection, *arguments)
+    assert (code, err) == (0, "")
+    assert said == ("" if ">&-" in redirection.replace("2>&-", "") else out)
+
+
+def test_a_run_with_closed_streams_writes_into_no_file_of_its_store(link_study, tmp_path):
+    run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr")
+    assert shell("<&- >&- 2>&-", *run) == (0, "", "")
+    assert shell("", "check", tmp_path / "s.zarr")[0] == 0
+
+
+def test_a_wrong_option_keeps_its_exit_code_without_standard_error():
+    assert shell("2>/dev/full", "nonsense") == (2, "", "")
+    assert shell("2>&-", "nonsense") == (2, "", "")
+
+
+def test_a_message_that_no_file_can_hold_is_escaped_and_bounded(store, tmp_path):
+    said = json.loads(open_dataset(store).attrs["failures"])["place=2"]
+    assert said.startswith("ValueError: \\udc80 xxx")
+    assert said.endswith("xxx the end")
+    assert len(said) < MAX_MESSAGE + 20
+    code, out, err = shell("", "status", store)
+    assert (code, err) == (0, "")
+    assert said in out
+    code, out, err = shell("", "status", store, "--json")
+    assert json.loads(out)["failures"]["place=2"] == said
+    run = ("run", store.parent / "study.toml", "-o", tmp_path / "s.zarr", "--log", tmp_path / "run.log")
+    code, _, err = shell("", *run)
+    assert (code, "Traceback" in err) == (1, False)
+    assert said in (tmp_path / "run.log").read_text()

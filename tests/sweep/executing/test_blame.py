@@ -1,0 +1,117 @@
+"""What is not the experiment's fault is tried again, and never written against a point."""
+
+from urllib.request import urlopen
+
+import pytest
+import xarray as xr
+from distributed import KilledWorker
+
+from sweep.contract import SweepError
+from sweep.executing import clusters, dask_executor
+from sweep.executing.choose import Resources
+from sweep.executing.worker_plugin import run_on_worker
+from sweep.running.run import Silent, run_study
+from sweep.stores.store import existing_store
+from sweep.studies.reader import study_from_dict
+
+THREADS = Resources(workers=2, pool="threads")
+
+
+class Sentences(Silent):
+    """Keeps what is said."""
+
+    def __init__(self):
+        self.said = []
+
+    def say(self, text):
+        self.said.append(text)
+
+
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins)
+
+
+@pytest.fixture
+def whole(study, tmp_path):
+    """The results of a run that nothing disturbed."""
+    return run_study(study, tmp_path / "whole.zarr", Resources(pool="serial"))[0].drop_attrs()
+
+
+@pytest.fixture(autouse=True)
+def no_pauses(monkeypatch):
+    monkeypatch.setattr(dask_executor, "FIRST_PAUSE_S", 1e-3)
+
+
+FAILURES_LEFT = [0]
+
+
+def failing(*arguments):
+    """Fail on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
+    FAILURES_LEFT[0] -= 1
+    if FAILURES_LEFT[0] >= 0:
+        raise UnboundLocalError("cannot access local variable 'result'")
+    return run_on_worker(*arguments)
+
+
+def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_executor, "run_on_worker", failing)
+    monkeypatch.setitem(FAILURES_LEFT, 0, 4)
+    sentences = Sentences()
+    dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS, sentences)
+    assert not failures
+    xr.testing.assert_identical(dataset.drop_attrs(), whole)
+    said = [text for text in sentences.said if "UnboundLocalError: cannot access local variable 'result'" in text]
+    assert len(said) == 1
+    assert "outside of the experiment" in said[0]
+
+
+def test_one_that_stays_stops_the_run_and_blames_no_point(study, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(dask_executor, "run_on_worker", failing)
+    monkeypatch.setitem(FAILURES_LEFT, 0, 10**6)
+    with pytest.raises(SweepError, match=r"failed 6 times outside of the experiment, last with UnboundLocalError"):
+        run_study(study, tmp_path / "s.zarr", THREADS)
+    assert not existing_store(tmp_path / "s.zarr", study).failures
+    monkeypatch.undo()
+    dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS)
+    assert not failures
+    xr.testing.assert_identical(dataset.drop_attrs(), whole)
+
+
+@pytest.mark.parametrize(
+    "fate", [UnboundLocalError("result"), TimeoutError("of a stream"), OSError("Too many open files")]
+)
+def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monkeypatch, fate):
+    fetch, calls = dask_executor.DaskExecutor._fetch, []
+
+    def fetched(self, future):
+        calls.append(future)
+        if len(calls) % 2:
+            raise fate
+        return fetch(self, future)
+
+    monkeypatch.setattr(dask_executor.DaskExecutor, "_fetch", fetched)
+    dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS)
+    assert not failures
+    xr.testing.assert_identical(dataset.drop_attrs(), whole)
+
+
+def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
+    def fetched(self, future):
+        raise KilledWorker("task", None, 0)
+
+    monkeypatch.setattr(dask_executor.DaskExecutor, "_fetch", fetched)
+    sentences = Sentences()
+    with pytest.raises(SweepError, match="die whatever they do; no point is blamed"):
+        run_study(study, tmp_path / "s.zarr", THREADS, sentences)
+    assert any("a worker died that had" in text for text in sentences.said)
+    assert not existing_store(tmp_path / "s.zarr", study).failures
+
+
+@pytest.mark.parametrize("pool", ["threads", "processes"])
+def test_the_address_of_the_dashboard_opens(study, pool):
+    pytest.importorskip("bokeh")
+    with clusters.dask_local(study, 1, pool, print) as (place, _):
+        assert place.dashboard.startswith("http://127.0.0.1:")
+        with urlopen(place.dashboard) as page:
+            assert page.status == 200
