@@ -1,6 +1,6 @@
 """A distributed parameter-sweep platform for experiments that add up realisations.
 
-``sweep.running.run`` runs a study, ``sweep.open`` reads its results; both give an `xarray.Dataset`.  ``fit_power_law``,
+``sweep.run`` runs a study, ``sweep.open`` reads its results; both give an `xarray.Dataset`.  ``fit_power_law``,
 ``fit_levelling``, ``find`` and ``ratio`` derive others from it, ``plot`` draws it.
 """
 
