@@ -49,11 +49,10 @@ def setup_of(catalogue, **changes):
 
 def test_a_known_bias_is_part_of_the_prediction_and_named_beside_it():
     """Uncorrected aberration on an uneven sky: sigma, the RMS of estimate - truth, is the total."""
-    found = results(
-        300, 20, catalogue="quasars", model="gaia", v_max=16.0, n_obj=None, aberration=True, sky_contrast=0.5
-    )
+    uneven = {"catalogue": "quasars", "model": "gaia", "v_max": 15.0, "n_obj": None, "sky_contrast": 0.8}
+    found = results(40, 50, aberration=True, **uneven)
     sigma, error = found["sigma_spin"], np.hypot(found["sigma_spin_mc_error"], found["sigma_spin_catalogue_error"])
-    assert found["sigma_spin_predicted"] < sigma - 8 * error  # what was called the prediction
+    assert found["sigma_spin_predicted"] < sigma - 4 * error  # what was called the prediction
     assert abs(found["sigma_spin_rms_predicted"] - sigma) < 4 * error
     of_bias = found["sigma_rms_predicted"] ** 2 - found["sigma_predicted"] ** 2
     assert np.all(of_bias >= found["bias_predicted"] ** 2 * (1 - 1e-9))  # a mean of squares, a square of means
@@ -68,9 +67,8 @@ def test_the_predicted_bias_is_what_a_link_without_errors_returns():
     solution = solve(design, setup.differences.T, np.full((4, 30), MAS))
     expected = solution.estimate - setup.truth
     assert np.abs(expected[3:]).max() > 0.01 * np.abs(glide).max()
-    np.testing.assert_allclose(
-        fixed_design(setup, Prefixes()).bias, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
-    )
+    found = fixed_design(setup, Prefixes()).bias
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 def test_without_a_bias_both_predictions_agree():
