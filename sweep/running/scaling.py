@@ -55,8 +55,8 @@ def measure_scaling(
 
     Seconds begin when the workers are there and end with the last result on disk; ``start_seconds`` are what comes
     before and after.  Each repetition has every run in it, ratios are taken within one, and ``NAME_error`` is the
-    standard error of the median, where there are at least 5 repetitions.  Weak scaling multiplies the catalogues by the workers where a study has
-    several, or else the realisations.  Runs go into stores of their own, which are removed.
+    standard error of the median, where there are at least 5 repetitions.  Weak scaling multiplies the catalogues by the
+    workers where a study has several, or else the realisations.  Runs go into stores of their own, which are removed.
     Raises SweepError for workers that are not distinct or do not begin with one, for a study of a precision, and where
     a point fails.
     """

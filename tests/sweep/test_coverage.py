@@ -16,6 +16,7 @@ from sweep.analysis.crossings import find, interpolate
 from sweep.analysis.fits import power_law
 from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
 from sweep.analysis.levelling import levelling
+from sweep.running.scaling import _dataset
 from tests.sweep import spread
 from tests.sweep.in_memory import results_of
 
@@ -189,6 +190,18 @@ def test_a_ratio_and_a_crossing_of_independent_points():
     assert_covers((of["ratio"] - np.sqrt(1.0 / 8.0)) / of["ratio_error"])
     at = interpolate(one, "width", "x", 4.0)
     assert_covers((at["width"] - 0.5) / at["width_mc_error"])
+
+
+# Scaling
+
+
+@pytest.mark.parametrize("repetitions", [9, 20])
+def test_the_medians_of_repeated_timings(repetitions):
+    rng = np.random.default_rng(8)
+    seconds = 10.0 + rng.standard_normal((500, 1, repetitions, 2))
+    found = [_dataset(np.array([1]), timed[None, :]) for timed in seconds]
+    pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in found]
+    assert_covers(pulls, repetitions - 1)
 
 
 # The galaxy search
