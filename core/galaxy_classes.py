@@ -84,7 +84,7 @@ def chance_pairs(stars: KDTree, galaxies: KDTree, radius: float, n_pairs: int) -
         pairs=n_pairs,
         uniform=uniform_pairs(stars.n, galaxies.n, radius),
         local=in_ring * to_circle,
-        local_error=float(np.sqrt(in_ring)) * to_circle,
+        local_error=float(np.sqrt(max(in_ring, 1.0))) * to_circle,  # none is not known to better than one
     )
 
 

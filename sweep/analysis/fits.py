@@ -13,8 +13,8 @@ from sweep.contract import small_sample_factor
 
 Array = NDArray[np.float64]
 
-INVERTIBLE = 1e12
-"""Largest condition of a matrix whose inverse means something in doubles, with a margin."""
+FIRST_ORDER = 5.0
+"""What points do not have in common must be so many times what errors to first order leave out, to judge a law by."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> Pow
     exponent = u @ v / information
     residual = v - exponent * u
     dof = len(x) - 2
-    chi2 = chi2_about(residual, np.stack([ones, u], axis=1), covariance)
+    chi2 = chi2_about(residual, np.stack([ones, u], axis=1), covariance, largest_error(relative, samples))
     unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
     solve = np.stack([u / information, ones / total])
     spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
@@ -98,17 +98,23 @@ def weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], 
     return (lambda vector: vector / own), covariance / np.outer(own, own)
 
 
-def chi2_about(residual: Array, design: Array, covariance: Array) -> float:
+def chi2_about(residual: Array, design: Array, covariance: Array, error: float) -> float:
     """Return the sum of squared residuals of weighed points in units of their errors, about a law with so many
-    parameters; NaN where points go together so closely that they leave none.
+    parameters.  NaN where points go together so closely that what is left is not known: the logarithm of a value with
+    this relative ``error`` has a second order, of about the error's square.
     """
     rest = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     free = rest.T @ covariance @ rest
     if not free.size:
         return 0.0
-    if np.linalg.cond(free) * np.trace(covariance) > INVERTIBLE * np.trace(free):
+    if np.linalg.eigvalsh(free)[0] < (FIRST_ORDER * error) ** 2:
         return np.nan
     return float(residual @ rest @ np.linalg.solve(free, rest.T @ residual))
+
+
+def largest_error(relative: Array, samples: float) -> float:
+    """Return the largest relative error of points whose covariance was estimated from samples, else 0."""
+    return float(np.sqrt(np.max(np.diag(relative)))) if np.isfinite(samples) else 0.0
 
 
 def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import approx_fprime, least_squares
 from scipy.special import exprel
 
-from sweep.analysis.fits import are_known, chi2_about, relative_covariance, weigh
+from sweep.analysis.fits import are_known, chi2_about, largest_error, relative_covariance, weigh
 from sweep.contract import small_sample_factor
 
 Array = NDArray[np.float64]
@@ -58,7 +58,8 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     Raises ValueError where it does not converge, or for a covariance that is not positive definite.
     """
     known = are_known(errors)
-    whiten, covariance = weigh(relative_covariance(y, errors) if known else np.eye(len(x)), samples)
+    relative = relative_covariance(y, errors) if known else np.eye(len(x))
+    whiten, covariance = weigh(relative, samples)
     first, length, scale = x[0], x[-1] - x[0], y[-1]
     z, target = (x - first) / length, np.log(y / scale)
 
@@ -77,7 +78,8 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     spread = solve @ covariance @ solve.T * float(small_sample_factor(samples))
     if misfit_squared > dof or not known:
         spread = spread * misfit_squared / dof
-    chi2 = chi2_about(misfit(found), slopes, covariance) if known and not np.isnan(samples) else np.nan
+    judge = known and not np.isnan(samples)
+    chi2 = chi2_about(misfit(found), slopes, covariance, largest_error(relative, samples)) if judge else np.nan
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]

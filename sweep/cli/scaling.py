@@ -27,7 +27,13 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
     show_default=True,
     help="Workers are processes, or threads of this one.",
 )
-@click.option("--repetitions", type=click.IntRange(1, 1000), default=3, show_default=True, help="Of every run.")
+@click.option(
+    "--repetitions",
+    type=click.IntRange(1, 1000),
+    default=3,
+    show_default=True,
+    help="Of every run; 5 or more give errors.",
+)
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Override a value of the study.")
 @click.option("--axis", "axes", multiple=True, metavar="NAME=SPEC", help="Override or add an axis.")
 @click.option(

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import main_quantity, prediction_name, quantities, standard_error
+from sweep.analysis.quantity import main_quantity, prediction_name, quantities, standard_error, unknown_parts
 from sweep.analysis.selection import place_in_words
 from sweep.contract import SweepError
 from sweep.formatting import with_error
@@ -102,9 +102,12 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     yield _range(part, values, errors, unit)
     if sentence := _what_changes_it(dims, values):
         yield sentence
-    parts = [words for suffix, words in ERROR_WORDS.items() if f"{variable}_{suffix}" in part]
+    stated = [suffix for suffix in ERROR_WORDS if f"{variable}_{suffix}" in part]
+    parts = [ERROR_WORDS[suffix] for suffix in stated if bool(part[f"{variable}_{suffix}"].notnull().any())]
     if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
         yield sentence
+    for sentence in unknown_parts(part, variable):
+        yield f"{sentence[0].upper()}{sentence[1:]}."
     predicted = part.get(prediction_name(part, variable))
     if predicted is not None and (sentence := _agreement(values, errors, predicted.transpose(*dims).values)):
         yield sentence

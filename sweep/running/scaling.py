@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import SweepError
+from sweep.contract import FEWEST_SAMPLES, SweepError, small_sample_factor
 from sweep.executing.choose import Resources
 from sweep.executing.execute import Pool, available_cores
 from sweep.planning.accumulator import Survey
@@ -22,6 +22,8 @@ from sweep.studies.study import Study
 
 KINDS = ("strong", "weak")
 MAX_WORKERS = 4096
+MEDIAN_OVER_MEAN = np.pi / 2.0
+"""Variance of a median over that of a mean, of many normal numbers (of five: 1.43)."""
 Grown = Literal["n_sim", "n_cat"]
 Array = NDArray[np.float64]
 
@@ -53,8 +55,8 @@ def measure_scaling(
 
     Seconds begin when the workers are there and end with the last result on disk; ``start_seconds`` are what comes
     before and after.  Each repetition has every run in it, ratios are taken within one, and ``NAME_error`` is the
-    standard error of the mean over them.  Weak scaling multiplies the catalogues by the workers where a study has
-    several, or else the realisations.  Runs go into stores of their own, which are removed.
+    standard error of the median, where there are at least 5 repetitions.  Weak scaling multiplies the catalogues by the
+    workers where a study has several, or else the realisations.  Runs go into stores of their own, which are removed.
     Raises SweepError for workers that are not distinct or do not begin with one, for a study of a precision, and where
     a point fails.
     """
@@ -149,8 +151,10 @@ def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
     for name, (array, unit, meaning) in values.items():
         attributes = {"units": unit, "long_name": meaning}
         variables[name] = (("kind", "workers"), np.median(array, axis=2), attributes)
-        if array.shape[2] > 1:
-            error = array.std(axis=2, ddof=1) / np.sqrt(array.shape[2])
+        if array.shape[2] >= FEWEST_SAMPLES:
+            count = array.shape[2]
+            of_mean = array.var(axis=2, ddof=1) * small_sample_factor(count) / count
+            error = np.sqrt(MEDIAN_OVER_MEAN * of_mean)
             variables[f"{name}_error"] = (("kind", "workers"), error, {**attributes, "long_name": f"error of {name}"})
     coordinates = {"kind": np.array(KINDS, dtype=object), "workers": workers}
     return xr.Dataset(variables, coords=coordinates)

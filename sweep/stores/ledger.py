@@ -133,6 +133,7 @@ class Ledger:
             numbers = sorted(set((wrong // self._columns["sums"].layout.rows).tolist()))
             raise DamagedError({self._columns["sums"].key(number): ELSEWHERE for number in numbers})
         return np.asarray(same)
+
     @property
     def next_row(self) -> int:
         """The row that the next block gets."""

@@ -16,8 +16,8 @@ from core.tie.elimination import Weights
 from core.tie.normal_sums import Problem, inverted
 from core.tie.sources import SourceTable
 from core.unknowns import Rotation, SpinByBin, Unknowns, parse_unknowns
-from sweep.contract import SweepError
 from sweep import table_reader
+from sweep.contract import SweepError
 from sweep.tie.matching import Match, match
 from sweep.tie.tables import AstrometricTable, TableOptions, read_table
 

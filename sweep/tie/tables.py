@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows
 from core.unknowns import PARAMETERS
-from sweep.contract import SweepError
 from sweep import table_reader
+from sweep.contract import SweepError
 from sweep.tie import hipparcos, icrf
 
 Array = NDArray[np.float64]

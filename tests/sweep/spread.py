@@ -16,15 +16,14 @@ def variance(law, x):
 
 
 def evaluate(points, n_sim, rng, catalogue_rng):
-    """Two normals, mixed by an angle that depends on x: points that are far apart have less in common."""
+    """Five normals, of which each x has its own mixture: points that are far apart have less in common."""
     scale = np.exp(SCATTER * catalogue_rng.standard_normal())
-    z, w = rng.standard_normal((2, n_sim))
-    drawn = []
+    normals = rng.standard_normal((5, n_sim))
+    squares = []
     for p in points:
-        angle = 0.3 * p["x"] ** 0.5
-        width = scale * np.sqrt(variance(p["law"], p["x"]))
-        drawn.append(width * (z * np.cos(angle) + w * np.sin(angle)))
-    return {"squares": [np.sum(d**2) for d in drawn]}
+        weights = np.exp(-0.5 * (2.0 * np.log(p["x"]) - np.arange(5)) ** 2)
+        squares.append(variance(p["law"], p["x"]) * scale**2 * np.sum((weights @ normals) ** 2) / (weights @ weights))
+    return {"squares": squares}
 
 
 def summarise(sums, n, n_cat):

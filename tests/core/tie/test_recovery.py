@@ -267,7 +267,9 @@ def test_the_orientation_at_another_epoch_has_its_covariance():
     turn = np.eye(7)
     turn[:3, 3:6] = 8.0 * np.eye(3)
     np.testing.assert_allclose(there.estimate / MAS, turn @ here.estimate / MAS, rtol=1e-6, atol=1e-4)
-    np.testing.assert_allclose(there.covariance / MAS**2, turn @ here.covariance @ turn.T / MAS**2, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        there.covariance / MAS**2, turn @ here.covariance @ turn.T / MAS**2, rtol=1e-4, atol=1e-6
+    )
 
 
 def test_a_known_spin_is_taken_out_with_its_sign():

@@ -326,6 +326,80 @@ def test_the_tables_hold_the_same_numbers():
     assert "made-up: width: A paper" in notes(found)
 
 
+# Power
+
+
+def about(published, value, error, **keys):
+    reading = {"variable": "width", "at": {"model": "old", "n": 50.0}}
+    return only(grid(value, error, claims=[claim(published=published, value=reading, **keys)]))
+
+
+def test_a_tolerance_that_a_wrong_program_passes_gives_no_verdict():
+    wide = {"tolerance": 0.9, "tolerance_reason": "not printed"}
+    comparison = about("5e2", 90.6, 0.5, **wide)
+    assert comparison.verdict == "not comparable"
+    assert "let pass a deviation of 500, more than 167" in comparison.reason
+    assert comparison.power == pytest.approx((50.0 + 450.0 + 4.6449 * 0.5) / 500.0)
+    assert about("5e2", 5.0, 0.5, tolerance=0.5, tolerance_reason="not printed").verdict == "NOT reproduced"
+
+
+def test_an_effect_must_be_told_from_none():
+    assert about("1.1", 1.018, 0.011).verdict == "reproduced"  # what is claimed is the tenth, not the one
+    assert about("1.1", 1.018, 0.011, null=1.0).verdict == "incomplete"
+    assert about("1.1", 1.018, 0.005, null=1.0).verdict == "NOT reproduced"
+    assert about("1.1", 1.09, 0.005, null=1.0).verdict == "reproduced"
+    assert about("1.1", 1.09, 0.005, null=1.06).verdict == "not comparable"
+
+
+def test_too_large_errors_ask_for_more_realisations():
+    comparison = about("0.60", 0.6, 0.1)
+    assert comparison.verdict == "incomplete"
+    assert "more realisations or catalogues are needed" in comparison.reason
+    assert about("0.60", 0.6, 0.04).verdict == "reproduced"
+
+
+def test_a_claim_may_say_why_it_is_not_comparable():
+    comparison = about("5e2", 90.6, 0.5, not_comparable="the paper does not say of how many")
+    assert (comparison.verdict, comparison.reason) == ("not comparable", "the paper does not say of how many")
+    assert np.isnan(comparison.power)
+    assert all_is_well([comparison])
+    assert summary_line([comparison]) == "0 reproduced, 0 within tolerance, 0 not reproduced, 1 not comparable"
+
+
+def test_the_power_is_the_deviation_that_is_found_in_nineteen_of_twenty():
+    rng, error = np.random.default_rng(3), 0.01
+    power = about("0.60", 0.6, error, tolerance=0.05, tolerance_reason="an example").power
+    allowed = 0.005 + 0.03 + 3 * error
+    found = abs(0.6 * power + error * rng.standard_normal(100_000)) > allowed
+    assert found.mean() == pytest.approx(0.95, abs=0.003)
+
+
+def test_an_error_that_is_not_known_gives_no_verdict():
+    comparison = only(grid(0.6, np.nan, {(0, 0): "0.60"}))
+    assert comparison.verdict == "incomplete"
+    assert "not known" in comparison.reason
+    assert json.loads(as_json([comparison]))["comparisons"][0]["power"] is None
+
+
+def test_an_unknown_part_of_the_error_is_told():
+    dataset = grid(0.6, 0.003, {(0, 0): "0.60"}, catalogue_error=np.nan)
+    assert remarks(dataset) == [
+        "width: the choice of catalogues is not in the error, as 5 catalogues are needed to know it"
+    ]
+
+
+def test_the_covariance_of_points_that_share_random_numbers_is_used():
+    rng = np.random.default_rng(2)
+    common = rng.standard_normal((100_000, 1))
+    values = 1.0 + 0.1 * (common + 0.2 * rng.standard_normal((100_000, 2)))
+    covariance = np.cov(values.T)
+    dataset = grid(1.0, 0.1, claims=[claim(ratio=ratio({"model": "old"}, {"model": "new"}), where={"n": 20.0})])
+    dataset["width_mc_covariance_model"] = (("n", "model", "model_other"), np.stack([covariance] * len(N)))
+    stated = only(dataset).mc_error
+    assert stated == pytest.approx(np.std(values[:, 0] / values[:, 1]), rel=0.05)  # first order: errors of a tenth
+    assert stated < 0.3 * np.hypot(0.1, 0.1)
+
+
 # From a study to its verdicts
 
 HEADER = "metal,coins,share\n"

@@ -30,7 +30,7 @@ def slow_clock(monkeypatch):
 
 def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, slow_clock):
     study = study_from_dict(coins | {"sampling": {"n_sim": 100, "n_cat": 4, "seed": 1}})
-    found = measure_scaling(study, [1, 2, 4], repetitions=2)
+    found = measure_scaling(study, [1, 2, 4], repetitions=5)
     assert found["seconds"].sel(kind="strong").values.tolist() == [400.0, 250.0, 125.0]
     assert found["seconds"].sel(kind="weak").values.tolist() == [400.0, 500.0, 500.0]
     for kind in ("strong", "weak"):  # every pair of workers loses a fifth
@@ -44,7 +44,7 @@ def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, slow_clock):
 
 def test_a_study_of_one_catalogue_grows_its_realisations(coins, slow_clock):
     study = study_from_dict(coins | {"sampling": {"n_sim": 100, "n_cat": 1, "seed": 1}})
-    found = measure_scaling(study, [1, 2], repetitions=1)
+    found = measure_scaling(study, [1, 2], repetitions=4)
     assert found.attrs["weak_scaling_grows"] == "n_sim"
     assert found.attrs["study_digest"] == study.digest()
     assert "efficiency_error" not in found

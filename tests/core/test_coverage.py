@@ -1,0 +1,64 @@
+"""The errors of the link's results cover: over independent copies (value - truth) / error scatters by one."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from tests.sweep.in_memory import results_of
+from tests.sweep.test_coverage import assert_covers
+
+pytestmark = pytest.mark.slow
+
+COPIES = 150
+QUASARS = {"catalogue": "quasars", "v_max": 14.0, "model": "gaia", "method": "projected"}
+
+
+@functools.cache
+def copies(n_cat, n_sim, aberration=False):
+    """Return results of copies that differ in nothing but their random numbers."""
+    return results_of(
+        {
+            "title": "Copies",
+            "axes": {"error_scale": [1.0 + 1e-9 * k for k in range(COPIES)]},
+            "fixed": QUASARS | {"aberration": aberration},
+            "sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 3},
+        }
+    )
+
+
+@pytest.mark.parametrize(("n_cat", "n_sim"), [(12, 64), (2, 64)])
+def test_the_error_of_sigma_holds_the_catalogues_fixed(n_cat, n_sim):
+    dataset = copies(n_cat, n_sim)
+    for name in ("sigma", "sigma_spin", "sigma_orientation"):
+        assert_covers((dataset[name] - dataset[f"{name}_predicted"]) / dataset[f"{name}_mc_error"])
+
+
+@pytest.mark.parametrize("n_cat", [5, 12])
+def test_the_error_of_the_choice_of_catalogues(n_cat):
+    dataset = copies(n_cat, 64)
+    for name in ("sigma", "sigma_spin", "sigma_orientation"):
+        predicted = dataset[f"{name}_predicted"]
+        truth = np.sqrt(np.mean(copies(12, 64)[f"{name}_predicted"] ** 2, axis=0))
+        assert_covers((predicted - truth) / dataset[f"{name}_catalogue_error"], dof=n_cat - 1)
+
+
+@pytest.mark.parametrize(("n_cat", "n_sim"), [(5, 64), (12, 64), (12, 1024)])
+def test_the_error_of_a_bias_that_catalogues_have(n_cat, n_sim):
+    """Galactic aberration that is not corrected: every catalogue has a bias of its own, and 1024 are two blocks."""
+    dataset = copies(n_cat, n_sim, aberration=True).sel(component=["omega_x", "omega_y", "omega_z"])
+    truth = dataset["bias"].mean("error_scale")
+    assert_covers((dataset["bias"] - truth) / dataset["bias_mc_error"], dof=n_cat - 1)
+
+
+def test_the_error_of_a_bias_that_is_none():
+    for n_cat, n_sim in ((1, 64), (1, 2048), (12, 64)):
+        dataset = copies(n_cat, n_sim)
+        assert_covers(dataset["bias"] / dataset["bias_mc_error"], dof=np.inf if n_cat == 1 else n_cat - 1)
+
+
+def test_few_catalogues_have_no_error():
+    for n_cat in (2, 3, 4):
+        dataset = copies(n_cat, 64)
+        for name in ("bias_mc_error", "sigma_catalogue_error", "sigma_spin_catalogue_error"):
+            assert np.all(np.isnan(dataset[name]))
