@@ -36,7 +36,7 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     """Nothing else comes in that would make it durable, and the end comes without a warning."""
     (tmp_path / "study.toml").write_text(
         f'title = "Sleepers"\nexperiment = "{SLEEPERS}"\nsampling = {{ n_sim = 2 }}\n'
-        "axes = { seconds = [0.0, 0.01, 0.02, 3600.0] }\n"
+        "axes = { seconds = [0.6, 0.7, 0.8, 3600.0] }\n"
     )
     store = tmp_path / "s.zarr"
     resources = ("--pool", pool) if pool == "serial" else ("--pool", pool, "--workers", 1)
