@@ -69,7 +69,7 @@ class _Table:
         floor = Floor(self._floor("floor_pos", UNITS[unit]), self._floor("floor_pm", UNITS[unit]))
         if self.problems or motions is None or positions is None:
             raise DefinitionError(self.problems)
-        identity = {
+        identity: dict[str, Any] = {
             "nominal_length_yr": length,
             "faint_limit_mag": limit if math.isfinite(limit) else None,
             "sigma_pm": _identity(motions),

@@ -1,0 +1,48 @@
+"""Components, the largest correlation and the condition stand beside the mean over components."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from sweep.analysis.components import component_lines, condition_warning
+
+NAMES = ["omega_x", "omega_y", "omega_z"]
+
+
+@pytest.fixture
+def masers():
+    """The twelve masers: the mean 1.05 hides 0.11, 1.59 and 0.89, of which two have a correlation of 0.999."""
+    sigma, correlation = np.array([0.11, 1.59, 0.89]), np.eye(3)
+    correlation[1, 2] = correlation[2, 1] = -0.999
+    return xr.Dataset(
+        {
+            "sigma": (("n_obj", "component"), [sigma]),
+            "sigma_mc_error": (("n_obj", "component"), [0.01 * sigma]),
+            "covariance": (("n_obj", "component", "component_other"), [correlation * np.outer(sigma, sigma)]),
+            "n_sim_done": ("n_obj", [1000]),
+            "status": ("n_obj", np.array([1], dtype=np.int8)),
+        },
+        {
+            "n_obj": [12],
+            "component": NAMES,
+            "component_other": NAMES,
+            "component_unit": ("component", ["mas / yr"] * 3),
+        },
+    )
+
+
+def test_each_component_and_the_largest_correlation_are_shown_in_80_columns(masers):
+    """A store without condition numbers: that of its correlations, (1 + 0.999)/(1 - 0.999)."""
+    lines = component_lines(masers)
+    assert lines == [
+        "sigma, n_obj = 12",
+        "  omega_x 0.11 mas/yr  omega_y 1.59 mas/yr  omega_z 0.89 mas/yr",
+        "  largest correlation -0.999 (omega_y, omega_z), condition number 2e+03",
+    ]
+    assert max(map(len, lines)) <= 80
+
+
+def test_a_bad_condition_is_warned_of_and_a_good_one_is_not(masers):
+    assert "at 1 point the condition number is up to 2e+03" in condition_warning(masers)
+    assert condition_warning(masers.assign(condition_number=("n_obj", [3.0]))) == ""
+    assert component_lines(masers.drop_vars(["sigma_mc_error"])) == []
