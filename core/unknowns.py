@@ -156,7 +156,11 @@ class Harmonics:
         start = 0
         for kind, degree in self.parts:
             part = fields[degree**2 - 1 : degree * (degree + 2)]
-            found[start : start + len(part)] = part if kind == "t" else turned(part)
+            into = found[start : start + len(part)]
+            if kind == "t":
+                into[:] = part
+            else:
+                turned(part, out=into)
             start += len(part)
         return found
 
@@ -233,6 +237,8 @@ class Unknowns:
         if moved and any(block.rate for block in self.blocks):
             acting |= set(POSITION)
         rows = tuple(sorted(acting))
+        if len(self.blocks) == 1 and rows == self.blocks[0].rows:
+            return rows, self.blocks[0].derivatives(objects)
         found = np.zeros((len(self), len(rows), len(objects.ra)))
         start = 0
         for block in self.blocks:

@@ -28,7 +28,16 @@ HOUSE = {
         *(
             f"tie.{name}"
             for name in (
-                *("astrometry", "motion", "differences", "elimination", "normal_sums", "uncertainty", "influence"),
+                *(
+                    "astrometry",
+                    "motion",
+                    "differences",
+                    "elimination",
+                    "simple_rows",
+                    "normal_sums",
+                    "uncertainty",
+                    "influence",
+                ),
                 *("clips", "sources", "releases", "forecast", "__init__"),
             )
         ),

@@ -180,7 +180,7 @@ def test_a_design_without_the_years_is_seen(monkeypatch):
 
     def without(*arguments):
         found = plain(*arguments)
-        found.partials[:, 0, 3] = found.partials[:, 1, 4] = 1e-6
+        found.partials[:, 0, 3] = found.partials[:, 1, 4] = found.partials[:, 0, 3] / 2
         return found
 
     monkeypatch.setattr("core.tie.normal_sums.differences", without)
@@ -267,7 +267,9 @@ def test_the_orientation_at_another_epoch_has_its_covariance():
     turn = np.eye(7)
     turn[:3, 3:6] = 8.0 * np.eye(3)
     np.testing.assert_allclose(there.estimate / MAS, turn @ here.estimate / MAS, rtol=1e-6, atol=1e-4)
-    np.testing.assert_allclose(there.covariance / MAS**2, turn @ here.covariance @ turn.T / MAS**2, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(
+        there.covariance / MAS**2, turn @ here.covariance @ turn.T / MAS**2, rtol=1e-4, atol=1e-6
+    )
 
 
 def test_a_known_spin_is_taken_out_with_its_sign():
