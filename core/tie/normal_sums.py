@@ -262,7 +262,7 @@ def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | None 
         normal=normal,
         inverse=inverse,
         covariance=0.5 * (covariance + covariance.T),
-        squares=float(weights @ sums.squares - right @ estimate),
+        squares=max(0.0, float(weights @ sums.squares - right @ estimate)),
         expected=float(weights @ sums.expected - np.sum(inverse * spread)),
         dof=float(sums.count.sum() - len(right)),
     )

@@ -128,6 +128,7 @@ class _Reader:
         values, errors = np.full((2, 5, n), np.nan)
         for i, name in enumerate(PARAMETERS):
             values[i] = self._values(name)
+        for i, name in enumerate(PARAMETERS):
             errors[i] = self._errors(name, values[1])
         for name, row in (("ra", values[0]), ("dec", values[1])):
             if self._column(name) is None and not np.any(np.isfinite(values[2:])):
