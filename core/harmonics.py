@@ -10,7 +10,7 @@ Kind = Literal["t", "s"]
 
 
 class Term(NamedTuple):
-    """One coefficient: kind t (toroidal) or s (spheroidal), degree, order, and the part ("" for order 0, "re", "im")."""
+    """One coefficient: kind t (toroidal) or s (spheroidal), degree, order, and part ("" for order 0, "re", "im")."""
 
     kind: Kind
     degree: int

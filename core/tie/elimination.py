@@ -167,7 +167,7 @@ def _solved(whole: Array, variance: Array, right: Array, sources: Indices) -> Ar
         found = (right - cross[:, None, None] * right[:, ::-1]) / determinant[:, None, None]
     else:
         _require_regular(np.linalg.eigvalsh(scaled)[:, 0] > UNDETERMINED / 1e3, sources)
-        found = np.linalg.solve(scaled, right)
+        found = np.asarray(np.linalg.solve(scaled, right), dtype=np.float64)
     return np.asarray(found * scale[..., None])
 
 

@@ -102,7 +102,9 @@ class Problem:
 
     def objects(self, own: Astrometry) -> tuple[Objects, Array]:
         """Return what derivatives depend on, and the epoch of each source minus that of the unknowns."""
-        objects = Objects(own.values[0], own.values[1], *np.nan_to_num(own.values[3:]), columns=own.columns)
+        ra, dec = own.values[:2]
+        pmra, pmdec = np.nan_to_num(own.values[3:])
+        objects = Objects(ra, dec, pmra, pmdec, own.columns)
         return objects, np.where(np.isfinite(own.epoch), own.epoch - self.epoch, 0.0)
 
     def taken_out(self, own: Astrometry) -> Array | None:
@@ -110,7 +112,7 @@ class Problem:
         if self.known is None:
             return None
         known, values = self.known
-        return np.einsum("nik,k->in", known.matrix(*self.objects(own)), values)
+        return np.asarray(np.einsum("nik,k->in", known.matrix(*self.objects(own)), values))
 
     @cached_property
     def _order(self) -> tuple[Indices, Indices]:

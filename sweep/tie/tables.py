@@ -321,7 +321,7 @@ class _Reader:
         except ValueError:
             self.problems.append("column 'UW' does not hold fifteen numbers")
             return None
-        return np.array(rows).T
+        return np.asarray(np.array(rows).T, dtype=np.float64)
 
     def _names(self) -> dict[str, NDArray[np.str_]]:
         wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES
