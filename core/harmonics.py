@@ -10,7 +10,7 @@ Kind = Literal["t", "s"]
 
 
 class Term(NamedTuple):
-    """One coefficient: kind t (toroidal) or s (spheroidal), degree, order, and the part ("" for order 0, "re", "im")."""
+    """One coefficient: kind t (toroidal) or s (spheroidal), degree, order, and part ("" for order 0, "re", "im")."""
 
     kind: Kind
     degree: int
@@ -65,9 +65,12 @@ def toroidal(degree: int, ra: Array, dec: Array) -> Array:
     return fields
 
 
-def turned(fields: Array) -> Array:
+def turned(fields: Array, out: Array | None = None) -> Array:
     """Return fields (..., 2, N) turned by 90 deg from east through north: toroidal ones become spheroidal."""
-    return np.stack([-fields[..., 1, :], fields[..., 0, :]], axis=-2)
+    found = np.empty_like(fields) if out is None else out
+    np.negative(fields[..., 1, :], out=found[..., 0, :])
+    found[..., 1, :] = fields[..., 0, :]
+    return found
 
 
 def _next_degree(degree: int, order: int, sin_dec: Array, last: Array, before: Array) -> Array:

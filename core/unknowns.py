@@ -48,13 +48,24 @@ class Block(Protocol):
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """The name by which the block is asked for."""
+        ...
+
     @property
-    def labels(self) -> tuple[str, ...]: ...
+    def labels(self) -> tuple[str, ...]:
+        """The names of its unknowns."""
+        ...
+
     @property
-    def rows(self) -> tuple[int, ...]: ...
+    def rows(self) -> tuple[int, ...]:
+        """The parameters that it acts on."""
+        ...
+
     @property
-    def rate(self) -> bool: ...
+    def rate(self) -> bool:
+        """Whether it is per year."""
+        ...
 
     def derivatives(self, objects: Objects) -> Array:
         """Return the derivatives of the parameters ``rows``; shape (k, len(rows), N)."""
@@ -156,7 +167,11 @@ class Harmonics:
         start = 0
         for kind, degree in self.parts:
             part = fields[degree**2 - 1 : degree * (degree + 2)]
-            found[start : start + len(part)] = part if kind == "t" else turned(part)
+            into = found[start : start + len(part)]
+            if kind == "t":
+                into[:] = part
+            else:
+                turned(part, out=into)
             start += len(part)
         return found
 
@@ -228,11 +243,14 @@ class Unknowns:
 
         ``years`` (N,) is the epoch of each source minus that of the unknowns: a rate moves positions by as much.
         """
-        moved = years is not None and bool(np.any(years != 0.0))
+        shift = np.zeros(len(objects.ra)) if years is None else years
+        moved = bool(np.any(shift != 0.0))
         acting = {row for block in self.blocks for row in block.rows}
         if moved and any(block.rate for block in self.blocks):
             acting |= set(POSITION)
         rows = tuple(sorted(acting))
+        if len(self.blocks) == 1 and rows == self.blocks[0].rows:
+            return rows, self.blocks[0].derivatives(objects)
         found = np.zeros((len(self), len(rows), len(objects.ra)))
         start = 0
         for block in self.blocks:
@@ -242,7 +260,7 @@ class Unknowns:
                 into[:, rows.index(row)] = values[:, i]
             if moved and block.rate:
                 for position, motion in zip(POSITION, MOTION, strict=True):
-                    into[:, rows.index(position)] = years * values[:, block.rows.index(motion)]
+                    into[:, rows.index(position)] = shift * values[:, block.rows.index(motion)]
             start += len(values)
         return rows, found
 

@@ -34,7 +34,7 @@ class Astrometry:
     apparent: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
-        return self.values.shape[1]
+        return len(self.epoch)
 
     @property
     def present(self) -> NDArray[np.bool_]:

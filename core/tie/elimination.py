@@ -29,7 +29,8 @@ UNDETERMINED = 1e-12
 @dataclass(frozen=True)
 class Eliminated:
     """S sources: W (S, 5, 5), w (S, 5), yy (S,), the number of observations less that of free parameters (S,), what yy
-    is on average (S,), and M' G D G' M of other weights than the best (S, 5, 5), which is W for the best.
+    is on average (S,), and M' G D G' M of other weights than the best (S, 5, 5), which is W for the best.  ``parameters``
+    are those that the matrices have, where it is not all five.
     """
 
     weight: Array
@@ -38,6 +39,24 @@ class Eliminated:
     count: Array
     expected: Array
     spread: Array
+    parameters: tuple[int, ...] = (0, 1, 2, 3, 4)
+
+    def onto(self, rows: tuple[int, ...]) -> tuple[Array, Array, Array]:
+        """Return W (S, r, r), w (S, r) and M' G D G' M (S, r, r) of some parameters, zero for those without weight."""
+        if rows == self.parameters:
+            return self.weight, self.right, self.spread
+        both = [(i, self.parameters.index(row)) for i, row in enumerate(rows) if row in self.parameters]
+        into, at = [i for i, _ in both], [k for _, k in both]
+        n = len(self.right)
+        weight, right, spread = (
+            np.zeros((n, len(rows), len(rows))),
+            np.zeros((n, len(rows))),
+            np.zeros((n, len(rows), len(rows))),
+        )
+        weight[np.ix_(range(n), into, into)] = self.weight[np.ix_(range(n), at, at)]
+        spread[np.ix_(range(n), into, into)] = self.spread[np.ix_(range(n), at, at)]
+        right[:, into] = self.right[:, at]
+        return weight, right, spread
 
     def scaled(self, factors: Array) -> "Eliminated":
         """Return the same with the weight of each source multiplied by a factor (S,)."""
@@ -49,6 +68,7 @@ class Eliminated:
             self.count,
             self.expected * factors,
             self.spread * each**2,
+            self.parameters,
         )
 
 
@@ -147,7 +167,7 @@ def _solved(whole: Array, variance: Array, right: Array, sources: Indices) -> Ar
         found = (right - cross[:, None, None] * right[:, ::-1]) / determinant[:, None, None]
     else:
         _require_regular(np.linalg.eigvalsh(scaled)[:, 0] > UNDETERMINED / 1e3, sources)
-        found = np.linalg.solve(scaled, right)
+        found = np.asarray(np.linalg.solve(scaled, right), dtype=np.float64)
     return np.asarray(found * scale[..., None])
 
 

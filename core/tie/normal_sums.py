@@ -11,11 +11,12 @@ from core.link import SMALLEST_EIGENVALUE, LinkError
 from core.tie.astrometry import Astrometry, Indices
 from core.tie.differences import differences
 from core.tie.elimination import Eliminated, Weights, eliminate
+from core.tie.simple_rows import eliminate_simple
 from core.unknowns import Objects, Unknowns
 
 Array = NDArray[np.float64]
 
-BLOCK = 16384
+BLOCK = 8192
 """Sources at a time: bounds the memory beyond the tables."""
 
 
@@ -87,7 +88,12 @@ class Problem:
         place[part] = np.arange(len(part))
         source = place[self.source[rows_of]]
         objects, years = self.objects(own)
-        found = differences(own, rows, source, self.taken_out(own))
+        taken_out = self.taken_out(own)
+        if self.weights == "covariance" and np.array_equal(source, np.arange(len(part))):
+            simple = eliminate_simple(own, rows, taken_out)
+            if simple is not None:
+                return self.unknowns, objects, years, simple
+        found = differences(own, rows, source, taken_out)
         try:
             left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
         except LinkError as error:
@@ -96,7 +102,9 @@ class Problem:
 
     def objects(self, own: Astrometry) -> tuple[Objects, Array]:
         """Return what derivatives depend on, and the epoch of each source minus that of the unknowns."""
-        objects = Objects(own.values[0], own.values[1], *np.nan_to_num(own.values[3:]), columns=own.columns)
+        ra, dec = own.values[:2]
+        pmra, pmdec = np.nan_to_num(own.values[3:])
+        objects = Objects(ra, dec, pmra, pmdec, own.columns)
         return objects, np.where(np.isfinite(own.epoch), own.epoch - self.epoch, 0.0)
 
     def taken_out(self, own: Astrometry) -> Array | None:
@@ -104,7 +112,7 @@ class Problem:
         if self.known is None:
             return None
         known, values = self.known
-        return np.einsum("nik,k->in", known.matrix(*self.objects(own)), values)
+        return np.asarray(np.einsum("nik,k->in", known.matrix(*self.objects(own)), values))
 
     @cached_property
     def _order(self) -> tuple[Indices, Indices]:
@@ -127,12 +135,12 @@ def source_sums(problem: Problem) -> NormalSums:
     for part in _blocks(np.arange(n)):
         unknowns, objects, years, left = problem.sources(part)
         rows, derivatives = unknowns.derivatives(objects, years)
-        at = np.ix_(range(len(part)), rows, rows)
+        weight, right, spread = left.onto(rows)
         matrix = np.moveaxis(derivatives, -1, 0)  # (n, K, rows)
-        sums.normal[part] = matrix @ left.weight[at] @ matrix.swapaxes(1, 2)
+        sums.normal[part] = matrix @ weight @ matrix.swapaxes(1, 2)
         if sums.spread is not None:
-            sums.spread[part] = matrix @ left.spread[at] @ matrix.swapaxes(1, 2)
-        sums.right[part] = np.einsum("nkr,nr->nk", matrix, left.right[:, rows])
+            sums.spread[part] = matrix @ spread @ matrix.swapaxes(1, 2)
+        sums.right[part] = np.einsum("nkr,nr->nk", matrix, right)
         sums.squares[part], sums.count[part], sums.expected[part] = left.squares, left.count, left.expected
     return sums
 
@@ -152,14 +160,15 @@ def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array |
         if factors is not None and not equal:
             left = left.scaled(factors[part])
         rows, derivatives = unknowns.derivatives(objects, years)
+        weight, right, spread = left.onto(rows)
         here = group[part]
         for one in np.unique(here):
             piece = slice(*np.searchsorted(here, [one, one + 1]))
             matrix = derivatives[..., piece]
-            _add(sums.normal[one], matrix, left.weight[piece], rows)
+            _add(sums.normal[one], matrix, weight[piece])
             if sums.spread is not None:
-                _add(sums.spread[one], matrix, left.spread[piece], rows)
-            sums.right[one] += np.einsum("krn,nr->k", matrix, left.right[piece][:, rows], optimize=True)
+                _add(sums.spread[one], matrix, spread[piece])
+            sums.right[one] += matrix.reshape(len(matrix), -1) @ right[piece].T.ravel()
             sums.squares[one] += left.squares[piece].sum()
             sums.count[one] += left.count[piece].sum()
             sums.expected[one] += left.expected[piece].sum()
@@ -173,19 +182,20 @@ def source_discrepancies(problem: Problem, estimate: Array) -> tuple[Array, Arra
         unknowns, objects, years, left = problem.sources(part)
         rows, derivatives = unknowns.derivatives(objects, years)
         shift = np.tensordot(estimate, derivatives, axes=1)
-        at = np.ix_(range(len(part)), rows, rows)
-        squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", left.right[:, rows], shift)
-        squares[part] += np.einsum("rn,nrs,sn->n", shift, left.weight[at], shift)
+        weight, right, _ = left.onto(rows)
+        squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", right, shift)
+        squares[part] += np.einsum("rn,nrs,sn->n", shift, weight, shift)
         count[part] = left.count
     return np.maximum(squares, 0.0), count
 
 
-def _add(total: Array, matrix: Array, weight: Array, rows: tuple[int, ...]) -> None:
-    """Add K' W K of sources; ``matrix`` (K, rows, n), ``weight`` (n, 5, 5)."""
-    weighted = np.zeros_like(matrix)
-    for i, row in enumerate(rows):
-        for j, other in enumerate(rows):
-            if np.any(element := weight[:, row, other]):
+def _add(total: Array, matrix: Array, weight: Array) -> None:
+    """Add K' W K of sources; ``matrix`` (K, r, n), ``weight`` (n, r, r)."""
+    weighted = np.empty_like(matrix)
+    for i in range(matrix.shape[1]):
+        np.multiply(weight[:, i, i], matrix[:, i], out=weighted[:, i])
+        for j in range(matrix.shape[1]):
+            if i != j and np.any(element := weight[:, i, j]):
                 weighted[:, i] += element * matrix[:, j]
     total += matrix.reshape(len(total), -1) @ weighted.reshape(len(total), -1).T
 
@@ -254,7 +264,7 @@ def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | None 
         normal=normal,
         inverse=inverse,
         covariance=0.5 * (covariance + covariance.T),
-        squares=float(weights @ sums.squares - right @ estimate),
+        squares=max(0.0, float(weights @ sums.squares - right @ estimate)),
         expected=float(weights @ sums.expected - np.sum(inverse * spread)),
         dof=float(sums.count.sum() - len(right)),
     )

@@ -21,7 +21,7 @@ RELEASES = {
     "dr4": Release(2017.5, 66.0),
     "dr5": Release(2020.0, 126.0),
 }
-"""Sources: Gaia Collaboration 2018 (DR2, 2014.56 to 2016.39), 2021 (EDR3 to 2017.41); the Gaia data-release pages of ESA
+"""Sources: Gaia Collaboration 2018 (DR2, 2014.56 to 2016.39), 2021 (EDR3 to 2017.41); ESA's pages of the data releases
 for DR4 (66 months, J2017.5) and DR5 (to the end of observations in January 2025; its epoch is not announced, here the
 middle).
 """

@@ -39,7 +39,7 @@ def sandwich(sums: NormalSums, solution: Solution) -> Array:
 
 
 class Bootstrap(NamedTuple):
-    """Covariance (K, K), the solutions (B, K), and how many resamples did not determine the unknowns (those are NaN)."""
+    """Covariance (K, K), the solutions (B, K), and how many resamples failed to determine the unknowns (NaN)."""
 
     covariance: Array
     estimates: Array

@@ -41,7 +41,7 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
         "errors": (("error_kind", "unknown"), errors),
         "covariance": (("unknown", "unknown_other"), main, {"kind": link.main}),
         "covariances": (("error_kind", "unknown", "unknown_other"), covariance),
-        "correlation": (("unknown", "unknown_other"), main / np.outer(errors[0], errors[0])),
+        "correlation": (("unknown", "unknown_other"), _correlation(main)),
         "chi2": ((), solution.squares),
         "chi2_expected": ((), solution.expected, {"long_name": "average of chi2 if the errors are right"}),
         "dof": ((), solution.dof),
@@ -78,6 +78,12 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
         "notes": list(link.notes),
     }
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+
+
+def _correlation(covariance: Array) -> Array:
+    error = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):  # tables without any discrepancy have scaled errors of 0
+        return np.asarray(covariance / np.outer(error, error))
 
 
 def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:

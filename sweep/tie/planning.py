@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 EPOCHS = (1900.0, 2100.0)
 
 
-def forecast(
+def forecast(  # noqa: PLR0912
     satellite: str | Path,
     reference: str | Path,
     unknowns: str | None = None,

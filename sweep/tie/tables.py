@@ -128,6 +128,7 @@ class _Reader:
         values, errors = np.full((2, 5, n), np.nan)
         for i, name in enumerate(PARAMETERS):
             values[i] = self._values(name)
+        for i, name in enumerate(PARAMETERS):
             errors[i] = self._errors(name, values[1])
         for name, row in (("ra", values[0]), ("dec", values[1])):
             if self._column(name) is None and not np.any(np.isfinite(values[2:])):
@@ -320,7 +321,7 @@ class _Reader:
         except ValueError:
             self.problems.append("column 'UW' does not hold fifteen numbers")
             return None
-        return np.array(rows).T
+        return np.asarray(np.array(rows).T, dtype=np.float64)
 
     def _names(self) -> dict[str, NDArray[np.str_]]:
         wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES

@@ -257,3 +257,28 @@ def test_the_bootstrap_solves_resamples():
     good = drawn.estimates[np.isfinite(drawn.estimates[:, 0])]
     np.testing.assert_allclose(drawn.covariance, np.cov(good.T), rtol=1e-12)
     assert drawn.failed == 50 - len(good)
+
+
+@pytest.mark.parametrize("kind", ["motion", "position"])
+def test_simple_rows_have_the_general_form(kind, monkeypatch):
+    satellite = stars(30)
+    errors = satellite.errors * 1.7
+    errors[: 3 if kind == "motion" else 0] = np.nan
+    errors[5 if kind == "motion" else 2 :] = np.nan
+    rng = np.random.default_rng(6)
+    values = np.where(np.isfinite(errors), satellite.values + rng.normal(0.0, MAS, (5, 30)), np.nan)
+    rows = Astrometry(values, errors, satellite.epoch, random_correlations(rng, 30))
+    unknowns = parse_unknowns("spin,glide" if kind == "motion" else "vsh_position:2")
+    problem = Problem(satellite, rows, np.arange(30), unknowns, 2016.0)
+    fast = source_sums(problem)
+    calls = []
+
+    def never(*arguments):
+        calls.append(arguments)
+
+    monkeypatch.setattr("core.tie.normal_sums.eliminate_simple", never)
+    general = source_sums(problem)
+    assert calls
+    for name in ("normal", "right", "squares", "count"):
+        a, b = getattr(fast, name), getattr(general, name)
+        np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11 * np.abs(b).max())

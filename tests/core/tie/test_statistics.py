@@ -1,0 +1,287 @@
+"""Closed forms, the closed loop, clips, influence and forecasts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+from core.constants import MAS
+from core.link import LinkError
+from core.tie.astrometry import Astrometry
+from core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
+from core.tie.forecast import Goal, choose, choose_exhaustively, with_new_rows
+from core.tie.influence import influence
+from core.tie.normal_sums import NormalSums, Problem, solve, source_sums
+from core.tie.releases import factors, released
+from core.tie.sources import SourceTable, sky_cells
+from core.unknowns import parse_unknowns
+from tests.core.tie.made import noise, random_correlations, stars
+from tests.core.tie.test_elimination import mixed
+
+
+def quasars(n, sigma=0.3, unknowns="spin", seed=1, where="motion"):
+    """Return positions or motions of quasars on a uniform grid of the sky, all with one error."""
+    golden = np.arange(n) + 0.5
+    ra, dec = (golden * np.pi * (1.0 + np.sqrt(5.0))) % (2.0 * np.pi), np.arcsin(1.0 - 2.0 * golden / n)
+    values, errors = np.zeros((5, n)), np.full((5, n), np.nan)
+    rng = np.random.default_rng(seed)
+    used = slice(3, 5) if where == "motion" else slice(0, 2)
+    errors[used] = sigma * MAS
+    values[:2] = ra, dec
+    satellite = values.copy()
+    rows = np.where(np.isfinite(errors), values, np.nan)
+    step = rng.normal(0.0, sigma * MAS, (2, n))
+    rows[used] += step / np.array([np.cos(dec), np.ones(n)]) if where == "position" else step
+    exact = np.zeros((5, n))
+    nan = np.full(n, np.nan)
+    return Problem(
+        Astrometry(satellite, exact, nan), Astrometry(rows, errors, nan), np.arange(n), parse_unknowns(unknowns), 2016.0
+    )
+
+
+def test_the_error_of_a_spin_from_a_uniform_sky():
+    solution = solve(source_sums(quasars(4000)))
+    np.testing.assert_allclose(np.diag(solution.covariance), 3.0 * (0.3 * MAS) ** 2 / (2.0 * 4000), rtol=1e-3)
+
+
+def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
+    unknowns = parse_unknowns("vsh_motion:3")
+    solution = solve(source_sums(quasars(4000, unknowns="vsh_motion:3")))
+    whole = 4.0 * np.pi * (0.3 * MAS) ** 2 / 4000
+    orders = np.array([term.order for term in unknowns.blocks[0].terms])
+    np.testing.assert_allclose(np.diag(solution.covariance), np.where(orders == 0, whole, 0.5 * whole), rtol=5e-3)
+
+
+def test_chi2_of_a_degree_and_of_one_block_more_are_chi2():
+    rng = np.random.default_rng(3)
+    problem = quasars(200, unknowns="vsh_motion:2")
+    sums = source_sums(problem)
+    fewer = source_sums(replace(problem, unknowns=parse_unknowns("vsh_motion:1")))
+    normal, part = sums.normal.sum(axis=0), slice(6, 11)
+    half, inverse = np.linalg.cholesky(normal), np.linalg.inv(normal)
+    powers, gains = [], []
+    for _ in range(2000):
+        right = half @ rng.normal(size=16)
+        x = inverse @ right
+        powers.append(x[part] @ np.linalg.solve(inverse[part, part], x[part]))
+        gains.append(right @ x - right[:6] @ np.linalg.solve(fewer.normal.sum(axis=0), right[:6]))
+    assert kstest(powers, chi2(5).cdf).pvalue > 1e-3
+    assert kstest(gains, chi2(10).cdf).pvalue > 1e-3
+
+
+def test_the_closed_loop():
+    """Rows of every kind drawn as their covariances say: mean, scatter, Q and coverage are what the solution says."""
+    rng = np.random.default_rng(11)
+    problem = mixed(10)
+    sums = source_sums(problem)
+    solution = solve(sums)
+    found, squares = [], []
+    exact = replace(problem.rows, values=_model(problem))
+    for _ in range(300):
+        drawn = replace(
+            problem,
+            satellite=_with_noise(rng, problem.satellite),
+            rows=_with_noise(rng, exact),
+        )
+        one = solve(source_sums(drawn))
+        found.append(one.estimate)
+        squares.append(one.squares)
+    error = np.sqrt(np.diag(solution.covariance))
+    pulls = np.array(found) / error
+    assert np.abs(pulls.mean(axis=0)).max() < 4.5 / np.sqrt(300)
+    np.testing.assert_allclose(np.cov(pulls.T), solution.covariance / np.outer(error, error), atol=0.3)
+    assert np.mean(squares) == pytest.approx(solution.dof, abs=4.5 * np.sqrt(2.0 * solution.dof / 300))
+    assert np.mean(np.abs(pulls) < 1.0) == pytest.approx(0.683, abs=0.05)
+
+
+def _with_noise(rng, table):
+    step = noise(rng, table)
+    step[0] /= np.cos(np.nan_to_num(table.values[1]))  # the error is that of alpha*
+    return replace(table, values=table.values + step)
+
+
+def _model(problem):
+    from core.tie.differences import differences
+
+    found = differences(problem.satellite, problem.rows, problem.source)
+    values = problem.rows.values - found.values.T
+    values[0] = problem.rows.values[0] - found.values[:, 0] / np.cos(problem.rows.values[1])
+    return values
+
+
+def test_the_closed_loop_of_b_and_q():
+    rng = np.random.default_rng(12)
+    sums = source_sums(mixed(15))
+    normal = sums.normal.sum(axis=0)
+    half, inverse = np.linalg.cholesky(normal), np.linalg.inv(normal)
+    dof = float(sums.count.sum()) - len(normal)
+    x = (inverse @ (half @ rng.normal(size=(len(normal), 2000)))).T
+    error = np.sqrt(np.diag(inverse))
+    # yy is that of all observations: b' N^-1 b + chi2 of the degrees of freedom
+    q = rng.chisquare(dof, 2000)
+    yy = q + np.einsum("dk,kl,dl->d", x, normal, x)
+    for i in (0, 999, 1999):
+        one = NormalSums(
+            normal[None], (normal @ x[i])[None], yy[i : i + 1], sums.count.sum()[None], sums.count.sum()[None]
+        )
+        solution = solve(one)
+        np.testing.assert_allclose(solution.estimate / error, x[i] / error, atol=1e-8)
+        assert solution.squares == pytest.approx(q[i], rel=1e-8)
+    assert np.mean(np.abs(x) < error) == pytest.approx(0.683, abs=0.01)
+    assert q.mean() == pytest.approx(dof, rel=0.02)
+
+
+def test_the_normalised_separation_is_rayleigh():
+    satellite = stars(3000, 5)
+    rng = np.random.default_rng(5)
+    errors = np.full((5, 3000), np.nan)
+    errors[:2] = 0.4 * MAS
+    rows = Astrometry(satellite.values, errors, satellite.epoch, random_correlations(rng, 3000))
+    step = noise(rng, rows) + noise(rng, satellite)
+    step[0] /= np.cos(satellite.values[1])
+    rows = replace(rows, values=rows.values + step)
+    normalised, plain = separation(Problem(satellite, rows, np.arange(3000), parse_unknowns("orientation"), 2016.0))
+    assert kstest(normalised, "rayleigh").pvalue > 1e-3
+    assert np.median(normalised) == pytest.approx(MEDIAN_RAYLEIGH, rel=0.05)
+    assert np.all(plain > 0.0)
+
+
+def with_outliers(offset=0.0, outliers=(3, 17, 40), n=80):
+    problem = quasars(n, unknowns="orientation", where="position", sigma=0.1)
+    unknowns = replace(problem, unknowns=parse_unknowns("orientation", corrections=False))
+    values = problem.rows.values.copy()
+    for size, i in enumerate(outliers, 1):
+        values[1, i] += 2.0 * size * MAS
+    k = unknowns.unknowns.matrix(*problem.objects(problem.satellite)) @ np.array([offset, -offset, 0.5 * offset]) * MAS
+    values[0] += k[:, 0] / np.cos(problem.satellite.values[1])
+    values[1] += k[:, 1]
+    return replace(unknowns, rows=replace(problem.rows, values=values))
+
+
+@pytest.mark.parametrize("clip", ["rayleigh", "median:5", "discrepancy", "discrepancy:3"])
+def test_a_clip_drops_the_outliers(clip):
+    problem = with_outliers()
+    found = clipped(parse_clip(clip), SourceTable(problem).as_sources(), lambda: separation(problem))
+    dropped = set(np.flatnonzero(found.factors == 0.0))
+    assert dropped >= {3, 17, 40}
+    assert len(dropped) <= (5 if clip == "rayleigh" else 3)  # that clip drops one good source on average
+    assert found.solution.squares / found.solution.dof < 1.5
+    assert not found.notes
+
+
+def test_the_trajectory_is_kept_beyond_the_choice():
+    problem = with_outliers()
+    found = clipped(parse_clip("discrepancy"), SourceTable(problem).as_sources(), lambda: separation(problem))
+    assert found.dropped[:4] == [-1, 40, 17, 3]  # the worst first
+    assert found.chosen == 3
+    assert len(found.trajectory) > 50
+    sums = source_sums(problem)
+    kept = np.setdiff1d(np.arange(80), found.dropped[1:11])
+    np.testing.assert_allclose(found.trajectory[10].estimate, solve(sums.taken(kept)).estimate, rtol=1e-9)
+
+
+def test_a_clip_before_the_fit_of_frames_far_apart_is_said():
+    problem = with_outliers(offset=1.0)
+    found = clipped(parse_clip("rayleigh"), SourceTable(problem).as_sources(), lambda: separation(problem))
+    assert "frames differ by more than the errors" in found.notes[0]
+    after = clipped(parse_clip("median:5"), SourceTable(problem).as_sources(), lambda: separation(problem))
+    np.testing.assert_allclose(after.solution.estimate / MAS, [1.0, -1.0, 0.5], atol=0.1)
+    assert set(np.flatnonzero(after.factors == 0.0)) == {3, 17, 40}
+
+
+def test_huber_weights_are_those_of_its_own_solution():
+    problem = with_outliers()
+    table = SourceTable(problem)
+    found = clipped(parse_clip("huber:1.5"), table.as_sources(), lambda: separation(problem))
+    from core.tie.influence import discrepancies
+
+    residual = np.sqrt(discrepancies(table.sums, found.solution.estimate) / table.sums.count)
+    np.testing.assert_allclose(found.factors, np.minimum(1.0, 1.5 / residual), atol=1e-9)
+    assert found.factors[40] < 0.2
+
+
+@pytest.mark.parametrize("text", ["sigma", "median", "median:0", "none:3", "huber:x", "discrepancy:1.5", "rayleigh:2"])
+def test_an_unknown_clip_is_refused(text):
+    with pytest.raises(ValueError, match="clip"):
+        parse_clip(text)
+
+
+def test_dropping_more_than_there_is_is_refused():
+    problem = with_outliers(n=50)
+    with pytest.raises(LinkError, match="sources can be dropped"):
+        clipped(parse_clip("discrepancy:49"), SourceTable(problem).as_sources(), lambda: separation(problem))
+
+
+def test_influence_is_what_it_says():
+    problem = mixed(15)
+    sums = source_sums(problem)
+    solution = solve(sums)
+    effect = influence(sums, solution, problem.unknowns, np.ones(15, dtype=bool))
+    np.testing.assert_allclose(effect.share.sum(axis=0), 1.0, rtol=1e-9)
+    step = solve(sums.taken(np.arange(15) != 4)).estimate - solution.estimate
+    assert effect.cook[4] == pytest.approx(step @ solution.normal @ step / len(step), rel=1e-6)
+
+
+def test_streamed_sources_give_what_kept_ones_give(monkeypatch):
+    problem = with_outliers()
+    table = SourceTable(problem)
+    kept = clipped(parse_clip("median:5"), table.as_sources(), lambda: separation(problem))
+    monkeypatch.setattr("core.tie.sources.KEPT_NUMBERS", 0)
+    streamed_table = SourceTable(problem)
+    assert not streamed_table.single
+    streamed = clipped(parse_clip("median:5"), streamed_table.as_sources(), lambda: separation(problem))
+    np.testing.assert_array_equal(streamed.factors, kept.factors)
+    np.testing.assert_allclose(streamed.solution.estimate, kept.solution.estimate, rtol=1e-9)
+    factors_of = np.linspace(0.1, 1.0, 80)
+    one, other = table.solve(factors_of), streamed_table.solve(factors_of)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-9)
+    assert one.squares == pytest.approx(other.squares, rel=1e-9)
+
+
+def test_sky_cells_have_equal_areas():
+    problem = quasars(72_000)
+    cells = sky_cells(problem.satellite.values[0], problem.satellite.values[1], 6)
+    np.testing.assert_allclose(np.bincount(cells, minlength=72), 1000, rtol=0.05)
+
+
+def forecast_sums(n=9, years=4.0):
+    satellite = stars(n, 8, pm=50.0)
+    rows = replace(satellite, correlations=None, epoch=satellite.epoch - 15.0)
+    problem = Problem(satellite, rows, np.arange(n), parse_unknowns("orientation,spin"), 2016.0)
+    return source_sums(problem), source_sums(with_new_rows(problem, [2016.0 + years], 0.05 * MAS)), problem
+
+
+@pytest.mark.parametrize("criterion", ["A", "D"])
+@pytest.mark.parametrize("blocks", [(), ("spin",)])
+def test_the_best_choice_is_found(criterion, blocks):
+    now, new, problem = forecast_sums()
+    goal = Goal(problem.unknowns, blocks, criterion)
+    greedy, best = choose(now, new, 1, goal), choose_exhaustively(now, new, 1, goal)
+    assert greedy.sources == best  # one at a time is exact
+    three, best = choose(now, new, 3, goal), choose_exhaustively(now, new, 3, goal)
+    gain = (new.normal - now.normal)[list(best)].sum(axis=0)
+    value = goal.value(three.normals[-1])
+    assert goal.value(now.normal.sum(axis=0) + gain) - 1e-9 * abs(value) <= value < goal.value(now.normal.sum(axis=0))
+    if criterion == "A":
+        assert value < 1.05 * goal.value(now.normal.sum(axis=0) + gain)
+
+
+def test_new_rows_never_make_it_worse_and_add_what_solving_says():
+    now, new, problem = forecast_sums()
+    gain = np.linalg.eigvalsh(new.normal - now.normal)
+    assert gain.min() > -1e-9 * gain.max()
+    extended = solve(source_sums(with_new_rows(problem, [2020.0], 0.05 * MAS)))
+    np.testing.assert_allclose(extended.normal, new.normal.sum(axis=0), rtol=1e-9)
+
+
+def test_releases_scale_errors_as_their_lengths():
+    position, motion = factors("dr3", "dr4")
+    assert position == pytest.approx(np.sqrt(34 / 66))
+    assert motion == pytest.approx(position**3)
+    satellite = stars(3)
+    later = released(satellite, "dr3", "dr4")
+    np.testing.assert_allclose(later.errors[4], motion * satellite.errors[4])
+    assert later.epoch[0] == 2017.5
+    with pytest.raises(ValueError, match="no release 'dr9'"):
+        factors("dr3", "dr9")

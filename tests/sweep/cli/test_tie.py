@@ -1,0 +1,92 @@
+"""The commands tie and forecast as users type them."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+import xarray as xr
+from click.testing import CliRunner
+
+from sweep.cli import main
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, list(arguments))
+
+
+def test_a_link_is_printed_with_its_sign_and_stored(tmp_path):
+    store = tmp_path / "tie.zarr"
+    found = run(
+        "tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "--errors", "jackknife", "-o", str(store)
+    )
+    assert found.exit_code == 0, found.output
+    assert "reference - satellite" in found.output
+    assert "epsilon_y" in found.output
+    assert "jackknife" in found.output
+    with xr.open_zarr(store) as stored:
+        assert stored.attrs["sign"] == "reference-satellite"
+        assert float(stored.estimate[1]) == pytest.approx(-13.06, abs=0.01)
+    again = run("tie", "psrpi-de200", "timing-de200", "-o", str(store))
+    assert again.exit_code == 2
+    assert "nothing is overwritten" in again.output
+
+
+def test_json_has_everything():
+    found = run(
+        "tie",
+        "psrpi-de200",
+        "timing-de200",
+        "--unknowns",
+        "orientation",
+        "--json",
+        "--sign",
+        "satellite-reference",
+        "--clip",
+        "discrepancy:1",
+    )
+    content = json.loads(found.output)
+    assert content["attributes"]["sign"] == "satellite-reference"
+    assert content["variables"]["estimate"]["values"][1] > 0.0
+    assert content["variables"]["step_chosen"]["values"] == 1
+
+
+def test_a_forecast_is_printed():
+    found = run(
+        *("forecast", "psrpi", "psrpi", "--unknowns", "orientation,spin", "--add", "2026,2030", "--choose", "2"),
+        *("--for", "spin", "--release", "dr4", "--error", "0.2"),
+    )
+    assert found.exit_code == 0, found.output
+    assert "chosen for spin" in found.output
+    assert "all observed at 2030" in found.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["psrpi", "nowhere.fits"], "nowhere.fits: no such file"),
+        (["psrpi", "icrf3"], "within 1 arcsec"),
+        (["psrpi", "psrpi", "--clip", "median"], "clip 'median'"),
+        (["psrpi", "psrpi", "--unknowns", "spinn"], "'spinn' are not known"),
+        (["psrpi", "psrpi", "--jitter", "position"], "--jitter"),
+        (["psrpi", "psrpi", "--bins", "mag"], "--bins"),
+        (["psrpi", "psrpi", "--known-spin", "0.1,0.2"], "three numbers"),
+        (["psrpi", "psrpi", "--column", "ra"], "--column"),
+        (["psrpi", "psrpi", "--column", "ra=x"], "no column 'x'"),
+        (["psrpi", "psrpi", "-o", "out.nc"], "ends in .zarr"),
+        (["icrf3", "icrf2", "--unknowns", "spin"], "nothing in the tables determines omega_x"),
+    ],
+)
+def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    found = run("tie", *arguments)
+    assert found.exit_code == 2, found.output
+    assert message in found.output
+    assert "Traceback" not in found.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys; from sweep.cli import main; main(['tie', '--help'], standalone_mode=False); print({'astropy', 'erfa', 'scipy', 'xarray'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"

@@ -1,0 +1,45 @@
+"""Published links from the built-in tables."""
+
+import numpy as np
+import pytest
+
+from core.constants import MAS
+from core.tie.normal_sums import Problem, solve, source_sums
+from core.unknowns import parse_unknowns
+from sweep.tie.link_tables import tie
+from sweep.tie.tables import read_table
+
+
+def test_icrf2_against_icrf3():
+    link = tie("icrf3", "icrf2", degree=2, clip="rayleigh")
+    uas = 1000.0 * link.estimate.values
+    assert int(link.n_sources_matched) == 3410
+    assert int(link.n_sources) == 3237
+    np.testing.assert_array_equal(np.round(uas[:6]), [11, 14, -1, 22, 63, 89])
+    np.testing.assert_array_equal(np.round(1000.0 * link.error.values[:6]), [4, 4, 3, 4, 4, 4])
+    assert link.attrs["sign"] == "reference-satellite"
+
+
+def test_timing_on_de200_against_vlbi():
+    link = tie("psrpi-de200", "timing-de200", "orientation")
+    assert int(link.n_sources) == 9
+    np.testing.assert_allclose(link.estimate, [-0.90, -13.04, -12.18], atol=0.035)
+    np.testing.assert_allclose(link.error, [0.99, 1.21, 0.48], atol=0.015)
+
+
+def test_the_forecast_of_pulsars():
+    satellite = read_table_of("psrpi")
+    values, errors = satellite.values.copy(), np.full_like(satellite.errors, np.nan)
+    values[2:] = np.nan
+    errors[:2] = 0.678 * MAS
+    from dataclasses import replace
+
+    rows = replace(satellite, values=values, errors=errors, apparent=None)
+    solution = solve(source_sums(Problem(satellite, rows, np.arange(len(rows)), parse_unknowns("orientation"), 2012.0)))
+    assert np.sqrt(np.diag(solution.covariance)).max() / MAS == pytest.approx(0.243, abs=5e-4)
+
+
+def read_table_of(name):
+    from pathlib import Path
+
+    return read_table(Path(name)).astrometry

@@ -1,0 +1,294 @@
+"""Tables of every kind, what is missing in them, and what is wrong with them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, Table
+
+from core.constants import ARCSEC, DEGREE, MAS
+from core.tie.astrometry import PAIRS, kinds
+from sweep.contract import SweepError
+from sweep.tie.hipparcos import correlations
+from sweep.tie.link_tables import tie
+from sweep.tie.matching import match
+from sweep.tie.planning import forecast
+from sweep.tie.tables import TableOptions, read_table
+from tests.core.tie.made import random_correlations, stars
+
+NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
+
+
+def gaia(path, made, **changes):
+    table = Table({"source_id": np.arange(len(made)) + 10**17})
+    for i, name in enumerate(NAMES):
+        unit = DEGREE if i < 2 else MAS
+        table[name] = made.values[i] / unit
+        table[f"{name}_error"] = made.errors[i] / MAS
+    for row, (i, j) in zip(made.correlations, PAIRS, strict=True):
+        table[f"{NAMES[i]}_{NAMES[j]}_corr"] = row
+    table["ref_epoch"] = made.epoch
+    table["radial_velocity"] = made.radial_velocity
+    table["phot_g_mean_mag"] = np.linspace(4.0, 12.0, len(made))
+    for name, column in changes.items():
+        table[name] = column
+    table.write(path, overwrite=True)
+    return path
+
+
+@pytest.mark.parametrize("ending", ["ecsv", "fits", "vot", "csv", "parquet"])
+def test_the_gaia_archive_in_every_format(tmp_path, ending):
+    made = stars(5)
+    name = "stars.vot" if ending == "vot" else f"stars.{ending}"
+    table = Table.read(gaia(tmp_path / "stars.ecsv", made))
+    table.write(tmp_path / name, overwrite=True, **({"format": "votable"} if ending == "vot" else {}))
+    found = read_table(tmp_path / name).astrometry
+    np.testing.assert_allclose(found.values, made.values, rtol=1e-12)
+    np.testing.assert_allclose(found.errors, made.errors, rtol=1e-12)
+    np.testing.assert_allclose(found.covariance(), made.covariance(), rtol=1e-11)
+    np.testing.assert_allclose(found.radial_velocity, made.radial_velocity)
+    assert set(kinds(found)) == {"five-parameter"}
+
+
+def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
+    made = stars(4)
+    blank = np.array([False, True, False, False])
+    changes = {}
+    for i, name in enumerate(NAMES[2:], 2):
+        changes[name] = MaskedColumn(made.values[i] / MAS, mask=blank)
+        changes[f"{name}_error"] = MaskedColumn(made.errors[i] / MAS, mask=blank)
+    changes["pmra_pmdec_corr"] = MaskedColumn(made.correlations[9], mask=blank)
+    changes["radial_velocity"] = MaskedColumn(made.radial_velocity, mask=[True, False, False, True])
+    found = read_table(gaia(tmp_path / "g.ecsv", made, **changes)).astrometry
+    assert list(kinds(found)) == ["five-parameter", "single epoch", "five-parameter", "five-parameter"]
+    assert np.all(np.isnan(found.values[2:, 1]))
+    assert np.isnan(found.radial_velocity[0])
+
+
+def test_hipparcos_2_has_correlations_from_u_and_errors_from_columns(tmp_path):
+    rng = np.random.default_rng(2)
+    wanted = random_correlations(rng, 6)
+    matrix = np.tile(np.eye(5), (6, 1, 1))
+    for row, (i, j) in zip(wanted, PAIRS, strict=True):
+        matrix[:, i, j] = matrix[:, j, i] = row
+    sigma = rng.uniform(0.3, 2.0, (6, 5))
+    covariance = matrix * sigma[:, :, None] * sigma[:, None, :]
+    upper = np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(1, 2)  # C^-1 = U'U
+    elements = np.array([upper[:, i, j] for j in range(5) for i in range(j + 1)])
+    np.testing.assert_allclose(correlations(elements), wanted, atol=1e-12)
+    names = ["RArad", "DErad", "Plx", "pmRA", "pmDE"]
+    table = Table({"HIP": np.arange(6) + 1})
+    for name, column in zip(names, stars(6).values, strict=True):
+        table[name] = column if name.endswith("rad") else column / MAS
+        table[f"e_{name}"] = 1.7 * sigma[:, names.index(name)]  # scaled by the goodness of fit
+    for k, element in enumerate(elements, 1):
+        table[f"UW{k}"] = element
+    table.write(tmp_path / "hip2.fits")
+    found = read_table(tmp_path / "hip2.fits").astrometry
+    np.testing.assert_allclose(found.covariance() / MAS**2, 1.7**2 * covariance, rtol=1e-9)
+    assert set(found.epoch) == {1991.25}
+
+
+ICRF = """
+ICRF J000211.9-215309  2359-221     00 02 11.98262436  -21 53 09.8359742  0.00115400 0.0386714   0.971  54818.7 548
+ICRF J001031.0+105829  0007+106  D  00 10 31.00590186   10 58 29.5043827  0.00000491 0.0000930  -0.187  53063.9 472
+ICRF J001031.0-001000  x            23 10 31.00590186  -00 10 00.0000000  0.00000491 0.0000930  -0.187  53063.9 472
+"""
+
+
+def test_errors_of_ra_in_the_icrf_are_seconds_of_time(tmp_path):
+    (tmp_path / "icrf.txt").write_text(ICRF)
+    table = read_table(tmp_path / "icrf.txt")
+    found = table.astrometry
+    dec = -(21 + 53 / 60 + 9.8359742 / 3600) * DEGREE
+    assert found.values[1, 0] == pytest.approx(dec, rel=1e-15)
+    assert found.values[1, 2] == pytest.approx(-10 / 60 * DEGREE)  # -00 deg is south
+    assert found.errors[0, 0] == pytest.approx(0.001154 * 15 * np.cos(dec) * ARCSEC)
+    assert found.errors[1, 0] == pytest.approx(0.0386714 * ARCSEC)
+    assert found.correlations[0, 0] == 0.971
+    assert list(table.names["iers_name"]) == ["2359-221", "0007+106", "x"]
+    assert list(kinds(found)) == ["position"] * 3
+
+
+def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time(tmp_path):
+    (tmp_path / "vlbi.ecsv").write_text(
+        "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: star, datatype: string}\n# - {name: mjd, datatype: float64}\n"
+        "# - {name: ra, datatype: string}\n# - {name: dec, datatype: string}\n"
+        "# - {name: e_ra, unit: s, datatype: float64}\n# - {name: e_dec, unit: arcsec, datatype: float64}\n"
+        'star mjd ra dec e_ra e_dec\n"HR 1099" 57388.5 "12:00:00.0" "-00:30:00" 0.00001 0.0002\n'
+    )
+    found = read_table(tmp_path / "vlbi.ecsv").astrometry
+    assert found.values[0, 0] == pytest.approx(np.pi)
+    assert found.values[1, 0] == pytest.approx(-0.5 * DEGREE)
+    assert found.errors[0, 0] == pytest.approx(0.15 * MAS * np.cos(0.5 * DEGREE))
+    assert found.errors[1, 0] == pytest.approx(0.2 * MAS)
+    assert found.epoch[0] == pytest.approx(2016.0, abs=1e-3)
+    assert list(kinds(found)) == ["single epoch"]
+    mean = read_table(tmp_path / "vlbi.ecsv", TableOptions(positions="mean")).astrometry
+    assert list(kinds(mean)) == ["position"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dec": np.array([91.0, 0.0, 1.0, 2.0])}, "a dec outside -90..90 deg in row 1"),
+        ({"ra": np.array([0.0, 361.0, 1.0, 400.0])}, "an ra outside -180..360 deg in row 2, 4"),
+        ({"pmra_error": np.array([0.1, 0.1, -0.1, 0.1])}, "a negative pmra_error in row 3"),
+        ({"pmra_error": np.array([0.1, 0.1, 0.0, 0.1])}, "a pmra_error of 0 .* in row 3"),
+        ({"pmra_error": np.array([0.1, np.nan, 0.1, 0.1])}, "only one coordinate of the motion .* in row 2"),
+        ({"ref_epoch": np.array([2016.0, 0.0, 2016.0, 2016.0])}, "neither a Julian year nor an MJD in row 2"),
+        ({"ra_dec_corr": np.array([0.0, 0.0, 1.5, 0.0])}, "impossible .* in row 3"),
+        ({"parallax": np.array(["a", "b", "c", "d"])}, "'parallax' does not hold numbers"),
+    ],
+)
+def test_a_wrong_table_is_refused_with_its_rows(tmp_path, changes, message):
+    with pytest.raises(SweepError, match=message):
+        read_table(gaia(tmp_path / "g.ecsv", stars(4), **changes))
+
+
+def test_columns_and_missing_epochs(tmp_path):
+    path = gaia(tmp_path / "g.ecsv", stars(3))
+    table = Table.read(path)
+    table.remove_column("ref_epoch")
+    table.rename_column("parallax", "p")
+    table.write(path, overwrite=True)
+    with pytest.raises(SweepError, match="give the epoch"):
+        read_table(path)
+    found = read_table(path, TableOptions(columns={"parallax": "p"}, epoch=2016.0)).astrometry
+    assert np.all(np.isfinite(found.values[2]))
+    with pytest.raises(SweepError, match="no column 'q'"):
+        read_table(path, TableOptions(columns={"parallax": "q"}))
+    with pytest.raises(SweepError, match="is no quantity"):
+        read_table(path, TableOptions(columns={"paralax": "p"}))
+
+
+def test_matching_by_name_and_by_position_with_proper_motion(tmp_path):
+    made = stars(6, pm=3000.0)
+    left = read_table(gaia(tmp_path / "a.ecsv", made))
+    from core.tie.motion import propagated
+
+    moved = propagated(made.values, made.radial_velocity, made.epoch, made.epoch - 20.0)
+    from dataclasses import replace
+
+    order = np.array([4, 2, 0])
+    other = replace(made, values=moved, epoch=made.epoch - 20.0).taken(order)
+    right = read_table(gaia(tmp_path / "b.ecsv", other))
+    by_position = match(left, right, "position:0.5")
+    np.testing.assert_array_equal(by_position.source, order)
+    by_name = match(left, right, "source_id")
+    np.testing.assert_array_equal(by_name.source, [0, 1, 2])
+    with pytest.raises(SweepError, match="match by 'star'"):
+        match(left, right, "star")
+    with pytest.raises(SweepError, match="arcsec"):
+        match(left, right, "position:-1")
+
+
+def test_a_name_twice_in_the_satellite_is_refused(tmp_path):
+    twice = gaia(tmp_path / "a.ecsv", stars(4), source_id=np.array([1, 2, 2, 3]))
+    with pytest.raises(SweepError, match="source_id 2 stands more than once"):
+        tie(twice, twice)
+
+
+def pair(tmp_path, n=25):
+    made = stars(n)
+    from dataclasses import replace
+
+    from tests.core.tie.made import seen_by_satellite
+
+    epsilon, omega = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
+    seen = replace(made, values=seen_by_satellite(made, epsilon, omega))
+    return gaia(tmp_path / "sat.ecsv", seen), gaia(tmp_path / "ref.ecsv", made), [0.4, -0.3, 0.9, -0.2, 0.1, 0.3]
+
+
+def test_the_dataset_states_its_sign_epoch_and_units(tmp_path):
+    satellite, reference, truth = pair(tmp_path)
+    link = tie(satellite, reference, errors="jackknife,bootstrap,cells,sandwich", clip="discrepancy")
+    np.testing.assert_allclose(link.estimate, truth, atol=1e-6)
+    swapped = tie(satellite, reference, sign="satellite-reference")
+    np.testing.assert_array_equal(swapped.estimate, -tie(satellite, reference).estimate)
+    assert swapped.attrs["sign"] == "satellite-reference"
+    assert list(link.error_kind.values) == ["jackknife", "bootstrap", "cells", "sandwich", "formal", "scaled"]
+    assert list(link.unit.values) == ["mas"] * 3 + ["mas/yr"] * 3
+    assert link.attrs["epoch"] == 2016.0
+    assert len(link.attrs["satellite_sha256"]) == 64
+    assert {"unknown", "unknown_other", "source", "row", "observable", "step"} <= set(link.sizes)
+    np.testing.assert_allclose(link.residual, 0.0, atol=1e-5)
+    np.testing.assert_allclose(
+        tie(satellite, reference, epoch=2020.0).estimate[:3], np.array(truth[:3]) + 4 * np.array(truth[3:]), atol=1e-6
+    )
+
+
+def test_known_spin_bins_and_large_shares(tmp_path):
+    satellite, reference, truth = pair(tmp_path)
+    link = tie(satellite, reference, known_spin=truth[3:])
+    np.testing.assert_allclose(link.estimate[3:], 0.0, atol=1e-6)
+    opposite = tie(satellite, reference, known_spin=[-x for x in truth[3:]], sign="satellite-reference")
+    np.testing.assert_allclose(opposite.estimate[3:], 0.0, atol=1e-6)
+    binned = tie(satellite, reference, bins=("phot_g_mean_mag", [6.0, 8.0]))
+    np.testing.assert_allclose(binned.spin_by_bin, [truth[3:]] * 3, atol=1e-5)
+    spins = Table({"mag_min": [0.0, 8.0], "mag_max": [8.0, 20.0]})
+    for axis, value in zip("xyz", truth[3:], strict=True):
+        spins[f"omega_{axis}"] = [1000.0 * value, 0.0]
+        spins[f"omega_{axis}"].unit = "uas/yr"
+    spins.write(tmp_path / "spins.ecsv")
+    left = tie(satellite, reference, bins=("phot_g_mean_mag", [8.0]), known_spin=tmp_path / "spins.ecsv")
+    np.testing.assert_allclose(left.spin_by_bin, [[0.0, 0.0, 0.0], truth[3:]], atol=1e-5)
+    made = stars(25)
+    made.errors[:, 7] /= 300.0
+    heavy = tie(gaia(tmp_path / "s.ecsv", made), gaia(tmp_path / "r.ecsv", made))
+    assert any(str(10**17 + 7) in note and "% of the weight" in note for note in heavy.attrs["notes"])
+
+
+def test_quasars_alone_have_a_spin(tmp_path):
+    satellite, *_ = pair(tmp_path)
+    link = tie(satellite, "zero-motion", "spin,glide")
+    assert int(link.dof) == 50 - 6
+
+
+def test_jitter_is_added_to_the_kind_that_is_named(tmp_path):
+    satellite, reference, _ = pair(tmp_path)
+    plain, wide = tie(satellite, reference), tie(satellite, reference, jitter={"five-parameter": (1.0, 1.0)})
+    assert np.all(wide.errors.sel(error_kind="formal") > 3.0 * plain.errors.sel(error_kind="formal"))
+    with pytest.raises(SweepError, match="no kind of row five"):
+        tie(satellite, reference, jitter={"five": (1.0, 1.0)})
+
+
+def test_a_forecast_of_two_tables(tmp_path):
+    satellite, reference, _ = pair(tmp_path)
+    plan = forecast(
+        satellite, reference, "orientation,spin", add=[2026.0, 2030.0], release="dr4", number=3, goal=["spin"]
+    )
+    assert list(plan.stage.values) == ["now", "dr4", "all observed"]
+    later = plan.error.values
+    assert np.all(later[2] <= later[1])
+    assert plan.sizes["step"] == 4
+    assert np.all(np.diff(plan.step_criterion.values) < 0.0)
+    assert list(plan.source.values[plan["rank"].values == 1]) == [plan.step_source.values[1]]
+    with pytest.raises(SweepError, match="no release 'dr9'"):
+        forecast(satellite, reference, release="dr9")
+    with pytest.raises(SweepError, match="no unknowns 'spun'"):
+        forecast(satellite, reference, add=[2026.0], number=1, goal=["spun"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"clip": "sigma"}, "clip 'sigma'"),
+        ({"errors": "bayes"}, "errors 'bayes'"),
+        ({"sign": "minus"}, "sign 'minus'"),
+        ({"weights": "none"}, "weights 'none'"),
+        ({"degrees": 3}, "no option degrees"),
+        ({"unknowns": "spun"}, "'spun' are not known"),
+        ({"known_spin": [1.0]}, "three numbers"),
+        ({"bins": ("mag", [3.0])}, "no numbers 'mag'"),
+    ],
+)
+def test_wrong_options_are_refused(tmp_path, options, message):
+    satellite, reference, _ = pair(tmp_path)
+    with pytest.raises(SweepError, match=message):
+        tie(satellite, reference, **options)
+
+
+def test_no_built_in_table_of_that_name():
+    with pytest.raises(SweepError, match="no such file"):
+        read_table(Path("icrf9"))
