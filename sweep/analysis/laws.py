@@ -44,9 +44,9 @@ def fit_power_law(
             others weigh by their Monte-Carlo errors.
 
     Returns:
-        A dataset over the other axes with the variables exponent and amplitude with _error, their correlation, pivot, chi2, dof, p_value
-        (NaN where points have no errors) and points; where an exponent is expected also expected and deviation,
-        (exponent - expected) / exponent_error.
+        A dataset over the other axes with the variables exponent and amplitude with _error, their correlation,
+        pivot, chi2, dof, p_value (NaN where points have no errors) and points; where an exponent is expected also
+        expected and deviation, (exponent - expected) / exponent_error.
 
     Raises:
         SweepError: for an unknown variable or axis, points that are not done, and numbers that are not above 0.
@@ -143,8 +143,8 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
 
     Returns:
         A dataset over the other axes with the variables ratio and ratio_error, one sigma.  It is from the covariance
-        of the two where they share random numbers, NaN if the dataset does not have that; where a point of the two is excluded, or the denominator is
-        0, there is NaN.
+        of the two where they share random numbers, NaN if the dataset does not have that; where a point of the two
+        is excluded, or the denominator is 0, there is NaN.
 
     Raises:
         SweepError: for an unknown variable, values that are not in the grid, and points that are not done.

@@ -73,11 +73,11 @@ class Experiment:
     ``cost`` the random numbers drawn per realisation.  ``unused`` gives the parameters that change nothing at a point,
     each with the reason; it is asked about points that can be computed only, and a study that sets such a parameter is
     refused.  ``warn`` gives sentences about what makes the result of such a point less certain than it looks: a run
-    prints and stores them.  ``samples``, for studies that keep them, returns what ``evaluate`` does and the realisations that it adds
-    up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names parameters that do not change the
-    random numbers that a block draws, only what is made of them.  ``packages`` are distributions whose versions decide
-    the numbers.  A new ``version`` says that the same parameters now give other numbers: stores of another version are
-    not continued.
+    prints and stores them.  ``samples``, for studies that keep them, returns what ``evaluate`` does and the
+    realisations that it adds up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names
+    parameters that do not change the random numbers that a block draws, only what is made of them.  ``packages`` are
+    distributions whose versions decide the numbers.  A new ``version`` says that the same parameters now give other
+    numbers: stores of another version are not continued.
 
     Raises SweepError with all that is wrong in the declaration.
     """

@@ -31,6 +31,7 @@ def recorded(study: Study, costs: Costs | None) -> str:
             "coordinates": dict(experiment.coordinates),
             "component_units": dict(experiment.component_units),
             "shared": list(experiment.shared),
+            "nan_sums": list(experiment.nan_sums),
             **({} if costs is None else {"cost_axes": costs[0], "costs": {_key(k): v for k, v in costs[1].items()}}),
         }
     )
@@ -68,6 +69,7 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
         sample_outputs=samples,
         cost=_cost(record),
         shared=tuple(record["shared"]),
+        nan_sums=tuple(record.get("nan_sums", ())),
     )
 
 
