@@ -198,8 +198,8 @@ def test_a_ratio_and_a_crossing_of_independent_points():
 @pytest.mark.parametrize("repetitions", [9, 20])
 def test_the_medians_of_repeated_timings(repetitions):
     rng = np.random.default_rng(8)
-    seconds = 10.0 + rng.standard_normal((500, 1, repetitions, 2))
-    found = [_dataset(np.array([1]), timed[None, :]) for timed in seconds]
+    seconds = 10.0 + rng.standard_normal((500, 2, 1, repetitions, 2))
+    found = [_dataset(np.array([1]), timed).sel(kind="strong") for timed in seconds]
     pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in found]
     assert_covers(pulls, repetitions - 1)
 
