@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import core_speed, main_job, memory, overhead, scale, scaling, start_up
+from benchmarks import core_speed, main_job, memory, overhead, scale, scaling, start_up, tie
 from benchmarks.measured import Measured, host_load
 
 BENCHMARKS = {
@@ -27,6 +27,7 @@ BENCHMARKS = {
     "scaling": scaling.measure,
     "start-up": start_up.measure,
     "scale": scale.measure,
+    "tie": tie.measure,
 }
 
 

@@ -29,8 +29,8 @@ UNDETERMINED = 1e-12
 @dataclass(frozen=True)
 class Eliminated:
     """S sources: W (S, 5, 5), w (S, 5), yy (S,), the number of observations less that of free parameters (S,), what yy
-    is on average (S,), and M' G D G' M of other weights than the best (S, 5, 5), which is W for the best.  ``parameters``
-    are those that the matrices have, where it is not all five.
+    is on average (S,), and M' G D G' M of other weights than the best (S, 5, 5), which is W for the best.
+    ``parameters`` are those that the matrices have, where it is not all five.
     """
 
     weight: Array

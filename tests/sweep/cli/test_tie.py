@@ -87,6 +87,9 @@ def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, argum
 
 
 def test_help_imports_nothing_heavy():
-    code = "import sys; from sweep.cli import main; main(['tie', '--help'], standalone_mode=False); print({'astropy', 'erfa', 'scipy', 'xarray'} & set(sys.modules))"
+    code = (
+        "import sys; from sweep.cli import main; main(['tie', '--help'], standalone_mode=False); "
+        "print({'astropy', 'erfa', 'scipy', 'xarray'} & set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
