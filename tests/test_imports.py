@@ -12,7 +12,7 @@ GROUND = [
     *("sweep.interrupt", "sweep.contract.errors", "sweep.contract.units", "sweep.contract.parameter"),
     "sweep.contract.output",
     *("sweep.contract.declaration", "sweep.contract.checked", "sweep.contract.experiment", "sweep.contract.__init__"),
-    *("sweep.sources", "sweep.load", "sweep.tablefile"),
+    *("sweep.sources", "sweep.load", "sweep.code_identity", "sweep.tablefile"),
 ]
 HOUSE = {
     "core": [
@@ -53,7 +53,7 @@ HOUSE = {
             "snapshot",
             "failures",
         ),
-        *("store", "code", "repair"),
+        *("store", "code", "fresh", "repair"),
     ],
     "sweep.running": [
         *("results", "covariance", "subset", "writer", "run", "reproduce"),

@@ -204,26 +204,6 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
     return store
 
 
-def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> None:
-    """Begin a store anew: remove the ledger and the results of the one that is there.
-
-    Files that linksweep did not write are left alone.  Raises SweepError where something else than a store is.
-    """
-    location = located(where)
-    root = find_root(location)
-    if root is None:
-        return
-    with writing(location):
-        keys = location.keys()
-        arrays = snapshot.leftovers(keys, snapshot.arrays_of(root))
-        ours = {*arrays, *(key for key in keys if key.partition("/")[0] in RESERVED)}
-        # The index first: killed from here on, the old store is one that has lost its blocks.
-        for key in sorted(ours, key=lambda key: not key.startswith("blocks/index/c/")):
-            location.delete(key)
-        fresh = snapshot.root_document({**attributes, **identity(study), "complete": 0, "generation": 0}, {})
-        location.put(ROOT, sealed(fresh))
-
-
 def existing_store(where: Where, study: Study) -> Store | None:
     """Return the store at a place if there is one, without writing; raises SweepError as `create_or_resume`."""
     location = located(where)
