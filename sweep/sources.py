@@ -18,6 +18,9 @@ from typing import Any
 OURS = ("core", "sweep", "sweeps", "linksweep")
 """Never looked for beside a user's file."""
 
+INSTALLED = {"site-packages", "dist-packages"}
+"""Names of folders in which installed distributions are."""
+
 _lock = threading.RLock()
 
 

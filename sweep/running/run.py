@@ -18,9 +18,10 @@ from sweep.planning.work_queue import Pending
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import as_json, check_code, continued, differences_of_code, records_of
+from sweep.stores.fresh import replace_store
 from sweep.stores.location import Where
 from sweep.stores.lock import locked
-from sweep.stores.store import CODE, Store, check_store, create_or_resume, existing_store, replace_store
+from sweep.stores.store import CODE, Store, check_store, create_or_resume, existing_store
 from sweep.studies.provenance import provenance
 from sweep.studies.record import RECORD, recorded
 from sweep.studies.study import Study

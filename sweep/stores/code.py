@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sweep.code_identity import code_differences, code_of
 from sweep.contract import SweepError
-from sweep.load import code_differences, code_of
 from sweep.planning.accumulator import DONE, Accumulator
 from sweep.planning.plan import Plan, ledger_key
 from sweep.stores.location import Where, located

@@ -212,7 +212,7 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
     location = located(where)
     root = _find(location, study)
     if root is None:
-        root = _new_root(location, study, attributes)
+        root = new_root(location, study, attributes)
         with writing(location):
             location.put(ROOT, sealed(root, ROOT))
     store = Store(location, study, root)
@@ -221,28 +221,10 @@ def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) 
     return store
 
 
-def _new_root(location: Location, study: Study, attributes: Mapping[str, Any]) -> dict[str, Any]:
+def new_root(location: Location, study: Study, attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the root document of a store in which nothing is done yet."""
     told = {**attributes, **identity(study), ORIGIN: origin(location), "complete": 0, "generation": 0}
     return snapshot.root_document(told, {})
-
-
-def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> None:
-    """Begin a store anew: remove the ledger and the results of the one that is there.
-
-    Files that linksweep did not write are left alone.  Raises SweepError where something else than a store is.
-    """
-    location = located(where)
-    root = find_root(location)
-    if root is None:
-        return
-    with writing(location):
-        keys = location.keys()
-        arrays = snapshot.leftovers(keys, snapshot.arrays_of(root))
-        ours = {*arrays, *(key for key in keys if key.partition("/")[0] in RESERVED)}
-        # The index first: killed from here on, the old store is one that has lost its blocks.
-        for key in sorted(ours, key=lambda key: not key.startswith("blocks/index/c/")):
-            location.delete(key)
-        location.put(ROOT, sealed(_new_root(location, study, attributes), ROOT))
 
 
 def existing_store(where: Where, study: Study) -> Store | None:

@@ -11,7 +11,7 @@ from sweep.executing import execute, worker
 from sweep.executing.choose import NO_WISHES, Resources
 from sweep.executing.execute import Limits
 from sweep.running.run import Silent, run_study
-from sweep.stores.store import finished_blocks
+from sweep.stores.opened import OpenStore
 from sweep.studies.reader import study_from_dict
 from tests.sweep.outside import wait_until
 
@@ -42,14 +42,17 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     resources = ("--pool", pool) if pool == "serial" else ("--pool", pool, "--workers", 1)
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, *resources, start_new_session=True)
     wait_until(
-        lambda: process.poll() is not None or ((store / "zarr.json").exists() and finished_blocks(store) == 3),
+        lambda: (
+            process.poll() is not None
+            or ((store / "zarr.json").exists() and len(OpenStore(store).ledger().ledger.rows) == 3)
+        ),
         "three blocks",
         240,
     )
     assert process.poll() is None, process.communicate()[1]
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    assert finished_blocks(store) == 3
+    assert len(OpenStore(store).ledger().ledger.rows) == 3
 
 
 @pytest.mark.parametrize(

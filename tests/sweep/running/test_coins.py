@@ -63,7 +63,7 @@ def test_a_point_that_raises_is_recorded_and_the_rest_goes_on(coins, tmp_path, m
         return toss(points, n_sim, rng, catalogue_rng)
 
     toss = study.experiment.evaluate
-    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference: broken)
+    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference, digest: broken)
     broken = replace(study.experiment, evaluate=fail)
     dataset, failures = run(coins, tmp_path / "s.zarr")
     assert failures == {"metal=tin,coins=5": "ZeroDivisionError: no coins left"}

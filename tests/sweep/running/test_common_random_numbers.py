@@ -93,7 +93,7 @@ def test_the_bits_are_those_of_the_serial_reference(tmp_path, resources):
 def test_a_study_that_grows_draws_again_only_for_what_is_new(tmp_path, monkeypatch):
     run({"mixing": MIXING[:2]}, tmp_path / "s.zarr", n_cat=20)
     asked = []
-    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference: spying)
+    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference, digest: spying)
     spying = replace(experiment, evaluate=lambda points, *rest: asked.extend(points) or evaluate(points, *rest))
     grown = run({"mixing": MIXING}, tmp_path / "s.zarr")
     assert len(asked) == 2 * 20 + 40
@@ -108,7 +108,9 @@ def test_a_point_that_raises_does_not_take_those_that_share_with_it(tmp_path, mo
         return evaluate(points, *rest)
 
     whole = run({"mixing": MIXING}, tmp_path / "whole.zarr")
-    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference: replace(experiment, evaluate=fail))
+    monkeypatch.setattr(
+        "sweep.executing.worker.load_experiment", lambda reference, digest: replace(experiment, evaluate=fail)
+    )
     study = study_from_dict(document({"mixing": MIXING}))
     dataset, failures = run_study(study, tmp_path / "s.zarr", SERIAL)
     assert failures == {"mixing=0.5": "ValueError: no halves"}
