@@ -311,7 +311,7 @@ class _Reader:
             return None
         column = np.asarray(self.table["UW"])
         if column.ndim == 2:
-            return np.asarray(column, dtype=np.float64).T
+            return np.asarray(np.asarray(column, dtype=np.float64).T)
         texts = [str(text) for text in column]
         try:  # fifteen numbers of six characters, which may touch
             rows = [
@@ -321,7 +321,7 @@ class _Reader:
         except ValueError:
             self.problems.append("column 'UW' does not hold fifteen numbers")
             return None
-        return np.asarray(np.array(rows).T, dtype=np.float64)
+        return np.asarray(np.array(rows, dtype=np.float64).T)
 
     def _names(self) -> dict[str, NDArray[np.str_]]:
         wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES
