@@ -300,7 +300,7 @@ class _Reader:
             matrix[:, i, j] = matrix[:, j, i] = np.where(both, np.nan_to_num(row), 0.0)
         bad = ~(np.linalg.eigvalsh(matrix)[:, 0] > 0.0)
         self._check(bad, "correlations that are impossible (not positive definite)")
-        return np.nan_to_num(found)
+        return np.asarray(np.nan_to_num(found))
 
     def _upper(self) -> Array | None:
         """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; or None."""
