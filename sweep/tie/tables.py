@@ -300,7 +300,7 @@ class _Reader:
             matrix[:, i, j] = matrix[:, j, i] = np.where(both, np.nan_to_num(row), 0.0)
         bad = ~(np.linalg.eigvalsh(matrix)[:, 0] > 0.0)
         self._check(bad, "correlations that are impossible (not positive definite)")
-        return np.nan_to_num(found)
+        return np.asarray(np.nan_to_num(found))
 
     def _upper(self) -> Array | None:
         """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; or None."""
@@ -311,7 +311,7 @@ class _Reader:
             return None
         column = np.asarray(self.table["UW"])
         if column.ndim == 2:
-            return np.asarray(column, dtype=np.float64).T
+            return np.asarray(np.asarray(column, dtype=np.float64).T)
         texts = [str(text) for text in column]
         try:  # fifteen numbers of six characters, which may touch
             rows = [
@@ -321,7 +321,7 @@ class _Reader:
         except ValueError:
             self.problems.append("column 'UW' does not hold fifteen numbers")
             return None
-        return np.asarray(np.array(rows).T, dtype=np.float64)
+        return np.asarray(np.array(rows, dtype=np.float64).T)
 
     def _names(self) -> dict[str, NDArray[np.str_]]:
         wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES
