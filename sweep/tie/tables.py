@@ -306,7 +306,7 @@ class _Reader:
         """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; or None."""
         for stem in ("UW", "U"):
             if all(f"{stem}{k}" in self.table.colnames for k in range(1, 16)):
-                return np.array([self._numbers(f"{stem}{k}") for k in range(1, 16)])
+                return np.asarray([self._numbers(f"{stem}{k}") for k in range(1, 16)], dtype=np.float64)
         if "UW" not in self.table.colnames:
             return None
         column = np.asarray(self.table["UW"])

@@ -1,10 +1,11 @@
 """Links and forecasts as text to read, and as JSON."""
 
-import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from sweep.formatting import to_json
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -100,25 +101,13 @@ def _forecast_lines(plan: "xr.Dataset") -> Iterator[str]:
 
 def as_json(dataset: "xr.Dataset") -> str:
     """Return a dataset as JSON: attributes, coordinates and variables by name, NaN as null."""
-
-    def plain(array: Any) -> Any:
-        values = np.asarray(array)
-        if values.dtype.kind == "f":
-            return np.where(np.isfinite(values), values, None).tolist() if values.ndim else _number(float(values))
-        return values.tolist()
-
-    content = {
-        "attributes": {
-            key: _number(value) if isinstance(value, float) else value for key, value in dataset.attrs.items()
-        },
-        "coordinates": {str(name): plain(dataset.coords[name].values) for name in dataset.coords},
-        "variables": {
-            str(name): {"dims": list(map(str, one.dims)), "values": plain(one.values)}
-            for name, one in dataset.data_vars.items()
-        },
-    }
-    return json.dumps(content, indent=1)
-
-
-def _number(value: float) -> float | None:
-    return value if np.isfinite(value) else None
+    return to_json(
+        {
+            "attributes": dataset.attrs,
+            "coordinates": {str(name): dataset.coords[name].values for name in dataset.coords},
+            "variables": {
+                str(name): {"dims": list(map(str, one.dims)), "values": one.values}
+                for name, one in dataset.data_vars.items()
+            },
+        }
+    )
