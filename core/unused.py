@@ -78,8 +78,6 @@ def _of_systematics(point: Point) -> dict[str, str]:
     if point["motion_field"] is None:
         found["motion_field_size"] = "it is for a motion_field"
     slope, size = any(point["omega_slope"]), point["omega_slope_size"]
-    if size == 0.0:
-        found["omega_slope"] = "its length is omega_slope_size = 0"
     equation = point["magnitude_equation_pmra"] or point["magnitude_equation_pmdec"]
     if not (equation or (slope if size is None else size)):
         found["v_zero"] = "it is for an omega_slope or a magnitude equation"
