@@ -114,8 +114,8 @@ def plot(
 
     Args:
         dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
-        kind: "lines", "law", "map", "scatter" or "scaling"; of a link "solution", "residuals", "separations", "weight",
-            "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs" or "ranking"; the one
+        kind: "lines", "law", "map", "scatter" or "scaling"; of a link "solution", "residuals", "separations",
+            "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs" or "ranking"; the one
             that suits the dataset unless given.
         variables: names of outputs, each a column of panels; the main one unless given.
         over: the axis along which curves go, the two of a map, or the two components of a scatter.

@@ -18,7 +18,9 @@ TIE_KINDS = (
 
 @main.command()
 @click.argument("source", required=False)
-@click.option("--kind", type=click.Choice([*KINDS, *TIE_KINDS]), help="What to draw.  [default: what suits the results]")
+@click.option(
+    "--kind", type=click.Choice([*KINDS, *TIE_KINDS]), help="What to draw.  [default: what suits the results]"
+)
 @click.option(
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )

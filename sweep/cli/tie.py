@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -117,7 +118,9 @@ def _table_options(command: Callable[..., None]) -> Callable[..., None]:
     help="Of everything that is printed and stored.",
 )
 @_table_options
-def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any) -> None:
+def tie(
+    satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
+) -> None:
     """Solve for the link of two real tables, REFERENCE - SATELLITE.
 
     SATELLITE has positions, parallaxes and proper motions (Gaia archive, Hipparcos-2, ICRF text, or any table with such
@@ -165,7 +168,9 @@ def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, fig
 )
 @click.option("--all-sources", is_flag=True, help="Sources without any row of the reference are candidates too.")
 @_table_options
-def forecast(satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any) -> None:
+def forecast(
+    satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
+) -> None:
     """Forecast the errors of a link with new observations, and choose what to observe."""
     from sweep.tie import text
     from sweep.tie.planning import forecast as plan
@@ -260,11 +265,8 @@ def _refuse_existing(output: Path | None) -> None:
 
 
 def _require_drawing(figures: Path | None) -> None:
-    if figures is not None:
-        try:
-            from sweep.plots import style as _
-        except ImportError as error:
-            raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
+    if figures is not None and find_spec("matplotlib") is None:
+        raise click.UsageError("drawing needs matplotlib: pip install 'linksweep[plot]'")
 
 
 def _put(result: "xr.Dataset", output: Path | None, figures: Path | None, text: str) -> None:

@@ -33,7 +33,8 @@ def draw_figure(
     """Return a figure of a dataset: the kind that suits it, or the one of `KINDS` that is asked for.
 
     ``variables`` are quantities (several become columns of panels), the main one if there is none; ``over`` the axis
-    along which curves go, the two of a map, or the two components of a scatter.  A link or a forecast has its own kinds.
+    along which curves go, the two of a map, or the two components of a scatter.
+    A link or a forecast has its own kinds.
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
     if is_link(dataset):

@@ -44,8 +44,8 @@ def tie(
             ``satellite_options`` and ``reference_options`` (`sweep.tie.tables.TableOptions`).
 
     Returns:
-        A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr, the
-        residuals of the rows, the influence of each source and the steps of the clip; `plot` draws it.
+        A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
+        the residuals of the rows, the influence of each source and the steps of the clip; `plot` draws it.
 
     Raises:
         SweepError: for bad input, with the rows or the unknowns that are wrong.
@@ -54,8 +54,8 @@ def tie(
         >>> link = tie("psrpi-de200", "timing-de200", "orientation", errors="scaled,jackknife")
         >>> link.estimate.values.round(1).tolist()
         [-0.9, -13.1, -12.2]
-        >>> link.attrs["sign"], link.unit.values[0]
-        ('reference-satellite', 'mas')
+        >>> link.attrs["sign"], link.unit.values.tolist()
+        ('reference-satellite', ['mas', 'mas', 'mas'])
     """
     known = {field.name for field in fields(Options)}
     if unknown := sorted(set(options) - known):

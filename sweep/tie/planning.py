@@ -67,7 +67,7 @@ def forecast(  # noqa: PLR0912
         >>> plan.stage.values.tolist()
         ['now', 'all observed']
         >>> plan.step_source.values.tolist()
-        ['', 'J2354+6155', 'J0323+3944']
+        ['', 'J1537+1155', 'J2354+6155']
     """
     import xarray as xr
 

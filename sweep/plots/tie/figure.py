@@ -35,6 +35,19 @@ FIGURES: Mapping[str, Mapping[str, Draw]] = {
 }
 """Kinds of pictures of each kind of result; the first that a dataset can have suits it."""
 
+CAPTIONS: Mapping[str, str] = {
+    "solution": "The unknowns with errors of several kinds",
+    "residuals": "Differences before and residuals after the fit on the sky",
+    "separations": "Normalised separations of the sources, beside the Rayleigh distribution of right errors",
+    "weight": "Discrepancy of each source, for one observation, against its share of the weight",
+    "ranking": "The sources that decide most",
+    "jackknife": "Solutions without each source, and ellipses of the errors",
+    "trajectory": "The solution while the clip drops sources",
+    "spectrum": "Vector spherical harmonics by degree, beside noise, and their significance",
+    "bins": "The spin in each bin",
+    "epochs": "Formal errors against the epoch of new positions",
+}
+
 
 def is_link(dataset: xr.Dataset) -> bool:
     """Return whether a dataset is that of `sweep tie` or `sweep forecast`."""
@@ -71,6 +84,8 @@ def _titled(figure: Figure, dataset: xr.Dataset) -> Figure:
     attributes = dataset.attrs
     words = f"{Path(attributes['satellite']).name} and {Path(attributes['reference']).name}"
     if "sign" in attributes:
-        words += f": {attributes['sign'].replace('-', ' − ')}, epoch {attributes['epoch']:.2f}, clip {attributes['clip']}"
+        words += (
+            f"\n{attributes['sign'].replace('-', ' − ')}, epoch {attributes['epoch']:.2f}, clip {attributes['clip']}"
+        )
     figure.suptitle(words, fontsize="medium")
     return figure

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
 from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
@@ -22,22 +23,21 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     epochs = dataset["new_epoch"].values
     order = np.argsort(epochs)
     figure = Figure(figsize=(1.2 + 4.4 * len(panels), 4.4), layout="constrained")
+    stages = list(zip(dataset["stage"].values, dataset["error"].values, LINES, strict=False))
     for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        stages = dataset["error"].values[:, panel]
-        factor, unit = readable(stages, str(units[panel[0]]))
+        factor, unit = readable(dataset["error"].values[:, panel], str(units[panel[0]]))
         for number, k in enumerate(panel[: len(COLOURS)]):
-            label = unknown_symbol(str(dataset["unknown"].values[k]))
-            values = factor * dataset["error_with_epoch"].values[order, k]
             axes.plot(
-                epochs[order], values, color=COLOURS[number], marker=MARKERS[number], markersize=4.0, linewidth=1.2,
-                label=label,
+                epochs[order],
+                factor * dataset["error_with_epoch"].values[order, k],
+                color=COLOURS[number],
+                marker=MARKERS[number],
+                markersize=4.0,
+                linewidth=1.2,
+                label=unknown_symbol(str(dataset["unknown"].values[k])),
             )
-            for stage, line in zip(range(dataset.sizes["stage"]), LINES, strict=False):
-                name = str(dataset["stage"].values[stage])
-                axes.axhline(
-                    factor * dataset["error"].values[stage, k], color=COLOURS[number], linestyle=line, linewidth=0.9,
-                    label=f"{name}" if number == 0 else None,
-                )
+            for _, errors, line in stages:
+                axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
         axes.set_xlabel("epoch of the new position of each source [yr]")
         axes.set_ylabel(f"formal error [{unit_text(unit)}]")
         axes.ticklabel_format(axis="x", useOffset=False)
@@ -45,7 +45,10 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
             axes.set_xticks(epochs[order], [f"{epoch:g}" for epoch in epochs[order]])
         axes.set_ylim(bottom=0.0)
         finish(axes)
-        axes.legend(frameon=False, ncols=2, loc="lower left")
+        axes.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    lines = [Line2D([], [], color="0.3", linestyle=line, linewidth=0.9) for _, _, line in stages]
+    names = [str(stage) for stage, _, _ in stages]
+    figure.legend(lines, names, loc="outside lower center", ncols=len(lines), frameon=False)
     return figure
 
 
@@ -80,16 +83,16 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
 def _draw_steps(axes: Axes, dataset: xr.Dataset, chosen: list[str]) -> None:
     goal = [name.strip() for name in str(dataset.attrs["goal"]).split(",")]
     start = dataset["step_error"].values[0]
-    for number, k in enumerate(range(dataset.sizes["unknown"])):
-        if str(dataset["block"].values[k]) in goal and number < len(COLOURS):
-            axes.plot(
-                dataset["step_error"].values[:, k] / start[k],
-                color=COLOURS[number],
-                marker=MARKERS[number],
-                markersize=4.0,
-                linewidth=1.2,
-                label=unknown_symbol(str(dataset["unknown"].values[k])),
-            )
+    places = np.flatnonzero(np.isin(dataset["block"].values, goal))[: len(COLOURS)]
+    for number, k in enumerate(places):
+        axes.plot(
+            dataset["step_error"].values[:, k] / start[k],
+            color=COLOURS[number],
+            marker=MARKERS[number],
+            markersize=4.0,
+            linewidth=1.2,
+            label=unknown_symbol(str(dataset["unknown"].values[k])),
+        )
     axes.set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
     axes.set_xlabel("observed, one after the other")
     axes.set_ylabel("error relative to none")

@@ -74,4 +74,4 @@ def _ellipse(centre: np.ndarray, covariance: np.ndarray, **style: object) -> Ell
     values, vectors = np.linalg.eigh(covariance)
     width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chi2(2).ppf(CONFIDENCE))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    return Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, **style)
+    return Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, zorder=4, **style)

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
@@ -73,11 +74,9 @@ def name_points(axes: Axes, x: Array, y: Array, names: Iterable[str], size: floa
         at = axes.transData.transform((px, py))
         width = LETTER_WIDTH * size * dots * len(name)
         for right, up in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            corner = at + [
-                gap if right > 0 else -gap - width if right < 0 else -0.5 * width,
-                -0.5 * height if not up else gap if up > 0 else -gap - height,
-            ]
-            box = Bbox.from_bounds(*corner, width, height)
+            x0 = at[0] + (gap if right > 0 else -gap - width if right < 0 else -0.5 * width)
+            y0 = at[1] + (gap if up > 0 else -gap - height if up < 0 else -0.5 * height)
+            box = Bbox.from_bounds(x0, y0, width, height)
             fits = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
             if fits and not any(box.overlaps(other) for other in taken):
                 taken.append(box)
@@ -89,5 +88,7 @@ def name_points(axes: Axes, x: Array, y: Array, names: Iterable[str], size: floa
                     ha={1: "left", -1: "right", 0: "center"}[right],
                     va={0: "center", 1: "bottom", -1: "top"}[up],
                     fontsize=size,
+                    zorder=6,
+                    path_effects=[withStroke(linewidth=2.0, foreground="white")],
                 )
                 break

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from core.constants import DEGREE
@@ -19,8 +20,8 @@ MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
 BANDS = 9
 LONGEST, TYPICAL = 2.5, 0.08
-"""The arrows that are longer than 90 % of all are at most so many times longer than these, which have the length TYPICAL
-of the width of the map.
+"""The length that 90 % of the arrows do not reach is TYPICAL of the width of the map; longer ones are cut at LONGEST times
+that.
 """
 COMMON_SCALE = 5.0
 """Differences and residuals have one scale unless they differ by more."""
@@ -43,7 +44,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     pairs = [(name, pair) for name, pair in (("positions", (0, 1)), ("motions", (3, 4))) if _has(dataset, pair)]
     if not pairs:
         raise SweepError("no residuals on the sky: no row has a position or a motion")
-    figure = Figure(figsize=(11.0, 3.9 * len(pairs)), layout="constrained")
+    figure = Figure(figsize=(11.0, 3.3 * len(pairs) + 0.3), layout="constrained")
     places = figure.add_gridspec(len(pairs), 2)
     for row, (what, pair) in enumerate(pairs):
         unit = str(dataset["observable_unit"].values[pair[0]])
@@ -107,6 +108,7 @@ def _typical(arrows: _Arrows) -> float:
 
 def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
     """Draw arrows, a key with their scale, and return what the title must say of arrows that were cut."""
+    _write_ra_above(axes)
     x = -((arrows.ra - CENTRE_DEG + 180.0) % 360.0 - 180.0) * DEGREE
     y = arrows.dec * DEGREE
     length = np.hypot(arrows.east, arrows.north)
@@ -131,7 +133,9 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
             units="width",
             width=0.0028,
             zorder=4,
+            clip_on=False,
         )
+        drawn.set_in_layout(False)
         if colour == COLOURS[0] or np.all(arrows.dropped):
             factor, readable_unit = readable(np.array([scale]), unit)
             key = _round(scale)
@@ -139,6 +143,15 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
             axes.quiverkey(drawn, 0.04, 0.02, key, text, labelpos="E", coordinates="axes", fontproperties={"size": 8})
     words = f"; {np.sum(cut)} arrow{'s' if np.sum(cut) > 1 else ''} cut" if np.any(cut) else ""
     return words + (f"; {np.sum(arrows.dropped)} dropped in red" if np.any(arrows.dropped) else "")
+
+
+def _write_ra_above(axes: Any) -> None:
+    """Write the right ascensions over the arrows, which would hide them."""
+    labels = [(text.get_position()[0], text.get_text()) for text in axes.get_xticklabels()]
+    axes.set_xticklabels([])
+    halo = [withStroke(linewidth=3.0, foreground="white")]
+    for place, text in labels:
+        axes.text(place, 0.03, text, fontsize=7, ha="center", va="bottom", zorder=6, path_effects=halo)
 
 
 def _angles(axes: Any, x: Array, y: Array, east: Array, north: Array) -> Array:

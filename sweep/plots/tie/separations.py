@@ -39,9 +39,15 @@ def separation_figure(dataset: xr.Dataset) -> Figure:
         linewidth=1.4,
         label=r"after the fit, $\sqrt{2\,Q_i/n_i}$",
     )
-    expected = -np.diff(np.exp(-0.5 * edges**2)) * len(before)
-    middle = np.sqrt(np.maximum(edges[1:] * edges[:-1], 1e-9)) if far else 0.5 * (edges[1:] + edges[:-1])
-    axes.plot(middle, expected, color="black", linewidth=1.2, label="Rayleigh: the errors are right")
+    x = np.geomspace(edges[0], edges[-1], 400) if far else np.linspace(0.0, edges[-1], 400)
+    step = x * np.log(edges[1] / edges[0]) if far else edges[1] - edges[0]
+    axes.plot(
+        x,
+        len(before) * step * x * np.exp(-0.5 * x**2),
+        color="black",
+        linewidth=1.2,
+        label="Rayleigh: the errors are right",
+    )
     axes.axvline(limit, color="0.4", linestyle="dashed", linewidth=1.0, label=rf"$\sqrt{{2\ln N}}$ = {limit:.2f}")
     if far:
         axes.set_xscale("log")

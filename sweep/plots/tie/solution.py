@@ -43,7 +43,5 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
         axes.set_ylabel(f"estimate [{unit_text(unit)}]")
         finish(axes)
     handles, labels = grid[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, title="errors", loc="outside lower center", ncols=min(len(labels), 6), frameon=False
-    )
+    figure.legend(handles, labels, title="errors", loc="outside lower center", ncols=min(len(labels), 6), frameon=False)
     return figure

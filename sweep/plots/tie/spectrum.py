@@ -7,7 +7,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import norm
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, finish
+from sweep.plots.style import COLOURS, MARKERS, finish, logarithmic
 
 THRESHOLD = 3.0
 MOST_SIGMA = 10.0
@@ -41,12 +41,15 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
             )
             significance = norm.isf(np.clip(one["power_probability"].values, 1e-300, 1.0))
             lower.plot(degree + shift, np.minimum(significance, MOST_SIGMA), linestyle="none", **style)
-        upper.set_yscale("log")
+        shown = dataset[["power", "power_noise"]].sel(field=fields[part]).to_array().values
+        logarithmic(upper, "y", 1000.0 * np.sqrt(shown))
         upper.set_ylabel(rf"$\sqrt{{P_l}}$ of the {part}s [µas{'/yr' if part == 'motion' else ''}]")
         lower.axhline(THRESHOLD, color="0.4", linestyle="dashed", linewidth=1.0)
         lower.set_ylim(-2.6, MOST_SIGMA + 0.8)
         lower.set_ylabel(r"significance [$\sigma$]")
-        lower.text(0.99, 0.93, f"{MOST_SIGMA:g}: or more", transform=lower.transAxes, ha="right", va="center", fontsize=7)
+        lower.text(
+            0.99, 0.93, f"{MOST_SIGMA:g}: or more", transform=lower.transAxes, ha="right", va="center", fontsize=7
+        )
         lower.set_xlabel("degree $l$")
         lower.xaxis.set_major_locator(MaxNLocator(integer=True))
         lower.set_xlim(degree.min() - 0.5, degree.max() + 0.5)

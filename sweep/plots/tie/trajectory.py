@@ -42,7 +42,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
         finish(axes)
     one_by_one = any(dropped)
     if one_by_one and len(steps) <= MOST_NAMES:
-        grid[-1].set_xticks(steps, ["all"] + dropped[1:], rotation=90, fontsize=7)
+        grid[-1].set_xticks(steps, ["all", *dropped[1:]], rotation=90, fontsize=7)
         grid[-1].set_xlabel("source dropped, one after the other")
     else:
         grid[-1].set_xlabel("sources dropped, one by one" if one_by_one else "iteration of the clip")

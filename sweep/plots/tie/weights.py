@@ -28,7 +28,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     names = dataset["source"].values
     smallest = np.nanmin(np.where(ratio > 0.0, ratio, np.nan)) if np.any(ratio > 0.0) else 1e-3
     ratio = np.maximum(ratio, max(smallest, 1e-4))
-    figure = Figure(figsize=(0.8 + 4.2 * share.shape[1], 4.2), layout="constrained")
+    figure = Figure(figsize=(max(6.4, 0.8 + 3.8 * share.shape[1]), 4.2), layout="constrained")
     grid = figure.subplots(1, share.shape[1], sharey=True, squeeze=False)[0]
     for axes, name, own in zip(grid, dataset["block_name"].values, share.T, strict=True):
         left = 0.5 * own[kept & (own > 0.0)].min()
@@ -40,7 +40,12 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         )
         if np.any(gone):
             axes.scatter(
-                np.full(gone.sum(), left), ratio[gone], s=16.0, color=COLOURS[1], marker="x", linewidths=0.8,
+                np.full(gone.sum(), left),
+                ratio[gone],
+                s=16.0,
+                color=COLOURS[1],
+                marker="x",
+                linewidths=0.8,
                 label=f"{gone.sum()} dropped, of no weight",
             )
         axes.axhline(1.0, color="black", linewidth=0.8, zorder=1)
@@ -73,9 +78,7 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
     for number, name in enumerate(dataset["block_name"].values):
         offset = 0.4 - (number + 0.5) * height
         colour = COLOURS[number % len(COLOURS)]
-        left.barh(
-            places + offset, share[order, number], height, color=colour, label=str(name).replace("_", " ")
-        )
+        left.barh(places + offset, share[order, number], height, color=colour, label=str(name).replace("_", " "))
     left.axvline(LARGE_SHARE, color="0.4", linestyle="dotted", linewidth=1.0)
     left.xaxis.set_major_formatter(PercentFormatter(1.0, decimals=None))
     left.set_xlabel("share of the weight")
