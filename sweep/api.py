@@ -110,12 +110,12 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
 def plot(
     dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
 ) -> "Figure":
-    """Return a figure of a study's results, of a link or of a forecast.  Needs matplotlib: ``pip install 'linksweep[plot]'``.
+    """Return a figure of a study's results, a link or a forecast.  Needs matplotlib: ``pip install 'linksweep[plot]'``.
 
     Args:
         dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
-        kind: "lines", "law", "map", "scatter" or "scaling"; of a link "solution", "residuals", "separations",
-            "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs" or "ranking"; the one
+        kind: "lines", "law", "map", "scatter" or "scaling"; of a link "solution", "residuals", "separations", "weight",
+            "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs" or "ranking"; the one
             that suits the dataset unless given.
         variables: names of outputs, each a column of panels; the main one unless given.
         over: the axis along which curves go, the two of a map, or the two components of a scatter.

@@ -37,12 +37,12 @@ def unknown_symbol(label: str) -> str:
     """Return how an unknown is set: epsilon_x, a harmonic as t with degree and order, others as they are named."""
     if found := _VECTOR.match(label):
         block, axis = found.groups()
-        return rf"${SHORT.get(block, chr(92) + block)}_{axis}$"
+        return rf"${SHORT.get(block, chr(92) + block)}_{axis}$" + label[found.end() :]
     if found := _HARMONIC.fullmatch(label):
         kind, degree, order, part = found.groups()
         above = rf"^\mathrm{{{part.capitalize()}}}" if part else ""
         return rf"${kind}_{{{degree},{order}}}{above}$"
-    return symbol(label)
+    return r"$\varpi_0$" if label == "parallax_zero_point" else symbol(label)
 
 
 def vectors(dataset: xr.Dataset) -> dict[str, list[int]]:

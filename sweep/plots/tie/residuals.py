@@ -20,8 +20,8 @@ MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
 BANDS = 9
 LONGEST, TYPICAL = 2.5, 0.08
-"""The length that 90 % of the arrows do not reach is TYPICAL of the width of the map; longer ones are cut at LONGEST times
-that.
+"""The length that 90 % of the arrows do not reach is TYPICAL of the width of the map; longer ones are cut at
+LONGEST times that.
 """
 COMMON_SCALE = 5.0
 """Differences and residuals have one scale unless they differ by more."""

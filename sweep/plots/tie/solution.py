@@ -7,9 +7,6 @@ from matplotlib.figure import Figure
 from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
 from sweep.plots.tie.names import readable, unknown_symbol
 
-MOST_UNKNOWNS = 40
-"""More than these become panels that are wider."""
-
 
 def solution_figure(dataset: xr.Dataset) -> Figure:
     """Return the estimates with each kind of error, one panel for each unit."""
@@ -38,7 +35,8 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
             )
         axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
         names = [unknown_symbol(str(dataset["unknown"].values[k])) for k in panel]
-        axes.set_xticks(range(len(panel)), names, rotation=90 if len(panel) > 12 else 0)
+        upright = len(panel) > 12 or any("[" in name for name in names)
+        axes.set_xticks(range(len(panel)), names, rotation=90 if upright else 0)
         axes.set_xlim(-0.7, len(panel) - 0.3)
         axes.set_ylabel(f"estimate [{unit_text(unit)}]")
         finish(axes)
