@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,19 +45,21 @@ class Astrometry:
     def taken(self, part: Indices | slice | NDArray[np.bool_]) -> "Astrometry":
         """Return some of the objects."""
 
-        def of(array: Array | None) -> Array | None:
-            return None if array is None else array[..., part]
+        def of(array: Any) -> Any:
+            if array is None or isinstance(part, slice) or part.dtype == np.bool_:
+                return None if array is None else array[..., part]
+            return np.take(array, part, axis=-1)  # half the time of an index
 
         return replace(
             self,
-            values=self.values[:, part],
-            errors=self.errors[:, part],
-            epoch=self.epoch[part],
+            values=of(self.values),
+            errors=of(self.errors),
+            epoch=of(self.epoch),
             correlations=of(self.correlations),
             radial_velocity=of(self.radial_velocity),
-            names=None if self.names is None else self.names[part],
-            columns={name: column[part] for name, column in self.columns.items()},
-            apparent=None if self.apparent is None else self.apparent[part],
+            names=of(self.names),
+            columns={name: of(column) for name, column in self.columns.items()},
+            apparent=of(self.apparent),
         )
 
     def covariance(self) -> Array:
