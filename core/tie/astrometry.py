@@ -73,6 +73,24 @@ class Astrometry:
         return found
 
 
+def positive_definite(correlations: Array) -> NDArray[np.bool_]:
+    """Return whether each matrix of ten correlations (10, N), all finite, is one; shape (N,).
+
+    By its Cholesky factors, all matrices at once: eigenvalues of a million of them take many seconds.
+    """
+    n = correlations.shape[1]
+    row = dict(zip(PAIRS, correlations, strict=True))
+    factor: dict[tuple[int, int], Array] = {}
+    good = np.ones(n, dtype=bool)
+    for j in range(5):
+        pivot = 1.0 - sum((factor[j, k] ** 2 for k in range(j)), np.zeros(n))
+        good &= pivot > 0.0
+        root = np.sqrt(np.where(pivot > 0.0, pivot, 1.0))
+        for i in range(j + 1, 5):
+            factor[i, j] = (row[j, i] - sum((factor[i, k] * factor[j, k] for k in range(j)), np.zeros(n))) / root
+    return good
+
+
 KINDS = {
     (True, True, True): "five-parameter",
     (False, True, True): "three-parameter",

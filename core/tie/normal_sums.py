@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""
 
-GATHERED = 32 * BLOCK
+GATHERED = 64 * BLOCK
 """Sources that are taken out of the tables at a time: bounds the memory beyond these."""
 
 
@@ -198,9 +198,15 @@ def _add_piece(
     sums.expected[one] += left.expected.sum()
 
 
-def source_discrepancies(problem: Problem, estimate: Array) -> tuple[Array, Array]:
-    """Return Q_i and n_i of each source at a solution, without keeping its sums; both (S,)."""
-    squares, count = np.zeros(len(problem.satellite)), np.zeros(len(problem.satellite))
+def source_counts(problem: Problem) -> Array:
+    """Return the number of observations of each source less that of its free parameters; shape (S,)."""
+    n = len(problem.satellite)
+    return np.concatenate([problem.sources(part)[3].count for part in _blocks(n, GATHERED)]) if n else np.zeros(0)
+
+
+def source_discrepancies(problem: Problem, estimate: Array) -> Array:
+    """Return Q_i of each source at a solution, without keeping its sums; shape (S,)."""
+    squares = np.zeros(len(problem.satellite))
     for part in _blocks(len(squares), BLOCK):
         unknowns, objects, years, left = problem.sources(part)
         rows, derivatives = unknowns.derivatives(objects, years)
@@ -208,8 +214,7 @@ def source_discrepancies(problem: Problem, estimate: Array) -> tuple[Array, Arra
         weight, right, _ = left.onto(rows)
         squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", right, shift)
         squares[part] += np.einsum("rn,nrs,sn->n", shift, weight, shift)
-        count[part] = left.count
-    return np.maximum(squares, 0.0), count
+    return np.maximum(squares, 0.0)
 
 
 def _blocks(n: int, size: int) -> Iterator[Indices]:

@@ -1,6 +1,6 @@
 """Sources whose sums are kept one by one, or for cells of the sky where they are too many."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 from core.tie.astrometry import Indices
 from core.tie.clips import Sources
 from core.tie.influence import discrepancies
-from core.tie.normal_sums import NormalSums, Problem, Solution, group_sums, solve, source_discrepancies, source_sums
+from core.tie.normal_sums import (
+    NormalSums,
+    Problem,
+    Solution,
+    group_sums,
+    solve,
+    source_counts,
+    source_discrepancies,
+    source_sums,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,6 +42,7 @@ class SourceTable:
 
     problem: Problem
     divisions: int = 6
+    _last: list[tuple[Array, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def single(self) -> bool:
@@ -54,9 +64,9 @@ class SourceTable:
 
     def cell_sums(self, factors: Array) -> NormalSums:
         """Return the sums of cells, each source with a factor of its weight."""
-        n_cells = int(self.cells.max()) + 1
         if not self.single:
-            return group_sums(self.problem, self.cells, n_cells, factors)
+            return self._streamed(factors)
+        n_cells = int(self.cells.max()) + 1
         member = np.zeros((n_cells, len(factors)))
         member[self.cells, np.arange(len(factors))] = 1.0
         weighted = member * factors
@@ -71,6 +81,13 @@ class SourceTable:
             spread=None if optimal else np.tensordot(member * factors**2, sums.right_covariance, axes=1),
         )
 
+    def _streamed(self, factors: Array) -> NormalSums:
+        """Return the sums of cells by a pass over the tables, or those of the last pass where it was the same."""
+        if not self._last or not np.array_equal(self._last[0][0], factors):
+            sums = group_sums(self.problem, self.cells, int(self.cells.max()) + 1, factors)
+            self._last[:] = [(factors.copy(), sums)]
+        return self._last[0][1]
+
     def solve(self, factors: Array) -> Solution:
         """Return the solution with a factor of the weight of each source."""
         labels = self.problem.unknowns.labels
@@ -84,5 +101,6 @@ class SourceTable:
         """Return what the clips need."""
         if self.single:
             return Sources(self.solve, lambda estimate: discrepancies(self.sums, estimate), self.sums.count)
-        _, count = source_discrepancies(self.problem, np.zeros(len(self.problem.unknowns)))
-        return Sources(self.solve, lambda estimate: source_discrepancies(self.problem, estimate)[0], count)
+        return Sources(
+            self.solve, lambda estimate: source_discrepancies(self.problem, estimate), source_counts(self.problem)
+        )
