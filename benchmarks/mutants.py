@@ -31,7 +31,17 @@ FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "CITATION.cff", "LICENSE
 TIME_LIMIT_S = 900
 """Of the tests of one mutant, far above what they take: a loop without end fails them too."""
 
-LIBRARIES = ("astropy.table", "dask", "distributed", "erfa", "hypothesis", "pydantic", "rich.table", "scipy.stats", "zarr")
+LIBRARIES = (
+    "astropy.table",
+    "dask",
+    "distributed",
+    "erfa",
+    "hypothesis",
+    "pydantic",
+    "rich.table",
+    "scipy.stats",
+    "zarr",
+)
 
 KILLED, SURVIVED, NOT_FOUND, NO_VERDICT = "killed", "SURVIVED", "NOT FOUND", "NO VERDICT"
 
