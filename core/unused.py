@@ -8,7 +8,7 @@ from sweep.contract import Point
 
 CATALOGUE_PARAMETERS = (
     *("v_min", "v_max", "counts", "mean_pm", "pm_distribution", "positions", "zone_of_avoidance", "sky_contrast"),
-    *("file", "columns", "pmra_cos_dec"),
+    *("file", "columns", "units", "pmra_cos_dec"),
 )
 """Parameters of catalogues (step A) that not every kind uses."""
 

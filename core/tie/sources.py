@@ -29,6 +29,21 @@ def sky_cells(ra: Array, dec: Array, divisions: int) -> Indices:
     return np.asarray(2 * divisions * band + step)
 
 
+def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
+    """Return what the clips need of sources whose sums are kept one by one."""
+    return Sources(
+        lambda factors: _solve_kept(sums, labels, factors),
+        lambda estimate: discrepancies(sums, estimate),
+        sums.count,
+    )
+
+
+def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array) -> Solution:
+    kept = factors > 0.0
+    equal = np.all(factors[kept] == 1.0)
+    return solve(sums.taken(kept), labels, None if equal else factors[kept])
+
+
 @dataclass(frozen=True)
 class SourceTable:
     """The sources of a problem, with the sums of each where ``single`` holds, and of cells of the sky."""
@@ -76,13 +91,11 @@ class SourceTable:
         labels = self.problem.unknowns.labels
         if not self.single:
             return solve(self.cell_sums(factors), labels)
-        kept = factors > 0.0
-        equal = np.all(factors[kept] == 1.0)
-        return solve(self.sums.taken(kept), labels, None if equal else factors[kept])
+        return _solve_kept(self.sums, labels, factors)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
         if self.single:
-            return Sources(self.solve, lambda estimate: discrepancies(self.sums, estimate), self.sums.count)
+            return sources_of(self.sums, self.problem.unknowns.labels)
         _, count = source_discrepancies(self.problem, np.zeros(len(self.problem.unknowns)))
         return Sources(self.solve, lambda estimate: source_discrepancies(self.problem, estimate)[0], count)
