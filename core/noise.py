@@ -102,7 +102,9 @@ class Noise:
 
     def inflated(self, factor: float) -> "Noise":
         """Return errors ``factor`` times as large, with the same weights."""
-        return self if factor == 1.0 else replace(self, sigma=factor * self.sigma, inflation=factor * self.inflation)
+        if factor == 1.0 or not self._any:
+            return self
+        return replace(self, sigma=factor * self.sigma, inflation=factor * self.inflation)
 
     def with_zonal(self, errors: ZonalErrors | None, catalogue: Catalogue) -> "Noise":
         """Return them with zonal errors of the objects of a catalogue."""
