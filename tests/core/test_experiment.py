@@ -244,7 +244,7 @@ def test_proper_motions_alone_and_beside_positions_of_any_error(tmp_path):
     """The spin's error is that of the proper motions, whatever error positions get, or none."""
     table = gaia_table(tmp_path, ra_error=np.zeros(6), dec_error=np.zeros(6), pmra_pmdec_corr=np.zeros(6))
     alone = from_file(table, reference_errors="catalogue", satellite_errors="none")
-    computes(alone)
+    assert check(alone) is None
     sums = [evaluated(alone, 10)["predicted_variance"][0, 3:]]
     for sigma_pos in (0.01, 100.0):
         beside = alone | {"satellite_errors": "normal", "satellite_sigma_pm": 0.0, "satellite_sigma_pos": sigma_pos}
