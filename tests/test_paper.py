@@ -58,8 +58,8 @@ def test_radio_stars_give_table_2(results):
 
 
 def test_the_worst_cell_of_table_2_is_the_constants_and_the_luck_of_the_seed(tmp_path):
-    """Ten radio stars with halved errors: the closed form over 40 000 samples of the eleven is 5.6 % above the paper's
-    0.047, and the 1200 of the shipped seed add 1.6 of their own errors, which makes 7.0 %.
+    """Ten radio stars with halved errors: the closed form over 40 000 samples of the eleven is 5.2 % above the paper's
+    0.047, and the 1200 of the shipped seed add 2.0 of their own errors, which makes 7.0 %.
     """
     published = 0.047
     skies = (draw_skies("radio-stars", 8000, seed=11 + k) for k in range(5))
@@ -67,13 +67,13 @@ def test_the_worst_cell_of_table_2_is_the_constants_and_the_luck_of_the_seed(tmp
     closed = np.sqrt(variance.mean())
     closed_error = variance.std() / (2.0 * closed * np.sqrt(len(variance)))
     assert closed_error < 0.002 * closed
-    assert closed / published - 1.0 == pytest.approx(0.056, abs=0.005)
+    assert closed / published - 1.0 == pytest.approx(0.0524, abs=0.002)
 
     shipped = load_study("radio-stars", axes=["n_obj=10", "reference_error_scale=0.5"])
     found, _ = run_study(shipped, tmp_path / "ten.zarr", Resources(pool="serial"))
     sigma, error = found["sigma_spin"].item(), found["sigma_spin_catalogue_error"].item()
     assert sigma / published - 1.0 == pytest.approx(0.070, abs=0.0005)
-    assert (sigma - closed) / np.hypot(error, found["sigma_spin_mc_error"].item()) == pytest.approx(1.6, abs=0.2)
+    assert (sigma - closed) / np.hypot(error, found["sigma_spin_mc_error"].item()) == pytest.approx(2.0, abs=0.1)
 
 
 @pytest.mark.slow
