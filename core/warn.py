@@ -27,7 +27,7 @@ def _not_measured(point: Point) -> str | None:
     """Say which observables have no error on either side beside others that have."""
     objects = own_objects(point)
     if objects is None:
-        errors = np.add(*(errors_at_limit(point, side) for side in SIDES))
+        errors = np.sum([errors_at_limit(point, side) for side in SIDES], axis=0)
     else:
         errors = np.add(*errors_of_objects(point, objects)).reshape(2, -1).max(axis=1)
     if errors.all() or not errors.any():
