@@ -18,6 +18,7 @@ import time
 import tomllib
 import traceback
 from collections import Counter
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -31,7 +32,17 @@ FILES = ("pyproject.toml", "README.md", "CHANGELOG.md", "CITATION.cff", "LICENSE
 TIME_LIMIT_S = 900
 """Of the tests of one mutant, far above what they take: a loop without end fails them too."""
 
-LIBRARIES = ("astropy.table", "dask", "distributed", "erfa", "hypothesis", "pydantic", "rich.table", "scipy.stats", "zarr")
+LIBRARIES = (
+    "astropy.table",
+    "dask",
+    "distributed",
+    "erfa",
+    "hypothesis",
+    "pydantic",
+    "rich.table",
+    "scipy.stats",
+    "zarr",
+)
 
 KILLED, SURVIVED, NOT_FOUND, NO_VERDICT = "killed", "SURVIVED", "NOT FOUND", "NO VERDICT"
 
@@ -110,10 +121,8 @@ def _tests_pass(tests: list[str], copy: Path) -> bool:
             sys.stderr.flush()
             os._exit(code)
     _, status = os.waitpid(child, 0)
-    try:
+    with suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)  # servers of tests that were ended
-    except ProcessLookupError:
-        pass
     return os.waitstatus_to_exitcode(status) == 0
 
 
