@@ -111,6 +111,7 @@ def _tests_pass(tests: list[str], copy: Path) -> bool:
             import pytest
 
             options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--hypothesis-seed=1"]
+            options += ["--basetemp", str(copy / "temporary")]  # nothing that other runs left matters
             options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # of plugins that are imported already
             options += ["--all"] if any("::" in test for test in tests) else []  # a test that is named may be slow
             code = int(pytest.main([*options, *tests]))
