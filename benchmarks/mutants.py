@@ -18,6 +18,7 @@ import time
 import tomllib
 import traceback
 from collections import Counter
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -110,6 +111,7 @@ def _tests_pass(tests: list[str], copy: Path) -> bool:
             import pytest
 
             options = ["-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--hypothesis-seed=1"]
+            options += ["--basetemp", str(copy / "temporary")]  # nothing that other runs left matters
             options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # of plugins that are imported already
             options += ["--all"] if any("::" in test for test in tests) else []  # a test that is named may be slow
             code = int(pytest.main([*options, *tests]))
@@ -120,10 +122,8 @@ def _tests_pass(tests: list[str], copy: Path) -> bool:
             sys.stderr.flush()
             os._exit(code)
     _, status = os.waitpid(child, 0)
-    try:
+    with suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)  # servers of tests that were ended
-    except ProcessLookupError:
-        pass
     return os.waitstatus_to_exitcode(status) == 0
 
 

@@ -35,3 +35,22 @@ def test_a_sample_of_mutants_is_killed():
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
     assert "5 of 5 killed" in run.stdout
+
+
+@pytest.mark.slow
+def test_it_tells_what_survives_from_what_is_killed_and_what_is_not_there(tmp_path):
+    table = tmp_path / "table.toml"
+    units = "tests/core/test_prediction.py::test_units_are_astropys"
+    parts = "tests/core/test_shared_arrays.py::test_parts_cover_the_objects"
+    rows = [("MAS / 1000.0", "MAS / 100.0", test) for test in (units, parts)] + [("no such text", "", units)]
+    table.write_text(
+        "".join(
+            f'[[mutant]]\nfile = "core/constants.py"\nold = "{old}"\nnew = "{new}"\ntest = "{test}"\n'
+            for old, new, test in rows
+        )
+    )
+    command = [sys.executable, "benchmarks/mutants.py", "--table", str(table)]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 1, run.stdout + run.stderr
+    said = [line.split("  ")[0].strip() for line in run.stdout.splitlines()]
+    assert said == ["killed", "SURVIVED", "NOT FOUND", "1 of 3 killed"]
