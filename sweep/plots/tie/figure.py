@@ -63,7 +63,7 @@ def draw_link(dataset: xr.Dataset, kind: str | None = None) -> Figure:
         return _titled(kinds[kind](dataset), dataset)
     for figure in link_figures(dataset).values():
         return figure
-    raise SweepError(f"nothing to draw of this {dataset.attrs['result']}")
+    return next(iter(kinds.values()))(dataset)  # raises SweepError that says what is missing
 
 
 def link_figures(dataset: xr.Dataset, kinds: Sequence[str] = (), titled: bool = True) -> dict[str, Figure]:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
 BANDS = 9
-LONGEST, TYPICAL = 2.5, 0.08
+LONGEST, TYPICAL = 1.5, 0.08
 """The length that 90 % of the arrows do not reach is TYPICAL of the width of the map; longer ones are cut at
 LONGEST times that.
 """
@@ -58,7 +58,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
             axes = add_sky(figure, places[row, column])
             words = _draw(axes, arrows, scale, unit)
             averages = f", means of {len(arrows.ra)} cells" if _n_rows(dataset, pair) > MOST_ARROWS else ""
-            axes.set_title(f"{what} {when}{averages}{words}")
+            axes.set_title(f"{what} {when}{averages}{words}", pad=10.0)
             if row < len(pairs) - 1:
                 axes.set_xlabel("")
             if column:
