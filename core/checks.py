@@ -10,7 +10,15 @@ from core.errors import SIDES
 from core.expected_errors import errors_at_limit, errors_of_objects
 from core.function_curve import CurveError
 from core.missions import MissionUnavailableError
-from core.scenario import catalogue_kind, catalogue_size, error_kind, error_model, own_objects
+from core.scenario import (
+    catalogue_kind,
+    catalogue_size,
+    error_kind,
+    error_model,
+    own_objects,
+    systematics,
+    zonal_errors,
+)
 from sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
@@ -36,6 +44,8 @@ def check(point: Point) -> str | None:
     if problem is None and point["aberration"] and not catalogue_kind(point).extragalactic:
         stars = point["catalogue"].replace("-", " ")
         problem = f"aberration: the glide is that of extragalactic objects, not of {stars}"
+    if problem is None:
+        problem = _check_systematics(point)
     if problem is not None:
         return problem
     objects = own_objects(point)
@@ -56,6 +66,18 @@ def _check_catalogue(point: Point) -> str | None:
     if not uses >= RANDOM_SKY and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
     return kind.why_not(point)
+
+
+def _check_systematics(point: Point) -> str | None:
+    try:
+        found = systematics(point)
+    except ValueError as error:
+        return f"motion_field = {point['motion_field']!r}: {error}"
+    if found.of_magnitude and any(map(math.isnan, catalogue_kind(point).magnitudes(point))):
+        return (
+            "omega_slope and magnitude equations need a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
+        )
+    return None
 
 
 def _check_error_models(point: Point) -> str | None:
@@ -117,6 +139,11 @@ def _check_method(point: Point, objects: Catalogue | None) -> str | None:
     """Projected errors need a fixed design; what is near the limit is told by the catalogue when it is drawn."""
     if point["method"] == "catalogue":
         return None
+    if zonal_errors(point) is not None:
+        return "method = 'projected' needs errors that are independent from object to object, and zonal ones are not"
+    for side in SIDES:
+        if point[f"{side}_error_ratio"] != 1.0:
+            return f"method = 'projected' needs errors that are as large as they weigh: {side}_error_ratio = 1"
     if objects is not None and any(error_model(point, side).correlation(objects) is not None for side in SIDES):
         return "method = 'projected' needs uncorrelated errors, and those of the file are correlated"
     position_mas = (

@@ -9,7 +9,7 @@ from core.checks import check
 from core.expected_errors import has_errors
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
-from core.scenario import catalogue_size, scenario
+from core.scenario import catalogue_size, scenario, zonal_errors
 from core.simulate import BlockSums, simulate
 from core.unused import unused
 from core.warn import warn
@@ -32,6 +32,9 @@ SUMS: Mapping[str, tuple[int, ...]] = {
     "batch_mean_squares": (6,),
     "batches": (),
 }
+
+
+HARMONICS = 20.0
 
 
 def evaluate(
@@ -99,13 +102,18 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
 
 
 def cost(point: Point) -> float:
-    """Return how many normal deviates one realisation takes; a projected one takes a chi-square for each chunk too."""
+    """Return how many normal deviates one realisation takes; a projected one takes a chi-square for each chunk too.
+
+    A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
+    """
     reference, satellite = has_errors(point, "reference"), has_errors(point, "satellite")
     if point["method"] == "projected":
         unknowns = 9 if point["solve_glide"] else 6
         columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
         return float(min(columns, 4 * catalogue_size(point)) if reference or satellite else 0)
-    return float(4 * (reference + satellite) * catalogue_size(point))
+    zonal = zonal_errors(point)
+    per_object = 4 * (reference + satellite) + (0.0 if zonal is None else zonal.coefficients / HARMONICS)
+    return float(per_object * catalogue_size(point))
 
 
 def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:

@@ -16,6 +16,7 @@ from core.link import condition_number, design_matrix, normal_inverse, require_o
 from core.noise import Tile
 from core.prepared import Setup
 from core.shared_arrays import Prefixes, origin, parts
+from core.zonal import DrawnField
 
 Array = NDArray[np.float64]
 
@@ -35,16 +36,16 @@ class FixedDesign:
     gain_squares: Array  # the variance of g^T z, (K,)
     condition_number: float  # of A^T W A
 
-    def begin(self, rows: int) -> "FixedSums":
-        """Return empty sums of ``rows`` realisations."""
-        return FixedSums(self, np.zeros((self.columns.shape[2], rows)))
+    def begin(self, rows: int, field: DrawnField | None = None) -> "FixedSums":
+        """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
+        return FixedSums(self, np.zeros((self.columns.shape[2], rows)), field)
 
     def predicted_variance(self) -> Array:
         """Return the variance of each unknown; shape (K,)."""
         sides = self.setup.reference, self.setup.satellite
         if not any(sides):
             return np.zeros(len(self.bias))
-        if all(side.factor is None for side in sides):
+        if all(side.as_weighed for side in sides):
             return self.gain_squares
         gain = self.columns[..., self.solving] @ self.inverse / self.setup.sigma[..., None]
         return np.asarray(sum(side.variance_through(gain) for side in sides))
@@ -76,6 +77,7 @@ class FixedSums:
 
     design: FixedDesign
     products: Array
+    field: DrawnField | None = None
     squares: float = 0.0
 
     def __post_init__(self) -> None:
@@ -88,12 +90,15 @@ class FixedSums:
         """Add the objects of a tile; the reference has no errors here."""
         if satellite is None or satellite.start >= self._n_obj:
             return
-        part = self._columns[satellite.start : satellite.start + len(satellite.normals)]
-        if self._noise.factor is None:
-            self.products += satellite.product(part, self._whose)
-            self.squares += satellite.squares(self._n_obj)
+        place = slice(satellite.start, satellite.start + len(satellite.normals))
+        part, ratio = self._columns[place], self._noise.ratio
+        if self._noise.factor is None and self.field is None:
+            self.products += ratio * satellite.product(part, self._whose)
+            self.squares += ratio**2 * satellite.squares(self._n_obj)
         else:
-            errors = self._noise.standardised(satellite.head(self._n_obj), satellite.start)
+            errors = ratio * self._noise.standardised(satellite.head(self._n_obj), satellite.start)
+            if self.field is not None:
+                errors += self.field.values(place) / self.design.setup.sigma[place, :, None]
             self.products += part.reshape(-1, part.shape[2]).T @ errors.reshape(-1, errors.shape[2])
             self.squares += float(np.vdot(errors, errors))
 

@@ -7,6 +7,7 @@ from core.link import POLE_LIMIT, pole_error, solve_normal
 from core.noise import Tile
 from core.normal_equations import NormalSums, Seen
 from core.prepared import Setup
+from core.zonal import DrawnField
 
 Array = NDArray[np.float64]
 
@@ -40,17 +41,17 @@ class FullPath:
         # the weights of the solution, then those of chi2 where they are others
         self.weights = [np.ones_like(inverse_variance), inverse_variance] if equal else [inverse_variance]
 
-    def begin(self, rows: int) -> "FullSums":
-        """Return empty sums of ``rows`` realisations."""
-        return FullSums(self, rows)
+    def begin(self, rows: int, field: DrawnField | None = None) -> "FullSums":
+        """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
+        return FullSums(self, rows, field)
 
 
 class FullSums:
     """Normal equations of the objects met so far, for the realisations of one chunk."""
 
-    def __init__(self, path: FullPath, rows: int) -> None:
+    def __init__(self, path: FullPath, rows: int, field: DrawnField | None = None) -> None:
         scenario, n_obj = path.setup.scenario, len(path.ra)
-        self.path = path
+        self.path, self.field = path, field
         self.objects = min(max(1, ELEMENTS // rows), n_obj)
         self.squares = 0.0
         # written to again and again: temporary arrays would cost more than the arithmetic
@@ -89,6 +90,8 @@ class FullSums:
         if satellite is not None:
             noise = setup.satellite.standardised(satellite, start)
             misclosure -= np.multiply(noise, path.satellite_sigma[part], out=weighted)
+        if self.field is not None:
+            misclosure -= self.field.values(part)
         seen = self._seen(part, shift)
         self._subtract_truth(seen, misclosure)
         for sums, weights in zip(self.sums, path.weights, strict=True):

@@ -31,6 +31,8 @@ class Projected:
         setup = design.setup
         if setup.reference.factor is not None or setup.satellite.factor is not None:
             raise LinkError("the projected method needs uncorrelated errors: otherwise chi2 has no chi-square law")
+        if not (setup.reference.as_weighed and setup.satellite.as_weighed):
+            raise LinkError("the projected method needs errors that are as large as they weigh, and no zonal ones")
         worst = float(np.max(neglected(design)))
         if worst > LARGEST_NEGLECT:
             raise LinkError(

@@ -60,7 +60,8 @@ def simulate(
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for rows in chunks(n_sim):
         satellite_rng, reference_rng = rng.spawn(2)
-        begun = [point.begin(rows, satellite_rng) for point in points]
+        (field_rng,) = satellite_rng.spawn(1)
+        begun = [point.begin(rows, satellite_rng, field_rng) for point in points]
         for satellite, reference in zip_longest(
             tiles(satellite_rng, rows, satellite_objects), tiles(reference_rng, rows, reference_objects)
         ):
@@ -94,16 +95,19 @@ class _Point:
             n_obj if setup.reference and not projected else 0,
         )
 
-    def begin(self, rows: int, rng: np.random.Generator) -> FixedSums | FullSums | Drawn:
+    def begin(
+        self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator
+    ) -> FixedSums | FullSums | Drawn:
         """Return sums of ``rows`` realisations; what is projected is drawn from the beginning of the satellite's
-        stream, and leaves it there for others.
+        stream, zonal errors from that of their own, and both are left there for others.
         """
-        if not isinstance(self.path, Projected):
-            return self.path.begin(rows)
-        state = rng.bit_generator.state
-        drawn = self.path.draw(rows, rng)
-        rng.bit_generator.state = state
-        return drawn
+        states = rng.bit_generator.state, field_rng.bit_generator.state
+        if isinstance(self.path, Projected):
+            begun: FixedSums | FullSums | Drawn = self.path.draw(rows, rng)
+        else:
+            begun = self.path.begin(rows, self.setup.satellite.draw_field(rows, field_rng))
+        rng.bit_generator.state, field_rng.bit_generator.state = states
+        return begun
 
     def add(self, error: Array, chi2: float) -> None:
         """Add realisations: their estimate - truth (K, rows), and the sum of their chi2."""

@@ -204,6 +204,20 @@ def test_all_quasars_of_the_sky_would_help_gaia(results):
 
 
 @pytest.mark.slow
+def test_more_objects_do_not_beat_zonal_errors(results):
+    """sigma^2 of the spin levels out at 3 C_1 z^2/(8 pi), the variance of the rotation in the field."""
+    predicted = results("zonal-errors")["sigma_spin_predicted"]
+    for length in predicted["zonal_length"].values:
+        degrees = np.arange(1, 200)
+        power = np.exp(-degrees * (degrees + 1) * np.radians(length) ** 2 / 2)
+        first = power[0] / np.sum((2 * degrees + 1) / (4 * np.pi) * power)
+        own = 1.5 * 0.1**2 / 3000
+        expected = np.sqrt(own + 3 * first / (8 * np.pi) * 0.01**2)
+        assert predicted.sel(zonal_length=length, n_obj=3000) == pytest.approx(expected, rel=0.03)
+        assert predicted.sel(zonal_length=length, n_obj=30) == pytest.approx(0.1 * np.sqrt(1.5 / 30), rel=0.2)
+
+
+@pytest.mark.slow
 def test_every_study_agrees_with_its_prediction(results):
     for name in ("radio-stars", "galaxies", "sqrt-n", "mission-length", "error-surface", "completeness"):
         dataset = results(name)

@@ -36,6 +36,21 @@ def sky_cells(ra: Array, dec: Array, divisions: int) -> Indices:
     return np.asarray(2 * divisions * band + step)
 
 
+def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
+    """Return what the clips need of sources whose sums are kept one by one."""
+    return Sources(
+        lambda factors: _solve_kept(sums, labels, factors),
+        lambda estimate: discrepancies(sums, estimate),
+        sums.count,
+    )
+
+
+def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array) -> Solution:
+    kept = factors > 0.0
+    equal = np.all(factors[kept] == 1.0)
+    return solve(sums.taken(kept), labels, None if equal else factors[kept])
+
+
 @dataclass(frozen=True)
 class SourceTable:
     """The sources of a problem, with the sums of each where ``single`` holds, and of cells of the sky."""
@@ -60,7 +75,8 @@ class SourceTable:
         values = self.problem.satellite.values
         cells = sky_cells(values[0], values[1], self.divisions)
         number = np.cumsum(np.bincount(cells) > 0) - 1
-        return number.astype(np.int16 if number[-1] < 2**15 else np.int64)[cells]  # short ones sort in no time
+        found: Indices = number[cells]
+        return found
 
     def cell_sums(self, factors: Array) -> NormalSums:
         """Return the sums of cells, each source with a factor of its weight."""
@@ -93,14 +109,12 @@ class SourceTable:
         labels = self.problem.unknowns.labels
         if not self.single:
             return solve(self.cell_sums(factors), labels)
-        kept = factors > 0.0
-        equal = np.all(factors[kept] == 1.0)
-        return solve(self.sums.taken(kept), labels, None if equal else factors[kept])
+        return _solve_kept(self.sums, labels, factors)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
         if self.single:
-            return Sources(self.solve, lambda estimate: discrepancies(self.sums, estimate), self.sums.count)
+            return sources_of(self.sums, self.problem.unknowns.labels)
         return Sources(
             self.solve, lambda estimate: source_discrepancies(self.problem, estimate), source_counts(self.problem)
         )
