@@ -87,45 +87,34 @@ def _check_error_models(point: Point) -> str | None:
 
 
 def _check_errors(point: Point) -> str | None:
-    """Inverse-variance weights need both a position and a proper-motion error, or neither (error-free data)."""
+    """Positions or proper motions without any error are not measured; both without are error-free data."""
     reference, satellite = errors_at_limit(point, "reference"), errors_at_limit(point, "satellite")
     position_mas = math.hypot(reference.pos_mas, satellite.pos_mas)
     motion_mas_yr = math.hypot(reference.pm_mas_yr, satellite.pm_mas_yr)
-    if not position_mas and not motion_mas_yr:
-        return None
-    if not position_mas > 0.0 or not motion_mas_yr > 0.0:
-        return _one_without_error(point, exact_positions=not position_mas > 0.0)
-    if SMALLEST_ERROR <= position_mas <= LARGEST_ERROR and SMALLEST_ERROR <= motion_mas_yr <= LARGEST_ERROR:
-        return None
+    if all(not error or SMALLEST_ERROR <= error <= LARGEST_ERROR for error in (position_mas, motion_mas_yr)):
+        return _glide_without_motions(point, motions=bool(motion_mas_yr), positions=bool(position_mas))
     return _out_of_bounds(position_mas, motion_mas_yr)
 
 
 def _check_errors_of_objects(point: Point, objects: Catalogue) -> str | None:
     errors = np.hypot(*errors_of_objects(point, objects))
-    if not errors.any():
+    kinds = [kind for kind in (errors[:2], errors[2:]) if kind.any()]
+    if not kinds:
         return None
-    without = ~(errors > 0.0)
-    position, motion = without[:2].all(), without[2:].all()
-    if position or motion:
-        return _one_without_error(point, exact_positions=bool(position))
-    if without.any():
-        row = 1 + int(np.argmax(without.any(axis=0)))
+    given = np.concatenate(kinds)
+    if not (given > 0.0).all():
+        row = 1 + int(np.argmax(~(given > 0.0).all(axis=0)))
         return f"object {row} has an observable without any error, which cannot be weighed"
-    if errors.min() < SMALLEST_ERROR or errors.max() > LARGEST_ERROR:
-        extreme = np.min if errors.min() < SMALLEST_ERROR else np.max
+    if given.min() < SMALLEST_ERROR or given.max() > LARGEST_ERROR:
+        extreme = np.min if given.min() < SMALLEST_ERROR else np.max
         return _out_of_bounds(extreme(errors[:2]), extreme(errors[2:]))
-    return None
+    return _glide_without_motions(point, motions=bool(errors[2:].any()), positions=bool(errors[:2].any()))
 
 
-def _one_without_error(point: Point, exact_positions: bool) -> str:
-    exact, noisy = ("positions", "proper motions") if exact_positions else ("proper motions", "positions")
-    problem = f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
-    side = next((side for side in SIDES if point[f"{side}_errors"] == "none"), None)
-    if side is None:
-        return problem
-    # the unknowns separate but for A21, so any error of the others leaves sigma as it is
-    alone, zero = ("spin", "pm") if exact_positions else ("orientation", "pos")
-    return f"{problem} (for the {alone} alone: {side}_errors = 'normal' with {side}_sigma_{zero} = 0)"
+def _glide_without_motions(point: Point, motions: bool, positions: bool) -> str | None:
+    if not point["solve_glide"] or motions or not positions:
+        return None
+    return "solve_glide: the proper motions have no errors on either side, so they are not measured"
 
 
 def _out_of_bounds(position_mas: float, motion_mas_yr: float) -> str:

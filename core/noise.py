@@ -42,20 +42,23 @@ class Tile:
 
     start: int
     normals: Array
-    _squares: dict[int, float] = field(default_factory=dict)
+    _squares: dict[Hashable, float] = field(default_factory=dict)
     _products: dict[Hashable, Array] = field(default_factory=dict)
 
     def head(self, n_obj: int) -> Array:
         """Return the part that belongs to a catalogue of ``n_obj`` objects."""
         return self.normals[: max(0, n_obj - self.start)]
 
-    def squares(self, n_obj: int) -> float:
-        """Return the sum of squares of that part, computed once for all points that have as many objects in it."""
+    def squares(self, n_obj: int, observables: slice) -> float:
+        """Return the sum of squares of some observables in that part, computed once for all points that have as many
+        objects in it.
+        """
         count = max(0, min(n_obj - self.start, len(self.normals)))
-        if count not in self._squares:
-            part = self.normals[:count]
-            self._squares[count] = float(np.vdot(part, part))
-        return self._squares[count]
+        key = count, observables.start, observables.stop
+        if key not in self._squares:
+            part = self.normals[:count, observables]
+            self._squares[key] = float(np.vdot(part, part))
+        return self._squares[key]
 
     def product(self, columns: Array, whose: Hashable) -> Array:
         """Return columns^T normals, (C, rows), of the columns (n, 4, C) of the tile's first n objects, computed once

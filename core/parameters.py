@@ -427,19 +427,21 @@ def _with_errors(
     name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), headline: bool = False, symbol: str = ""
 ) -> list[Output]:
     return [
-        Output(name, unit, meaning, dims, headline, symbol),
-        Output(f"{name}_mc_error", unit, f"Monte-Carlo error of {name}, sigma/sqrt(2 n)", dims),
+        Output(name, unit, meaning, dims, headline, symbol, nan=True),
+        Output(f"{name}_mc_error", unit, f"Monte-Carlo error of {name}, sigma/sqrt(2 n)", dims, nan=True),
         Output(
             f"{name}_predicted",
             unit,
             f"closed-form prediction of {name} for the same catalogues, of the errors alone: without a bias",
             dims,
+            nan=True,
         ),
         Output(
             f"{name}_rms_predicted",
             unit,
             f"closed-form prediction of {name} for the same catalogues, errors and bias: all of it",
             dims,
+            nan=True,
         ),
         Output(
             f"{name}_catalogue_error",
@@ -473,12 +475,13 @@ OUTPUTS = (
         symbol=r"$\sigma(\epsilon)$",
     ),
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
-    Output("bias", _EACH, "mean of estimate - truth", ("component",)),
+    Output("bias", _EACH, "mean of estimate - truth", ("component",), nan=True),
     Output(
         "bias_predicted",
         _EACH,
         "closed-form prediction of bias for the same catalogues: what aberration or terms left out make",
         ("component",),
+        nan=True,
     ),
     Output(
         "bias_mc_error",
@@ -487,8 +490,20 @@ OUTPUTS = (
         ("component",),
         nan=True,
     ),
-    Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", ("component", "component_other")),
-    Output("correlation", "", "correlation of the estimates about their mean", ("component", "component_other")),
+    Output(
+        "covariance",
+        _PRODUCTS,
+        "covariance of the estimates about their mean",
+        ("component", "component_other"),
+        nan=True,
+    ),
+    Output(
+        "correlation",
+        "",
+        "correlation of the estimates about their mean",
+        ("component", "component_other"),
+        nan=True,
+    ),
     Output(
         "condition_number",
         "",
@@ -516,4 +531,6 @@ OUTPUTS = (
     ),
 )
 
-SAMPLE_OUTPUTS = (Output("estimate", _EACH, "estimate of each realisation, where a study keeps them", ("component",)),)
+SAMPLE_OUTPUTS = (
+    Output("estimate", _EACH, "estimate of each realisation, where a study keeps them", ("component",), nan=True),
+)

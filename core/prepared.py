@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
 from core.frames import along, exact_differences, stored_differences, triad
-from core.link import Weighting, combined_error
+from core.link import KINDS, Weighting, combined_error, measured
 from core.noise import Noise
 from core.shared_arrays import Prefixes, parts
 from core.systematics import Systematics
@@ -76,6 +76,24 @@ class Setup:
     reference: Noise
     satellite: Noise
     sigma: Array  # (N, 4), as the link weighs the differences
+    measured: tuple[bool, bool] = (True, True)  # positions, proper motions
+
+    @property
+    def observables(self) -> slice:
+        """The observables that are measured."""
+        positions, motions = self.measured
+        return slice(KINDS[0 if positions else 1].start, KINDS[1 if motions else 0].stop)
+
+    @property
+    def counted(self) -> Array:
+        """1 for each observable that is measured, 0 for the others; shape (4,)."""
+        return np.repeat(self.measured, 2).astype(float)
+
+    @property
+    def held(self) -> slice:
+        """The unknowns that nothing measured determines, which stay at their true values."""
+        positions, motions = self.measured
+        return slice(3 if positions else 0, 3 if motions else len(self.truth))
 
 
 @dataclass(frozen=True)
@@ -97,6 +115,7 @@ def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
     catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
     reference = Noise.of(scenario.reference_errors, catalogue)
     satellite = Noise.of(scenario.satellite_errors, catalogue)
+    both = reference.sigma.T, satellite.sigma.T
     return Setup(
         scenario=scenario,
         catalogue=catalogue,
@@ -104,7 +123,8 @@ def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
         differences=_differences(scenario, drawn, shared),
         reference=reference.inflated(scenario.reference_error_ratio),
         satellite=satellite.inflated(scenario.satellite_error_ratio).with_zonal(scenario.zonal, catalogue),
-        sigma=np.ascontiguousarray(combined_error(reference.sigma.T, satellite.sigma.T).T),
+        sigma=np.ascontiguousarray(combined_error(*both).T),
+        measured=measured(np.add(*both)),
     )
 
 

@@ -4,6 +4,7 @@ This is the public interface; what is not listed in ``__all__`` may change witho
 
 =========================================  ==========================================================
 `run`, `open`, `plot`                      run a study, read the results in a store, draw them
+`tie`, `forecast`                          link two real tables, plan what to observe next
 `load_study`, `Study`                      read and check a study without running it
 `Experiment`, `Parameter`, `Output`        declare an experiment of your own
 `Point`                                    the type of one point's parameters, for annotations
@@ -41,6 +42,8 @@ if TYPE_CHECKING:
     from sweep.executing.execute import Limits
     from sweep.studies.reader import load_study
     from sweep.studies.study import Study
+    from sweep.tie.link_tables import tie
+    from sweep.tie.planning import forecast
 
     __version__: str
 
@@ -55,12 +58,14 @@ __all__ = [
     "find",
     "fit_levelling",
     "fit_power_law",
+    "forecast",
     "interpolate",
     "load_study",
     "open",
     "plot",
     "ratio",
     "run",
+    "tie",
 ]
 
 _MODULES = {
@@ -71,6 +76,8 @@ _MODULES = {
     "sweep.executing.execute": ("Limits",),
     "sweep.studies.reader": ("load_study",),
     "sweep.studies.study": ("Study",),
+    "sweep.tie.link_tables": ("tie",),
+    "sweep.tie.planning": ("forecast",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -16,6 +16,7 @@ from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
 from sweep.studies.study import Study
+from sweep.tie.stored import result_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,6 +86,8 @@ def run(
 def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
     """Return the results in a store, in memory, as one writing of them left them, even while a run goes on.
 
+    A link or a forecast that `sweep tie -o` or `sweep forecast -o` wrote is read too.
+
     Args:
         store: a path or s3://BUCKET/NAME.
 
@@ -100,17 +103,20 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
         >>> open("one.zarr").equals(saved)
         True
     """
-    return open_dataset(store)
+    result = result_at(store)
+    return open_dataset(store) if result is None else result
 
 
 def plot(
     dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
 ) -> "Figure":
-    """Return a figure of a study's results.  Needs matplotlib: ``pip install 'linksweep[plot]'``.
+    """Return a figure of a study's results, a link or a forecast.  Needs matplotlib: ``pip install 'linksweep[plot]'``.
 
     Args:
-        dataset: what `run` or `open` returned, or a part of it.
-        kind: "lines", "law", "map", "scatter" or "scaling"; the one that suits the dataset unless given.
+        dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
+        kind: "lines", "law", "map", "scatter" or "scaling"; of a link "solution", "residuals", "separations", "weight",
+            "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs" or "ranking"; the one
+            that suits the dataset unless given.
         variables: names of outputs, each a column of panels; the main one unless given.
         over: the axis along which curves go, the two of a map, or the two components of a scatter.
 

@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 from contextlib import closing
 
 import numpy as np
@@ -74,6 +76,38 @@ def test_the_commands_of_the_analysis_run(tmp_path, sweep):
 def test_the_commands_of_the_report_run(tmp_path, sweep):
     run_commands("report.md", sweep, tmp_path)
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"quasars-report.html", "both.html"}
+
+
+@pytest.mark.slow
+def test_the_commands_about_real_tables_run(tmp_path, sweep):
+    run_commands("tie.md", sweep, tmp_path)
+    assert (tmp_path / "pulsars.png").stat().st_size > 10_000
+    assert (tmp_path / "pulsars-report.html").stat().st_size > 100_000
+    kinds = {"solution", "residuals", "separations", "weight", "ranking", "jackknife", "spectrum"}
+    assert {path.stem for path in (tmp_path / "icrf-figures").iterdir()} == kinds
+
+
+@pytest.mark.slow
+def test_the_commands_about_planning_run(tmp_path, sweep):
+    run_commands("planning-observations.md", sweep, tmp_path)
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"ranking.png", "epochs.png", "plan.html"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("document", ["tie.md", "planning-observations.md"])
+def test_the_scripts_about_real_tables_run(document, tmp_path):
+    script = [sys.executable, "-W", "error::DeprecationWarning", "-c", code(document, "python")[0]]
+    subprocess.run(script, cwd=tmp_path, check=True, capture_output=True)
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize("document", ["tie.md", "planning-observations.md"])
+def test_the_numbers_of_real_tables_are_those_that_are_printed(document, tmp_path, sweep):
+    status, out, err = sweep(*shlex.split(commands(document)[0])[1:], cwd=tmp_path)
+    assert status == 0, err
+    shown = [line for line in code(document, "text")[0].splitlines() if re.search(r"\d\.\d{5}", line)]
+    assert len(shown) >= 3
+    assert set(shown) <= set(out.splitlines())
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ GROUND = "sweep"
 PACKAGES = [
     *("linksweep._own_packages", "sweep.contract", GROUND, "core"),
     *("sweep.studies", "sweep.planning", "sweep.executing", "sweep.stores", "sweep.running"),
-    *("sweep.analysis", "sweep.paper", "sweep.plots", "sweep.report", "sweep.search", "sweep.tie", "sweep.cli"),
+    *("sweep.analysis", "sweep.paper", "sweep.tie", "sweep.plots", "sweep.report", "sweep.search", "sweep.cli"),
     *("sweep.api", "linksweep.__init__", "sweep.__init__", "sweep.__main__", "linksweep.__main__"),
 ]
 ONLY_IN = {
@@ -34,7 +34,9 @@ ONLY_IN = {
     "pygaia": {"core.missions"},
 }
 # The platform knows nothing of astrometry; of the core, the experiment and what it is made of know the contract.
-KNOWS_THE_CORE = {"sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.search", "sweep.tie"}
+KNOWS_THE_CORE = {
+    *("sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.plots.tie", "sweep.search", "sweep.tie"),
+}
 KNOWS_THE_CONTRACT = {
     *("core.parameters", "core.scenario", "core.checks", "core.experiment"),
     *("core.function_curve", "core.user_mission", "core.expected_errors", "core.unused", "core.warn"),

@@ -9,11 +9,18 @@ from sweep.cli.group import main
 from sweep.cli.options import naming, part_of, place_option
 
 KINDS = ("lines", "law", "map", "scatter", "scaling", "sky", "accuracy")
+TIE_KINDS = (
+    *("solution", "residuals", "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum", "bins"),
+    "epochs",
+)
+"""Of the results of `sweep tie` and `sweep forecast`."""
 
 
 @main.command()
 @click.argument("source", required=False)
-@click.option("--kind", type=click.Choice(KINDS), help="What to draw.  [default: what suits the results]")
+@click.option(
+    "--kind", type=click.Choice([*KINDS, *TIE_KINDS]), help="What to draw.  [default: what suits the results]"
+)
 @click.option(
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
@@ -23,7 +30,7 @@ KINDS = ("lines", "law", "map", "scatter", "scaling", "sky", "accuracy")
 @click.option("--model", "models", multiple=True, help="Accuracy: only this mission; may be given several times.")
 @place_option
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]"
+    "-o", "--out", type=click.Path(path_type=Path), help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]"
 )
 def plot(
     source: str | None,
@@ -35,7 +42,8 @@ def plot(
     out: Path | None,
 ) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
-    values, small panels, a map, a fitted law, a scatter of kept samples.
+    values, small panels, a map, a fitted law, a scatter of kept samples; of a link or a forecast of real tables, the
+    kinds from solution on.
 
     \b
     sweep plot results/quasars.zarr --out quasars.svg
@@ -44,6 +52,7 @@ def plot(
     sweep plot results/quasars.zarr --kind sky --at model=gaia,v_max=16
     sweep plot --kind accuracy --model amex --model gaia
     sweep plot mission.toml --kind accuracy
+    sweep plot tie.zarr --kind residuals -o residuals.png
     """
     try:
         from sweep.plots import style
@@ -74,6 +83,7 @@ def _figure(
     from sweep.plots.figure import draw_figure
     from sweep.plots.standalone import accuracy_figure, sky_figure
     from sweep.stores.location import located
+    from sweep.tie.stored import result_at
 
     if kind == "accuracy":
         from sweep.plots.views import accuracy_curves, models_of
@@ -87,6 +97,10 @@ def _figure(
             return sky_figure(catalogue_of_table(Path(source)))
         return sky_figure(catalogue_of_point(located(source), at))
     store = located(source)
+    if (result := result_at(source)) is not None:
+        if at:
+            raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
+        return draw_figure(result, kind, variables, over)
     dataset = part_of(store, at)
     with naming(store):
         return draw_figure(dataset, kind, variables, over)

@@ -20,15 +20,23 @@ if TYPE_CHECKING:
 )
 @json_option
 def show(store: "Location", table_format: str, as_json: bool) -> None:
-    """Print the results in STORE as a table, and the components of the points with the worst condition.
+    """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
+    link or forecast, what `sweep tie` or `sweep forecast` printed.
 
     \b
     sweep show results/quasars.zarr
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
     from sweep.stores.store import open_dataset
+    from sweep.tie.stored import result_at
 
-    print_table(open_dataset(store), "json" if as_json else table_format, with_components=True)
+    table_format = "json" if as_json else table_format
+    if (result := result_at(store)) is not None:
+        from sweep.tie.text import as_format
+
+        click.echo(as_format(result, table_format).rstrip("\n"))
+        return
+    print_table(open_dataset(store), table_format, with_components=True)
 
 
 @main.command()

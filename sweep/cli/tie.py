@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,9 +66,22 @@ _TABLE_OPTIONS = [
     ),
 ]
 
+_RESULT_OPTIONS = [
+    click.option(
+        "-o", "--output", type=click.Path(path_type=Path), metavar="STORE.zarr", help="Write the labelled result."
+    ),
+    click.option(
+        "--figures",
+        type=click.Path(path_type=Path, file_okay=False),
+        metavar="FOLDER",
+        help="Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
+    ),
+    json_option,
+]
+
 
 def _table_options(command: Callable[..., None]) -> Callable[..., None]:
-    for option in reversed(_TABLE_OPTIONS):
+    for option in reversed([*_TABLE_OPTIONS, *_RESULT_OPTIONS]):
         command = option(command)
     return command
 
@@ -104,11 +118,9 @@ def _table_options(command: Callable[..., None]) -> Callable[..., None]:
     help="Of everything that is printed and stored.",
 )
 @_table_options
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), metavar="STORE.zarr", help="Write the labelled result."
-)
-@json_option
-def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, **given: Any) -> None:
+def tie(
+    satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
+) -> None:
     """Solve for the link of two real tables, REFERENCE - SATELLITE.
 
     SATELLITE has positions, parallaxes and proper motions (Gaia archive, Hipparcos-2, ICRF text, or any table with such
@@ -121,6 +133,7 @@ def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, **g
     from sweep.tie.link_tables import tie as solve
 
     _refuse_existing(output)
+    _require_drawing(figures)
     bins, known = given.pop("bins"), given.pop("known_spin")
     result = solve(
         satellite,
@@ -136,7 +149,7 @@ def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, **g
         known_spin=None if known is None else _spin(known),
         **_tables(given),
     )
-    _put(result, output, text.as_json(result) if as_json else text.link_text(result))
+    _put(result, output, figures, text.as_json(result) if as_json else text.link_text(result))
 
 
 @main.command()
@@ -158,11 +171,9 @@ def tie(satellite: Path, reference: str, as_json: bool, output: Path | None, **g
 )
 @click.option("--all-sources", is_flag=True, help="Sources without any row of the reference are candidates too.")
 @_table_options
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), metavar="STORE.zarr", help="Write the labelled result."
-)
-@json_option
-def forecast(satellite: Path, reference: str, as_json: bool, output: Path | None, **given: Any) -> None:
+def forecast(
+    satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
+) -> None:
     """Forecast the errors of a link with new observations, and choose what to observe.
 
     \b
@@ -172,6 +183,7 @@ def forecast(satellite: Path, reference: str, as_json: bool, output: Path | None
     from sweep.tie.planning import forecast as plan
 
     _refuse_existing(output)
+    _require_drawing(figures)
     result = plan(
         satellite,
         reference,
@@ -183,7 +195,7 @@ def forecast(satellite: Path, reference: str, as_json: bool, output: Path | None
         },
         **_tables(given),
     )
-    _put(result, output, text.as_json(result) if as_json else text.forecast_text(result))
+    _put(result, output, figures, text.as_json(result) if as_json else text.forecast_text(result))
 
 
 def _tables(given: dict[str, Any]) -> dict[str, Any]:
@@ -259,9 +271,31 @@ def _refuse_existing(output: Path | None) -> None:
         raise SweepError("is there already; nothing is overwritten", str(output))
 
 
-def _put(result: "xr.Dataset", output: Path | None, text: str) -> None:
+def _require_drawing(figures: Path | None) -> None:
+    if figures is not None and find_spec("matplotlib") is None:
+        raise click.UsageError("drawing needs matplotlib: pip install 'linksweep[plot]'")
+
+
+def _put(result: "xr.Dataset", output: Path | None, figures: Path | None, text: str) -> None:
     if output is not None:
         with warnings.catch_warnings():  # text has no final specification in Zarr 3
             warnings.simplefilter("ignore")
             result.to_zarr(output, mode="w-")
+    if figures is not None:
+        _draw(result, figures)
     click.echo(text)
+
+
+def _draw(result: "xr.Dataset", folder: Path) -> None:
+    from sweep.contract import SweepError
+    from sweep.plots import style
+    from sweep.plots.tie.figure import link_figures
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise SweepError(f"cannot draw there: {error.strerror or error}", str(folder)) from error
+    with style.settings():
+        for kind, figure in link_figures(result).items():
+            style.save(figure, folder / f"{kind}.png")
+            click.echo(f"wrote {folder / f'{kind}.png'}", err=True)

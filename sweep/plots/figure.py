@@ -18,6 +18,7 @@ from sweep.plots.panels import draw_panels
 from sweep.plots.scaling import draw_efficiency, draw_speed_up, is_scaling
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
 from sweep.plots.style import value_text
+from sweep.plots.tie.figure import draw_link, is_link
 
 KINDS = ("lines", "law", "map", "scatter", "scaling")
 
@@ -33,8 +34,13 @@ def draw_figure(
 
     ``variables`` are quantities (several become columns of panels), the main one if there is none; ``over`` the axis
     along which curves go, the two of a map, or the two components of a scatter.
+    A link or a forecast has its own kinds.
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
+    if is_link(dataset):
+        if variables or over:
+            raise SweepError("a figure of a link has no variables and no axis to choose, only its kind")
+        return draw_link(dataset, kind)
     if kind is not None and kind not in KINDS:
         raise SweepError(f"no kind {shown(kind)}{suggest(kind, KINDS)}")
     if is_scaling(dataset):

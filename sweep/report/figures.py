@@ -3,7 +3,8 @@
 import io
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import matplotlib as mpl
@@ -18,6 +19,7 @@ from sweep.contract import SweepError
 from sweep.plots.figure import draw_figure
 from sweep.plots.scatter import sampled
 from sweep.plots.style import settings
+from sweep.plots.tie.figure import CAPTIONS, link_figures
 
 POINTS_PER_INCH = 72.0
 
@@ -54,15 +56,31 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     return [_picture(untitled, name, chosen, f"{number}-{i}") for i, (name, chosen) in enumerate(wanted)]
 
 
+def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
+    """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
+    found = []
+    with _inside_a_page(str(number)):
+        for i, (kind, figure) in enumerate(link_figures(dataset, titled=False).items()):
+            mpl.rcParams["svg.hashsalt"] = f"linksweep-{number}-{i}"
+            found.append(Picture(CAPTIONS[kind], _svg(figure), POINTS_PER_INCH * figure.get_figwidth()))
+    return found
+
+
+@contextmanager
+def _inside_a_page(salt: str) -> Iterator[None]:
+    with settings(), warnings.catch_warnings():
+        mpl.rcParams.update({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"})
+        warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
+        yield
+
+
 def _varies(array: xr.DataArray) -> bool:
     finite = array.values[np.isfinite(array.values)]
     return bool(finite.size and finite.min() < finite.max())
 
 
 def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str) -> Picture:
-    with settings(), warnings.catch_warnings():
-        mpl.rcParams.update({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"})
-        warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
+    with _inside_a_page(salt):
         try:
             figure = draw_figure(dataset, variables=variables)
             width, height = figure.get_size_inches().tolist()

@@ -14,11 +14,14 @@ from markupsafe import Markup
 
 from sweep.analysis.compare_tables import summary_line
 from sweep.contract import SweepError
+from sweep.plots.tie.figure import is_link
 from sweep.report.cite import citations, message
 from sweep.report.explorer import MOST_NUMBERS, library
+from sweep.report.link_section import link_section
 from sweep.report.section import Section, section
-from sweep.stores.location import Where, located
+from sweep.stores.location import Location, Where, located
 from sweep.stores.store import open_dataset
+from sweep.tie.stored import result_at
 
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
 """Begins every report: a file that does not is not replaced."""
@@ -28,9 +31,12 @@ TEMPLATES = "templates"
 
 def report_of(stores: Sequence[Where]) -> str:
     """Return the page about stores; raises SweepError for what is no store, has no results, or is damaged."""
-    places = [located(store) for store in stores]
-    datasets = [(place.name, open_dataset(place)) for place in places]
-    return report_page(datasets)
+    return report_page([(place.name, _dataset(place)) for place in map(located, stores)])
+
+
+def _dataset(place: Location) -> xr.Dataset:
+    result = result_at(place)
+    return open_dataset(place) if result is None else result
 
 
 def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
@@ -39,7 +45,8 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     room = MOST_NUMBERS
     for number, (name, dataset) in enumerate(datasets):
         try:
-            sections.append(section(name, dataset, number, room))
+            one = link_section(name, dataset, number) if is_link(dataset) else section(name, dataset, number, room)
+            sections.append(one)
         except SweepError as error:
             raise SweepError(error.problems, error.where or name) from error
         room -= sections[-1].numbers

@@ -67,6 +67,8 @@ class Section:
     not_explored: list[str]
     numbers: int
     results: Table
+    caption: str
+    tables: Mapping[str, Table]
     comparison: Table | None
     notes: list[str]
     failures: Mapping[str, str]
@@ -103,6 +105,8 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         not_explored=left_out,
         numbers=numbers,
         results=_results(headline_columns(dataset)),
+        caption="Headline results, ± their Monte-Carlo errors; a heading sorts",
+        tables={},
         comparison=_comparison(comparisons) if comparisons else None,
         notes=[*warnings_of(dataset), *(notes(comparisons) if comparisons else []), *remarks(dataset)],
         failures=failures,

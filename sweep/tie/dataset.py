@@ -62,6 +62,7 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
     _add_spectrum(link, main, variables, coordinates)
     _add_bins(link, errors[0], variables, coordinates, sign)
     attributes = {
+        "result": "tie",
         "sign": options.sign,
         "epoch": problem.epoch,
         "clip": link.clip,
@@ -76,7 +77,7 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
         "aberration_uas_yr": options.aberration,
         "jitter": ", ".join(f"{k}={p:g}:{m:g}" for k, (p, m) in options.jitter.items()) or "none",
         "notes": list(link.notes),
-    }
+    } | ({} if options.bins is None else {"bin_column": options.bins[0]})
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
@@ -121,6 +122,7 @@ def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any]
     absent = ~found.present
     coordinates |= {
         "observable": list(PARAMETERS),
+        "row_source_index": ("row", problem.source),
         "row_source": ("row", link.setup.names[problem.source].astype(str)),
         "row_kind": ("row", kinds(problem.rows)),
         "row_epoch": ("row", problem.rows.epoch, {"units": "yr"}),

@@ -108,7 +108,7 @@ def _set_up(key: tuple[Any, ...]) -> Setup:
         weights=given["weights"],
         known_spin=given["known_spin"],
         aberration=given["aberration"],
-        jitter={kind: jitter for kind in (*KINDS.values(), "single epoch")} if any(jitter) else {},
+        jitter=dict.fromkeys((*KINDS.values(), "single epoch"), jitter) if any(jitter) else {},
         satellite_options=of_table["satellite"],
         reference_options=of_table["reference"],
     )

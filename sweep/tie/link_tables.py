@@ -27,10 +27,35 @@ def tie(
 ) -> "xr.Dataset":
     """Return the link of two tables, reference - satellite, as a labelled dataset.
 
-    ``satellite`` and ``reference`` are files as `sweep.tie.tables.read_table` reads them; the reference may be
-    ``zero-motion`` (quasars).  ``unknowns`` as ``orientation,spin,vsh_motion:3``; ``clip`` as none, rayleigh, median:5,
-    discrepancy, huber:2; ``errors`` names one or more of formal, scaled, jackknife, cells, bootstrap, sandwich, the
-    first of them the main one.  Further options are those of `sweep.tie.setup.Options`.  Raises SweepError.
+    The tables may be in any format that `sweep tie` reads, or the name of a built-in one: icrf2, icrf3, psrpi,
+    psrpi-de200, timing-de200.
+
+    Args:
+        satellite: the table with the five astrometric parameters, in the satellite's frame.
+        reference: the table with whatever was measured of the same objects, or "zero-motion" for quasars.
+        unknowns: blocks like "orientation,spin,glide,parallax,vsh_motion:3"; those of orientation and spin that the
+            tables determine unless given.
+        clip: "none", "rayleigh", "median:5", "discrepancy", "discrepancy:3" or "huber:2".
+        errors: one or more of formal, scaled, jackknife, cells, bootstrap and sandwich, the first of them the main one.
+        resamples: of the bootstrap.
+        seed: of the bootstrap.
+        options: further ones of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``, ``weights``,
+            ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``,
+            ``satellite_options`` and ``reference_options`` (`sweep.tie.tables.TableOptions`).
+
+    Returns:
+        A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
+        the residuals of the rows, the influence of each source and the steps of the clip; `plot` draws it.
+
+    Raises:
+        SweepError: for bad input, with the rows or the unknowns that are wrong.
+
+    Example:
+        >>> link = tie("psrpi-de200", "timing-de200", "orientation", errors="scaled,jackknife")
+        >>> link.estimate.values.round(1).tolist()
+        [-0.9, -13.1, -12.2]
+        >>> link.attrs["sign"], link.unit.values.tolist()
+        ('reference-satellite', ['mas', 'mas', 'mas'])
     """
     known = {field.name for field in fields(Options)}
     if unknown := sorted(set(options) - known):

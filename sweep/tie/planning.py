@@ -41,11 +41,33 @@ def forecast(  # noqa: PLR0912
 ) -> "xr.Dataset":
     """Return the formal errors of a link now and with further observations, and the sources to observe first.
 
-    ``add``: epochs (Julian years) at which a position of a single epoch with ``error`` mas in each coordinate is added
-    to sources.  ``release`` scales the satellite's errors from those of ``from_release``.  ``number`` sources are
-    chosen one after the other for the smallest trace (criterion A) or determinant (D) of the covariance of the blocks
-    ``goal`` (all by default).  ``all_sources``: those without rows of the reference are candidates too.  Dimensions:
-    unknown, stage (now, release, all), new_epoch, step, source.  Raises SweepError.
+    Args:
+        satellite: the table with the five astrometric parameters, as for `tie`.
+        reference: the table with what was measured of the same objects so far.
+        unknowns: blocks like "orientation,spin".
+        add: epochs (Julian years) at which a position of a single epoch is added to sources.
+        error: of each coordinate of the new positions (mas).
+        release: "dr4" or "dr5", to which the satellite's errors are scaled; they stay unless given.
+        from_release: the release that the satellite's table is.
+        number: as many sources are chosen, one after the other.
+        goal: the blocks that they are best for; all unless given.
+        criterion: what is to be smallest of the covariance of those blocks, "A" its trace, "D" its determinant.
+        all_sources: sources without rows of the reference are candidates too.
+        options: further ones of `sweep forecast`, as those of `tie`.
+
+    Returns:
+        A dataset with ``error`` (stage, unknown) in mas and mas/yr, ``error_with_epoch`` (new_epoch, unknown),
+        ``criterion_alone`` and ``rank`` of each source, and the steps of the choice; `plot` draws it.
+
+    Raises:
+        SweepError: for bad input, or where the tables do not determine the unknowns.
+
+    Example:
+        >>> plan = forecast("psrpi", "psrpi", "orientation,spin", add=[2030], number=2, goal=["spin"])
+        >>> plan.stage.values.tolist()
+        ['now', 'all observed']
+        >>> plan.step_source.values.tolist()
+        ['', 'J1537+1155', 'J2354+6155']
     """
     import xarray as xr
 
@@ -103,9 +125,11 @@ def forecast(  # noqa: PLR0912
         "stage": list(stages),
         "unknown": list(labels),
         "unit": ("unknown", list(problem.unknowns.units)),
+        "block": ("unknown", [b.name for b in problem.unknowns.blocks for _ in b.labels]),
         "source": setup.names.astype(str),
     } | ({"new_epoch": list(add)} if add else {})
     attributes = {
+        "result": "forecast",
         "epoch": problem.epoch,
         "epoch_of_forecast": future.epoch,
         "release": release or "",

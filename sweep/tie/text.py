@@ -111,3 +111,32 @@ def as_json(dataset: "xr.Dataset") -> str:
             },
         }
     )
+
+
+def as_format(result: "xr.Dataset", table_format: str) -> str:
+    """Return a link or a forecast as text, json, csv or ecsv; the last two are the table of the unknowns."""
+    if table_format == "json":
+        return as_json(result)
+    if table_format == "text":
+        return (link_text if result.attrs["result"] == "tie" else forecast_text)(result)
+    return _written(result, f"ascii.{table_format}")
+
+
+def _written(result: "xr.Dataset", table_format: str) -> str:
+    """Return a row for each unknown, with its estimate and errors, or its error at each stage of a forecast."""
+    from io import StringIO
+
+    from astropy.table import Table
+
+    columns: dict[str, Any] = {"unknown": result.unknown.values.astype(str), "unit": result.unit.values.astype(str)}
+    if result.attrs["result"] == "tie":
+        columns["estimate"] = result.estimate.values
+        columns |= {f"error_{kind}": result.errors.sel(error_kind=kind).values for kind in result.error_kind.values}
+    else:
+        columns |= {f"error_{stage}": result.error.sel(stage=stage).values for stage in result.stage.values}
+    table = Table(columns)
+    kept = ("sign", "epoch", "clip") if result.attrs["result"] == "tie" else ("epoch_of_forecast", "release")
+    table.meta = {name: result.attrs[name] for name in kept}
+    out = StringIO()
+    table.write(out, format=table_format)
+    return out.getvalue()

@@ -190,21 +190,9 @@ def test_files_without_a_problem_can_be_computed(contents, changes, tmp_path):
             {"catalogue": "galaxies", "reference_errors": "catalogue"},
             "reference_errors = 'catalogue': the galaxies catalogue has no errors of its own",
         ),
-        (
-            {"catalogue": "radio-stars", "satellite_errors": "catalogue"},  # no position errors are known
-            "positions without any error beside proper motions with errors cannot be weighed",
-        ),
         ({"satellite_errors": "normal", "satellite_sigma_pm": 1e-10}, "errors of 1 mas and 1e-10 mas/yr: must be from"),
         ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
         ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
-        (
-            {"satellite_errors": "normal", "satellite_sigma_pm": 0.0},
-            "proper motions without any error beside positions with errors cannot be weighed",
-        ),
-        (
-            {"satellite_errors": "none", "reference_errors": "normal", "reference_sigma_pos": 0.0},
-            "positions without any error beside proper motions with errors cannot be weighed",
-        ),
     ],
 )
 def test_points_with_a_problem(changes, problem):
@@ -223,7 +211,11 @@ def test_points_with_a_problem(changes, problem):
         ({"errors": False}, {"reference_errors": "catalogue"}, "reference_errors = 'catalogue': the file catalogue"),
         ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
         ({"dec": np.full(6, 90.0)}, {}, "dec is not between -90 and 90 deg, poles excluded, in row 1 (90), 2 (90)"),
-        ({"pmra_error": np.zeros(6), "pmdec_error": np.zeros(6)}, {"satellite_errors": "catalogue"}, "proper motions"),
+        (
+            {"pmra_error": np.array([0, 1, 1, 1, 1, 1.0])},
+            {"satellite_errors": "catalogue"},
+            "object 1 has an observable",
+        ),
         ({"pmra_error": np.full(6, 1e-10)}, {"satellite_errors": "catalogue"}, "errors of 0.1 mas and 1e-10 mas/yr"),
     ],
 )

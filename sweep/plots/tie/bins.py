@@ -1,0 +1,53 @@
+"""The spin in each bin of a column."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from sweep.contract import SweepError
+from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
+from sweep.plots.tie.names import readable
+
+
+def bin_figure(dataset: xr.Dataset) -> Figure:
+    """Return the three components of the spin against the column of the bins; the outermost bins are open."""
+    if "spin_by_bin" not in dataset:
+        raise SweepError("no bins here: give --bins COLUMN=EDGES")
+    values, errors = dataset["spin_by_bin"].values, dataset["spin_by_bin_error"].values
+    factor, unit = readable(values, "mas/yr")
+    low, high = dataset["bin_low"].values.astype(float), dataset["bin_high"].values.astype(float)
+    inner = (high - low)[np.isfinite(high - low)]
+    width = float(np.median(inner)) if len(inner) else 1.0
+    left = np.where(np.isfinite(low), low, high - width)
+    right = np.where(np.isfinite(high), high, low + width)
+    figure = Figure(figsize=(6.8, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    middle = 0.5 * (left + right)
+    for number, component in enumerate("xyz"):
+        shift = 0.08 * (number - 1) * (right - left)
+        axes.errorbar(
+            middle + shift,
+            factor * values[:, number],
+            yerr=factor * errors[:, number],
+            linestyle="none",
+            marker=MARKERS[number],
+            markersize=4.5,
+            color=COLOURS[number],
+            label=rf"$\omega_{component}$",
+        )
+    for edge in sorted({*left.tolist(), *right.tolist()}):
+        is_open = edge not in low and edge not in high
+        axes.axvline(edge, color="0.75", linewidth=0.6, linestyle="dotted" if is_open else "solid", zorder=0)
+    axes.axhline(0.0, color="0.5", linewidth=0.8, zorder=0)
+    axes.set_xticks(middle, [_range(a, b) for a, b in zip(low, high, strict=True)])
+    axes.set_xlabel(str(dataset.attrs.get("bin_column", "bin")))
+    axes.set_ylabel(f"spin [{unit_text(unit)}]")
+    finish(axes, grid=False)
+    axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def _range(low: float, high: float) -> str:
+    if not np.isfinite(low):
+        return f"below {high:g}"
+    return f"{low:g} and more" if not np.isfinite(high) else f"{low:g} to {high:g}"

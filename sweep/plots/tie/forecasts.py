@@ -1,0 +1,104 @@
+"""What further observations would do: errors against the epoch of new ones, and which sources to observe."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from sweep.contract import SweepError
+from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
+from sweep.plots.tie.names import readable, unknown_symbol
+
+RANKED = 20
+LINES = ("dashed", "dotted", "dashdot")
+
+
+def epoch_figure(dataset: xr.Dataset) -> Figure:
+    """Return the errors of the unknowns against the epoch of one more position of every source."""
+    if "error_with_epoch" not in dataset:
+        raise SweepError("no epochs here: give --add with the epochs of new observations")
+    units = dataset["unit"].values
+    panels = [np.flatnonzero(units == unit) for unit in dict.fromkeys(units.tolist())]
+    epochs = dataset["new_epoch"].values
+    order = np.argsort(epochs)
+    figure = Figure(figsize=(1.2 + 4.4 * len(panels), 4.4), layout="constrained")
+    stages = list(zip(dataset["stage"].values, dataset["error"].values, LINES, strict=False))
+    for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        factor, unit = readable(dataset["error"].values[:, panel], str(units[panel[0]]))
+        for number, k in enumerate(panel[: len(COLOURS)]):
+            axes.plot(
+                epochs[order],
+                factor * dataset["error_with_epoch"].values[order, k],
+                color=COLOURS[number],
+                marker=MARKERS[number],
+                markersize=4.0,
+                linewidth=1.2,
+                label=unknown_symbol(str(dataset["unknown"].values[k])),
+            )
+            for _, errors, line in stages:
+                axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
+        axes.set_xlabel("epoch of the new position of each source [yr]")
+        axes.set_ylabel(f"formal error [{unit_text(unit)}]")
+        axes.ticklabel_format(axis="x", useOffset=False)
+        if len(epochs) <= 8:
+            axes.set_xticks(epochs[order], [f"{epoch:g}" for epoch in epochs[order]])
+        axes.set_ylim(bottom=0.0)
+        finish(axes)
+        axes.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    lines = [Line2D([], [], color="0.3", linestyle=line, linewidth=0.9) for _, _, line in stages]
+    names = [str(stage) for stage, _, _ in stages]
+    figure.legend(lines, names, loc="outside lower center", ncols=len(lines), frameon=False)
+    return figure
+
+
+def ranking_figure(dataset: xr.Dataset) -> Figure:
+    """Return the sources whose observation alone helps most, and the error after each one that was chosen."""
+    values = dataset["criterion_alone"].values
+    now = float(dataset["criterion"].values[dataset["stage"].values.tolist().index(_base(dataset))])
+    goal = [name.strip() for name in str(dataset.attrs["goal"]).split(",")]
+    number = int(np.sum(np.isin(dataset["block"].values, goal)))
+    gain = 1.0 - (values / now if dataset.attrs["criterion"] == "A" else np.exp(0.5 * (values - now) / number))
+    if not np.any(gain > 0.0):
+        raise SweepError("no ranking here: no new observation, so no source helps; give --add with epochs")
+    order = np.argsort(-np.nan_to_num(gain, nan=-1.0))[:RANKED][::-1]
+    chosen = [str(name) for name in dataset["step_source"].values[1:]] if "step_source" in dataset else []
+    figure = Figure(figsize=(9.6 if chosen else 5.6, 1.6 + 0.2 * len(order)), layout="constrained")
+    grid = figure.subplots(1, 2 if chosen else 1, squeeze=False)[0]
+    names = [str(name) for name in dataset["source"].values[order]]
+    colours = [COLOURS[1] if name in chosen else COLOURS[0] for name in names]
+    grid[0].barh(range(len(order)), 100.0 * gain[order], 0.75, color=colours)
+    grid[0].set_yticks(range(len(order)), names, fontsize=7)
+    grid[0].set_ylim(-0.6, len(order) - 0.4)
+    grid[0].tick_params(axis="y", length=0.0)
+    grid[0].set_xlabel(f"error of {dataset.attrs['goal']} less by [%]\nif this source alone is observed")
+    if chosen:
+        grid[0].set_title("red: chosen")
+        _draw_steps(grid[1], dataset, chosen)
+    for axes in grid:
+        finish(axes)
+    return figure
+
+
+def _draw_steps(axes: Axes, dataset: xr.Dataset, chosen: list[str]) -> None:
+    goal = [name.strip() for name in str(dataset.attrs["goal"]).split(",")]
+    start = dataset["step_error"].values[0]
+    places = np.flatnonzero(np.isin(dataset["block"].values, goal))[: len(COLOURS)]
+    for number, k in enumerate(places):
+        axes.plot(
+            dataset["step_error"].values[:, k] / start[k],
+            color=COLOURS[number],
+            marker=MARKERS[number],
+            markersize=4.0,
+            linewidth=1.2,
+            label=unknown_symbol(str(dataset["unknown"].values[k])),
+        )
+    axes.set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
+    axes.set_xlabel("observed, one after the other")
+    axes.set_ylabel("error relative to none")
+    axes.legend(frameon=False)
+
+
+def _base(dataset: xr.Dataset) -> str:
+    """Return the stage that new observations are added to: the release, or what there is now."""
+    return str(dataset.attrs["release"]) or "now"

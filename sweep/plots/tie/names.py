@@ -1,0 +1,94 @@
+"""Units that can be read, symbols of unknowns, and names beside points that do not cover one another."""
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.patheffects import withStroke
+from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
+
+from sweep.plots.style import symbol
+
+Array = NDArray[np.float64]
+
+MICRO_BELOW = 0.5
+"""Numbers in mas that are all smaller are shown in micro-arcseconds."""
+
+SHORT = {"glide": "g", "position_glide": "G"}
+_VECTOR = re.compile(r"(epsilon|omega|glide|position_glide)_([xyz])")
+_HARMONIC = re.compile(r"vsh_(?:position|motion)_([ts])_(\d+)_(\d+)(?:_(re|im))?")
+
+LETTER_WIDTH = 0.62
+"""Of a letter's height, on average."""
+
+
+def readable(values: Array, unit: str) -> tuple[float, str]:
+    """Return a factor and a unit, mas or µas (per year), in which numbers in mas have few zeros."""
+    known = np.abs(values[np.isfinite(values)])
+    if known.size and 0.0 < known.max() < MICRO_BELOW:
+        return 1000.0, unit.replace("mas", "µas")
+    return 1.0, unit
+
+
+def unknown_symbol(label: str) -> str:
+    """Return how an unknown is set: epsilon_x, a harmonic as t with degree and order, others as they are named."""
+    if found := _VECTOR.match(label):
+        block, axis = found.groups()
+        return rf"${SHORT.get(block, chr(92) + block)}_{axis}$" + label[found.end() :]
+    if found := _HARMONIC.fullmatch(label):
+        kind, degree, order, part = found.groups()
+        above = rf"^\mathrm{{{part.capitalize()}}}" if part else ""
+        return rf"${kind}_{{{degree},{order}}}{above}$"
+    return r"$\varpi_0$" if label == "parallax_zero_point" else symbol(label)
+
+
+def vectors(dataset: xr.Dataset) -> dict[str, list[int]]:
+    """Return the places of the unknowns of each block that is a vector."""
+    blocks = dataset["block"].values
+    places = {str(name): np.flatnonzero(blocks == name).tolist() for name in dict.fromkeys(blocks.tolist())}
+    return {name: found for name, found in places.items() if len(found) == 3}
+
+
+def kept_sources(dataset: xr.Dataset) -> NDArray[np.bool_]:
+    """Return which sources the solution has."""
+    return np.asarray((dataset["weight_factor"].values > 0.0) & (dataset["n_observations"].values > 0.0))
+
+
+def name_points(axes: Axes, x: Array, y: Array, names: Iterable[str], size: float = 6.5) -> None:
+    """Write names beside points, the first ones first; one that would cover another, or leave the axes, is left out.
+
+    To be called when everything else is drawn.
+    """
+    figure = axes.get_figure(root=True)
+    assert figure is not None, "axes of a figure"
+    figure.draw_without_rendering()
+    inside, dots = axes.get_window_extent(), figure.dpi / 72.0
+    taken: list[Bbox] = []
+    if (legend := axes.get_legend()) is not None:
+        taken.append(legend.get_window_extent())
+    height, gap = 1.3 * size * dots, 4.0 * dots
+    for px, py, name in zip(x, y, names, strict=True):
+        at = axes.transData.transform((px, py))
+        width = LETTER_WIDTH * size * dots * len(name)
+        for right, up in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            x0 = at[0] + (gap if right > 0 else -gap - width if right < 0 else -0.5 * width)
+            y0 = at[1] + (gap if up > 0 else -gap - height if up < 0 else -0.5 * height)
+            box = Bbox.from_bounds(x0, y0, width, height)
+            fits = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
+            if fits and not any(box.overlaps(other) for other in taken):
+                taken.append(box)
+                axes.annotate(
+                    name,
+                    (px, py),
+                    xytext=(right * 4.0, up * 4.0),
+                    textcoords="offset points",
+                    ha={1: "left", -1: "right", 0: "center"}[right],
+                    va={0: "center", 1: "bottom", -1: "top"}[up],
+                    fontsize=size,
+                    zorder=6,
+                    path_effects=[withStroke(linewidth=2.0, foreground="white")],
+                )
+                break

@@ -1,0 +1,59 @@
+"""Power of the vector spherical harmonics by degree, beside that of noise, and how significant it is."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from scipy.stats import norm
+
+from sweep.contract import SweepError
+from sweep.plots.style import COLOURS, MARKERS, finish, logarithmic
+
+THRESHOLD = 3.0
+MOST_SIGMA = 10.0
+
+
+def spectrum_figure(dataset: xr.Dataset) -> Figure:
+    """Return the root of the power of each field against its degree, with the noise, above its significance."""
+    if "power" not in dataset:
+        raise SweepError("no spectrum here: no vector spherical harmonics are among the unknowns (--degree)")
+    degree = dataset["degree"].values
+    parts = ["position", "motion"]
+    fields = {part: [str(f) for f in dataset["field"].values if str(f).startswith(part)] for part in parts}
+    parts = [part for part in parts if fields[part]]
+    figure = Figure(figsize=(1.4 + 4.6 * len(parts), 5.4), layout="constrained")
+    grid = figure.subplots(2, len(parts), sharex=True, squeeze=False, height_ratios=(3, 2))
+    for column, part in enumerate(parts):
+        upper, lower = grid[:, column]
+        for number, field in enumerate(fields[part]):
+            one = dataset.sel(field=field)
+            style = {"color": COLOURS[number], "marker": MARKERS[number], "markersize": 5.0}
+            shift = 0.06 * (2 * number - 1)
+            kind = field.partition(" ")[2]
+            upper.plot(degree + shift, 1000.0 * np.sqrt(one["power"].values), linestyle="none", label=kind, **style)
+            upper.plot(
+                degree + shift,
+                1000.0 * np.sqrt(one["power_noise"].values),
+                color=COLOURS[number],
+                linestyle="dashed",
+                linewidth=1.0,
+                label=f"noise, {kind}",
+            )
+            significance = norm.isf(np.clip(one["power_probability"].values, 1e-300, 1.0))
+            lower.plot(degree + shift, np.minimum(significance, MOST_SIGMA), linestyle="none", **style)
+        shown = dataset[["power", "power_noise"]].sel(field=fields[part]).to_array().values
+        logarithmic(upper, "y", 1000.0 * np.sqrt(shown))
+        upper.set_ylabel(rf"$\sqrt{{P_l}}$ of the {part}s [µas{'/yr' if part == 'motion' else ''}]")
+        lower.axhline(THRESHOLD, color="0.4", linestyle="dashed", linewidth=1.0)
+        lower.set_ylim(-2.6, MOST_SIGMA + 0.8)
+        lower.set_ylabel(r"significance [$\sigma$]")
+        lower.text(
+            0.99, 0.93, f"{MOST_SIGMA:g}: or more", transform=lower.transAxes, ha="right", va="center", fontsize=7
+        )
+        lower.set_xlabel("degree $l$")
+        lower.xaxis.set_major_locator(MaxNLocator(integer=True))
+        lower.set_xlim(degree.min() - 0.5, degree.max() + 0.5)
+        for axes in (upper, lower):
+            finish(axes)
+        upper.legend(frameon=False, ncols=2, fontsize=7.5)
+    return figure

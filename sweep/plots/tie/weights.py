@@ -1,0 +1,99 @@
+"""The discrepancy of each source against its weight, and the sources that decide."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from sweep.contract import SweepError
+from sweep.plots.style import COLOURS, finish, legend
+from sweep.plots.tie.names import kept_sources, name_points
+
+Array = NDArray[np.float64]
+
+NAMED = 8
+RANKED = 20
+LARGE_SHARE = 0.1
+
+
+def weight_figure(dataset: xr.Dataset) -> Figure:
+    """Return Q/n of each source against its share of the weight of each block that is solved for."""
+    share = _shares(dataset)
+    used = dataset["n_observations"].values > 0.0
+    kept = kept_sources(dataset)
+    ratio = np.full(len(used), np.nan)
+    ratio[used] = dataset["discrepancy"].values[used] / dataset["n_observations"].values[used]
+    names = dataset["source"].values
+    smallest = np.nanmin(np.where(ratio > 0.0, ratio, np.nan)) if np.any(ratio > 0.0) else 1e-3
+    ratio = np.maximum(ratio, max(smallest, 1e-4))
+    figure = Figure(figsize=(max(6.4, 0.8 + 3.8 * share.shape[1]), 4.2), layout="constrained")
+    grid = figure.subplots(1, share.shape[1], sharey=True, squeeze=False)[0]
+    for axes, name, own in zip(grid, dataset["block_name"].values, share.T, strict=True):
+        left = 0.5 * own[kept & (own > 0.0)].min()
+        gone = used & ~kept
+        size = 14.0 if len(names) < 300 else 4.0
+        some = kept & (own > 0.0)
+        axes.scatter(
+            own[some], ratio[some], s=size, color=COLOURS[0], alpha=0.6, linewidths=0.0, label=f"{some.sum()} kept"
+        )
+        if np.any(gone):
+            axes.scatter(
+                np.full(gone.sum(), left),
+                ratio[gone],
+                s=16.0,
+                color=COLOURS[1],
+                marker="x",
+                linewidths=0.8,
+                label=f"{gone.sum()} dropped, of no weight",
+            )
+        axes.axhline(1.0, color="black", linewidth=0.8, zorder=1)
+        axes.axvline(LARGE_SHARE, color="0.4", linestyle="dotted", linewidth=1.0, zorder=1)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlabel(f"share of the weight in {str(name).replace('_', ' ')}")
+        finish(axes)
+        axes.margins(0.08)
+    grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
+    for axes in grid:
+        legend(axes, loc="lower left")
+    surprise = chi2.logsf(dataset["discrepancy"].values, np.maximum(dataset["n_observations"].values, 1.0))
+    for axes, own in zip(grid, share.T, strict=True):
+        order = [*np.argsort(surprise)[: NAMED // 2], *np.argsort(-own)[: NAMED // 2]]
+        chosen = np.array([k for k in dict.fromkeys(order) if kept[k] and own[k] > 0.0], dtype=int)
+        name_points(axes, own[chosen], ratio[chosen], names[chosen].tolist())
+    return figure
+
+
+def influence_figure(dataset: xr.Dataset) -> Figure:
+    """Return the sources with the largest shares of the weight, and how far the solution moves without each."""
+    share = _shares(dataset)
+    order = np.argsort(-share.max(axis=1))[:RANKED]
+    order = order[share.max(axis=1)[order] > 0.0][::-1]
+    figure = Figure(figsize=(8.0, 1.4 + 0.22 * len(order)), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    places = np.arange(len(order))
+    height = 0.8 / share.shape[1]
+    for number, name in enumerate(dataset["block_name"].values):
+        offset = 0.4 - (number + 0.5) * height
+        colour = COLOURS[number % len(COLOURS)]
+        left.barh(places + offset, share[order, number], height, color=colour, label=str(name).replace("_", " "))
+    left.axvline(LARGE_SHARE, color="0.4", linestyle="dotted", linewidth=1.0)
+    left.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100.0 * value:g} %"))
+    left.set_xlabel("share of the weight")
+    left.set_yticks(places, dataset["source"].values[order].tolist(), fontsize=7)
+    right.barh(places, np.nan_to_num(dataset["cook_distance"].values[order]), 0.7, color=COLOURS[5])
+    right.set_xlabel("Cook's distance")
+    for axes in (left, right):
+        finish(axes)
+        axes.tick_params(axis="y", length=0.0)
+        axes.set_ylim(-0.6, len(order) - 0.4)
+    legend(left, loc="lower right")
+    return figure
+
+
+def _shares(dataset: xr.Dataset) -> Array:
+    if "share" not in dataset:
+        raise SweepError("no weights of sources here: they are not kept of so many sources")
+    return np.asarray(dataset["share"].values, dtype=np.float64)

@@ -1,0 +1,180 @@
+"""What a page says about a link of real tables, or about a forecast."""
+
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.formatting import with_error
+from sweep.report.answer import Answer
+from sweep.report.figures import link_pictures
+from sweep.report.section import Section, Table
+
+STEPS_SHOWN = 40
+
+PROVENANCE = {
+    "satellite": "satellite",
+    "satellite_sha256": "its SHA-256",
+    "reference": "reference",
+    "reference_sha256": "SHA-256 of the reference",
+    "sign": "sign",
+    "epoch": "epoch of the orientation",
+    "epoch_of_forecast": "epoch of the orientation in the forecast",
+    "matched_by": "matched by",
+    "clip": "clip",
+    "weights": "weights",
+    "known_spin": "spin taken out",
+    "aberration_uas_yr": "Galactic aberration taken out [uas/yr]",
+    "jitter": "jitter",
+    "release": "release",
+    "from_release": "scaled from release",
+    "new_error_mas": "error of new positions [mas]",
+    "goal": "chosen for",
+    "criterion": "criterion",
+}
+"""Attributes of a dataset and what they are called in a page."""
+
+
+def link_section(store: str, dataset: xr.Dataset, number: int) -> Section:
+    """Return the section of a link or a forecast, the ``number``-th of a page."""
+    is_tie = dataset.attrs["result"] == "tie"
+    satellite, reference = (Path(str(dataset.attrs[name])).name for name in ("satellite", "reference"))
+    answers = [_link_answer(dataset) if is_tie else _forecast_answer(dataset)]
+    if notes := [str(note) for note in np.atleast_1d(dataset.attrs["notes"])]:
+        answers.append(Answer("Warnings", "", [f"{note[0].upper()}{note[1:]}." for note in notes]))
+    known = {label: str(dataset.attrs[key]) for key, label in PROVENANCE.items() if dataset.attrs.get(key, "") != ""}
+    title = f"{'Link' if is_tie else 'Forecast of the link'} of {satellite} and {reference}"
+    return Section(
+        store=store,
+        title=title,
+        question="",
+        gaps=[],
+        answers=answers,
+        changed="",
+        comparisons=[],
+        verdicts="",
+        pictures=link_pictures(dataset, number),
+        explorer={"quantities": []},
+        not_explored=[],
+        numbers=0,
+        results=_unknowns(dataset) if is_tie else _stages(dataset),
+        caption=f"{dataset.attrs['sign'].replace('-', ' − ')}, with every kind of error" if is_tie else "Formal errors",
+        tables=_link_tables(dataset) if is_tie else _forecast_tables(dataset),
+        comparison=None,
+        notes=[],
+        failures={},
+        failures_not_named=0,
+        provenance=known,
+        study="",
+        version=version("linksweep"),
+    )
+
+
+def _link_answer(link: xr.Dataset) -> Answer:
+    main = str(link["error_kind"].values[0])
+    vectors = []
+    for block in dict.fromkeys(link["block"].values.tolist()):
+        part = link.isel(unknown=link["block"].values == block)
+        if part.sizes["unknown"] <= 3:
+            values = ", ".join(_text(v, e) for v, e in zip(part["estimate"].values, part["error"].values, strict=True))
+            vectors.append(f"{str(block).replace('_', ' ')}: ({values}) {part['unit'].values[0]}, {main} errors.")
+    ratio = float(link["chi2"] / link["chi2_expected"]) if float(link["chi2_expected"]) > 0.0 else np.nan
+    sentences = [
+        f"The sign is {link.attrs['sign'].replace('-', ' − ')}; the orientation is that of {link.attrs['epoch']:.2f}.",
+        *(f"{text[0].upper()}{text[1:]}" for text in vectors),
+        f"{int(link['n_sources'])} of {int(link['n_sources_matched'])} sources were used, matched by "
+        f"{link.attrs['matched_by']}; the clip is {link.attrs['clip']}.",
+        f"χ² is {float(link['chi2']):.6g} where {float(link['chi2_expected']):.6g} is expected ({ratio:.3g} times), "
+        f"with {float(link['dof']):.0f} degrees of freedom.",
+    ]
+    return Answer("The link", "", sentences)
+
+
+def _forecast_answer(plan: xr.Dataset) -> Answer:
+    sentences = []
+    for stage in plan["stage"].values:
+        errors = plan["error"].sel(stage=stage).values
+        for block in dict.fromkeys(plan["block"].values.tolist()):
+            part = plan["block"].values == block
+            largest = float(np.max(errors[part]))
+            unit = str(plan["unit"].values[part][0])
+            sentences.append(f"{str(stage).capitalize()}: largest error of {block} {largest:.4g} {unit}.")
+    if "step_source" in plan:
+        names = ", ".join(str(name) for name in plan["step_source"].values[1:])
+        sentences.append(f"Chosen for {plan.attrs['goal']} (criterion {plan.attrs['criterion']}): {names}.")
+    return Answer("The forecast", "formal errors", sentences)
+
+
+def _unknowns(link: xr.Dataset) -> Table:
+    kinds = [str(kind) for kind in link["error_kind"].values]
+    rows: list[list[tuple[str, Any]]] = []
+    for k, name in enumerate(link["unknown"].values):
+        values = [float(link["estimate"].values[k]), *(float(v) for v in link["errors"].values[:, k])]
+        cells: list[tuple[str, Any]] = [(f"{value:.5f}", value) for value in values]
+        rows.append([_word(name), *cells, _word(link["unit"].values[k])])
+    return Table(["unknown", "estimate", *(f"{kind} error" for kind in kinds), "unit"], rows)
+
+
+def _stages(plan: xr.Dataset) -> Table:
+    return _error_table("stage", plan, [str(stage) for stage in plan["stage"].values], plan["error"].values)
+
+
+def _link_tables(link: xr.Dataset) -> dict[str, Table]:
+    found = {}
+    if "power" in link:
+        rows = []
+        for field in link["field"].values:
+            for degree in link["degree"].values:
+                one = link.sel(field=field, degree=degree)
+                names = ("power", "power_noise", "power_chi2", "power_probability")
+                values = [float(one[name]) for name in names]
+                if np.isfinite(values[0]):
+                    rows.append([_word(field), _number(int(degree), "d"), *(_number(value, ".4g") for value in values)])
+        headings = ["field", "degree", "power [mas²]", "noise [mas²]", "χ²", "probability by chance"]
+        found["Power of the vector spherical harmonics (of motions mas²/yr²)"] = Table(headings, rows)
+    if "step_estimate" in link and link.sizes["step"] > 1:
+        chosen = int(link["step_chosen"])
+        labels = [str(name) for name in link["unknown"].values[:6]]
+        count = min(link.sizes["step"], max(chosen + 3, STEPS_SHOWN))
+        rows = []
+        for step in range(count):
+            ratio = float(link["step_chi2"].values[step] / link["step_dof"].values[step])
+            values = [float(value) for value in link["step_estimate"].values[step][:6]]
+            mark = "the solution" if step == chosen else ""
+            cells = [_number(ratio, ".4g"), *(_number(value, ".4f") for value in values), _word(mark)]
+            rows.append([_number(step, "d"), _word(link["step_dropped"].values[step]), *cells])
+        headings = ["step", "dropped", "χ²/dof", *labels, ""]
+        found["Steps of the clip"] = Table(headings, rows, link.sizes["step"] - count)
+    return found
+
+
+def _forecast_tables(plan: xr.Dataset) -> dict[str, Table]:
+    found = {}
+    if "error_with_epoch" in plan:
+        names = [f"{epoch:g}" for epoch in plan["new_epoch"].values]
+        found["One more position of each source"] = _error_table("epoch", plan, names, plan["error_with_epoch"].values)
+    if "step_source" in plan:
+        names = ["none", *(str(name) for name in plan["step_source"].values[1:])]
+        caption = f"Chosen one after the other for {plan.attrs['goal']}"
+        found[caption] = _error_table("observed", plan, names, plan["step_error"].values)
+    return found
+
+
+def _error_table(what: str, plan: xr.Dataset, names: list[str], errors: Any) -> Table:
+    units = zip(plan["unknown"].values, plan["unit"].values, strict=True)
+    rows = [[_word(name), *(_number(float(v), ".5f") for v in row)] for name, row in zip(names, errors, strict=True)]
+    return Table([what, *(f"{name} [{unit}]" for name, unit in units)], rows)
+
+
+def _word(value: Any) -> tuple[str, Any]:
+    return str(value), str(value)
+
+
+def _number(value: float, form: str) -> tuple[str, Any]:
+    return format(value, form), value
+
+
+def _text(value: float, error: float) -> str:
+    return with_error(value, error) if np.isfinite(error) and error > 0.0 else f"{value:.4g}"
