@@ -33,7 +33,7 @@ def timed(work):
     begun = time.process_time()
     return work(), time.process_time() - begun
 before = peak()
-_, plain = timed(lambda: group_sums(problem, np.zeros(n, dtype=np.int16), 1))
+_, plain = timed(lambda: group_sums(problem, np.zeros(n, dtype=np.int64), 1))
 table = SourceTable(problem)
 solution, seconds = timed(lambda: table.solve(np.ones(n)))
 if not table.single:

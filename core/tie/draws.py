@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from core.tie.clips import row_separations
 from core.tie.differences import Differences, differences
 from core.tie.elimination import Eliminated, eliminate
-from core.tie.normal_sums import BLOCK, NormalSums, Problem
+from core.tie.normal_sums import NormalSums, Problem
 
 Array = NDArray[np.float64]
+
+BLOCK = 8192
+"""Sources, in all draws that are made together: the numbers depend on it."""
 
 
 class Draw(NamedTuple):

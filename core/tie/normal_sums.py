@@ -171,9 +171,10 @@ def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array |
     """
     equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
     sums = _empty(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
+    short = np.int16 if n_groups < 2**15 else np.int64  # short numbers sort in no time
     for part in _blocks(len(group), GATHERED):
         chosen = part if factors is None else part[factors[part] > 0.0]
-        chosen = chosen[np.argsort(group[chosen], kind="stable")]
+        chosen = chosen[np.argsort(group[chosen].astype(short), kind="stable")]
         unknowns, objects, years, left = problem.sources(chosen)
         if factors is not None and not equal:
             left = left.scaled(factors[chosen])

@@ -75,7 +75,8 @@ class SourceTable:
         values = self.problem.satellite.values
         cells = sky_cells(values[0], values[1], self.divisions)
         number = np.cumsum(np.bincount(cells) > 0) - 1
-        return number.astype(np.int16 if number[-1] < 2**15 else np.int64)[cells]  # short ones sort in no time
+        found: Indices = number[cells]
+        return found
 
     def cell_sums(self, factors: Array) -> NormalSums:
         """Return the sums of cells, each source with a factor of its weight."""
