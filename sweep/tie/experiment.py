@@ -67,7 +67,9 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict
     labels = design.problem.unknowns.labels
     solution = solve(simulation.normals, labels)
     drawn = _Drawn(design, simulation, solution)
-    error, formal, ratio, kept = (np.array(part) for part in zip(*map(drawn, simulation.draws(n_sim, rng)), strict=True))
+    error, formal, ratio, kept = (
+        np.array(part) for part in zip(*map(drawn, simulation.draws(n_sim, rng)), strict=True)
+    )
     error, formal = _placed(error, labels), _placed(formal, labels)
     scaled = formal * np.sqrt(ratio)[:, None]
     size = np.abs(error)
@@ -187,7 +189,9 @@ def check(point: Point) -> str | None:
     except (LinkError, ValueError) as error:
         return str(error)
     if not set(design.problem.unknowns.labels) & set(COMPONENTS):
-        return f"unknowns = {point['unknowns']!r}: results are for unknowns of degree 1 and the parallax, and none is here"
+        return (
+            f"unknowns = {point['unknowns']!r}: results are for unknowns of degree 1 and the parallax, and none is here"
+        )
     return None
 
 

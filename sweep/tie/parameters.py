@@ -26,20 +26,24 @@ PARAMETERS = (
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
     Parameter("epoch", "float", None, "of the orientation; default the satellite's", "yr", **EPOCHS),
-    Parameter(
-        "release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)
-    ),
+    Parameter("release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)),
     Parameter("from_release", "str", "dr3", "what the satellite's table is", choices=tuple(RELEASES)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
     Parameter("new_epoch", "float", None, "of new positions; default that of the source", "yr", **EPOCHS),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
     Parameter(
-        "new_positions", "str", "single-epoch", "of new rows: displaced by the parallax, or mean ones",
+        "new_positions",
+        "str",
+        "single-epoch",
+        "of new rows: displaced by the parallax, or mean ones",
         choices=("single-epoch", "mean"),
     ),  # fmt: skip
     Parameter("goal", "str", "", "blocks for which new positions are chosen; default all"),
     Parameter(
-        "candidates", "str", "matched", "for new positions: sources with rows, or all of the satellite's",
+        "candidates",
+        "str",
+        "matched",
+        "for new positions: sources with rows, or all of the satellite's",
         choices=("matched", "all"),
     ),  # fmt: skip
     Parameter("position_jitter", "float", 0.0, "added in quadrature to the reference's positions", "mas", minimum=0.0),
@@ -54,12 +58,13 @@ PARAMETERS = (
     Parameter("satellite_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
     Parameter("reference_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
     Parameter(
-        "positions", "str", "table", "the reference's: of a single epoch or mean; default what the table says",
+        "positions",
+        "str",
+        "table",
+        "the reference's: of a single epoch or mean; default what the table says",
         choices=("table", "single-epoch", "mean"),
     ),  # fmt: skip
-    Parameter(
-        "zero_errors", "str", "error", "what an error of 0 means", choices=("error", "missing", "exact")
-    ),
+    Parameter("zero_errors", "str", "error", "what an error of 0 means", choices=("error", "missing", "exact")),
     Parameter(
         "truth", "str", "estimate", "of the draws: the solution of the tables, or zero", choices=("estimate", "zero")
     ),

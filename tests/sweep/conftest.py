@@ -78,6 +78,9 @@ SHORT = {
     "radio-stars": {"settings": ["n_sim=10", "n_cat=20"]},
     "galaxies": {"settings": ["n_sim=10", "n_cat=10"]},
     "scatter": {"settings": ["n_sim=1000"]},
+    "icrf2-icrf3": {"settings": ["n_sim=2"]},
+    "pulsar-timing": {"settings": ["n_sim=20"]},
+    "pulsar-forecast": {"settings": ["n_sim=100"], "axes": ["n_new=5,62"]},
 }
 
 
