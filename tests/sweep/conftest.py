@@ -82,6 +82,9 @@ SHORT = {
     "zonal-errors": {"settings": ["n_sim=16", "n_cat=5"], "axes": ["n_obj=30,100", "zonal_length=15,60"]},
     "magnitude-equation": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["v_max=15,16"]},
     "error-budget": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["v_max=14,15"]},
+    "icrf2-icrf3": {"settings": ["n_sim=2"]},
+    "pulsar-timing": {"settings": ["n_sim=20"]},
+    "pulsar-forecast": {"settings": ["n_sim=100"], "axes": ["n_new=5,62"]},
 }
 
 
