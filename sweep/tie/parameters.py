@@ -37,7 +37,7 @@ PARAMETERS = (
         "single-epoch",
         "of new rows: displaced by the parallax, or mean ones",
         choices=("single-epoch", "mean"),
-    ),  # fmt: skip
+    ),
     Parameter("goal", "str", "", "blocks for which new positions are chosen; default all"),
     Parameter(
         "candidates",
@@ -45,7 +45,7 @@ PARAMETERS = (
         "matched",
         "for new positions: sources with rows, or all of the satellite's",
         choices=("matched", "all"),
-    ),  # fmt: skip
+    ),
     Parameter("position_jitter", "float", 0.0, "added in quadrature to the reference's positions", "mas", minimum=0.0),
     Parameter("motion_jitter", "float", 0.0, "added in quadrature to its motions", "mas/yr", minimum=0.0),
     Parameter("known_spin", "vector", None, "taken out before, reference - satellite; default none", "mas/yr"),
@@ -63,7 +63,7 @@ PARAMETERS = (
         "table",
         "the reference's: of a single epoch or mean; default what the table says",
         choices=("table", "single-epoch", "mean"),
-    ),  # fmt: skip
+    ),
     Parameter("zero_errors", "str", "error", "what an error of 0 means", choices=("error", "missing", "exact")),
     Parameter(
         "truth", "str", "estimate", "of the draws: the solution of the tables, or zero", choices=("estimate", "zero")
