@@ -92,7 +92,7 @@ def neglected(design: FixedDesign) -> Array:
         mean[:3] += _mean_change(design, part)
     rows = np.square(design.inverse).reshape(unknowns, -1, 3).sum(axis=2)
     bound = rows @ squares * len(squares) + np.square(design.inverse @ mean)
-    return np.sqrt(np.divide(bound, predicted, out=np.zeros_like(bound), where=predicted > 0.0))
+    return np.asarray(np.sqrt(np.divide(bound, predicted, out=np.zeros_like(bound), where=predicted > 0.0)))
 
 
 def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:

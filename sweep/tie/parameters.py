@@ -1,17 +1,17 @@
 """What a study of a link can set, and what a point of it gives."""
 
 from core.tie.releases import RELEASES
-from core.unknowns import Glide, Orientation, ParallaxZeroPoint, Rotation, parse_unknowns
+from core.unknowns import parse_unknowns
 from sweep.contract import Output, Parameter
 
-_BLOCKS = (Orientation(), Rotation(), *parse_unknowns("position_glide").blocks, Glide(), ParallaxZeroPoint())
-COMPONENTS = tuple(label for block in _BLOCKS for label in block.labels)
+_UNKNOWNS = parse_unknowns("orientation,spin,position_glide,glide,parallax")
+COMPONENTS = _UNKNOWNS.labels
 """The unknowns that have a place in the results: those of degree 1 and the zero point of parallaxes."""
 
-UNITS = tuple("mas/yr" if block.rate else "mas" for block in _BLOCKS for _ in block.labels)
+UNITS = _UNKNOWNS.units
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
 
-EPOCHS = {"minimum": 1800.0, "maximum": 2200.0}
+FIRST_EPOCH, LAST_EPOCH = 1800.0, 2200.0
 
 PARAMETERS = (
     Parameter("satellite", "file", None, "table of the satellite; required"),
@@ -25,11 +25,27 @@ PARAMETERS = (
     Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
-    Parameter("epoch", "float", None, "of the orientation; default the satellite's", "yr", **EPOCHS),
+    Parameter(
+        "epoch",
+        "float",
+        None,
+        "of the orientation; default the satellite's",
+        "yr",
+        minimum=FIRST_EPOCH,
+        maximum=LAST_EPOCH,
+    ),
     Parameter("release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)),
     Parameter("from_release", "str", "dr3", "what the satellite's table is", choices=tuple(RELEASES)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
-    Parameter("new_epoch", "float", None, "of new positions; default that of the source", "yr", **EPOCHS),
+    Parameter(
+        "new_epoch",
+        "float",
+        None,
+        "of new positions; default that of the source",
+        "yr",
+        minimum=FIRST_EPOCH,
+        maximum=LAST_EPOCH,
+    ),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
     Parameter(
         "new_positions",
@@ -55,8 +71,24 @@ PARAMETERS = (
     Parameter("by", "str", "", "how rows are matched: name, COLUMN, position[:ARCSEC]; default name if possible"),
     Parameter("satellite_columns", "map", (), "the satellite's names of columns"),
     Parameter("reference_columns", "map", (), "the reference's names of columns"),
-    Parameter("satellite_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
-    Parameter("reference_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
+    Parameter(
+        "satellite_epoch",
+        "float",
+        None,
+        "of a table without a column of epochs",
+        "yr",
+        minimum=FIRST_EPOCH,
+        maximum=LAST_EPOCH,
+    ),
+    Parameter(
+        "reference_epoch",
+        "float",
+        None,
+        "of a table without a column of epochs",
+        "yr",
+        minimum=FIRST_EPOCH,
+        maximum=LAST_EPOCH,
+    ),
     Parameter(
         "positions",
         "str",
