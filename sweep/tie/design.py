@@ -79,9 +79,11 @@ def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
         raise SweepError("satellite is required: the table of the satellite")
     if reference is not None and point["zero_motion"]:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
-    named = ("unknowns", "degree", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors")
-    named += ("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch")
-    named += ("position_jitter", "motion_jitter", "candidates")
+    named = (
+        *("unknowns", "degree", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors"),
+        *("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch"),
+        *("position_jitter", "motion_jitter", "candidates"),
+    )
     table = (point["satellite"].path, point["satellite"].digest)
     return (table, reference, point["zero_motion"], tuple((name, point[name]) for name in named))
 
@@ -108,7 +110,7 @@ def _set_up(key: tuple[Any, ...]) -> Setup:
         weights=given["weights"],
         known_spin=given["known_spin"],
         aberration=given["aberration"],
-        jitter={kind: jitter for kind in (*KINDS.values(), "single epoch")} if any(jitter) else {},
+        jitter=dict.fromkeys((*KINDS.values(), "single epoch"), jitter) if any(jitter) else {},
         satellite_options=of_table["satellite"],
         reference_options=of_table["reference"],
     )

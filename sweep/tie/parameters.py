@@ -1,17 +1,26 @@
 """What a study of a link can set, and what a point of it gives."""
 
 from core.tie.releases import RELEASES
-from core.unknowns import Glide, Orientation, ParallaxZeroPoint, Rotation, parse_unknowns
+from core.unknowns import Block, Glide, Orientation, ParallaxZeroPoint, Rotation, parse_unknowns
 from sweep.contract import Output, Parameter
 
-_BLOCKS = (Orientation(), Rotation(), *parse_unknowns("position_glide").blocks, Glide(), ParallaxZeroPoint())
+_BLOCKS: tuple[Block, ...] = (
+    Orientation(),
+    Rotation(),
+    *parse_unknowns("position_glide").blocks,
+    Glide(),
+    ParallaxZeroPoint(),
+)
 COMPONENTS = tuple(label for block in _BLOCKS for label in block.labels)
 """The unknowns that have a place in the results: those of degree 1 and the zero point of parallaxes."""
 
 UNITS = tuple("mas/yr" if block.rate else "mas" for block in _BLOCKS for _ in block.labels)
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
 
-EPOCHS = {"minimum": 1800.0, "maximum": 2200.0}
+
+def _epoch(name: str, meaning: str) -> Parameter:
+    return Parameter(name, "float", None, meaning, "yr", minimum=1800.0, maximum=2200.0)
+
 
 PARAMETERS = (
     Parameter("satellite", "file", None, "table of the satellite; required"),
@@ -25,11 +34,21 @@ PARAMETERS = (
     Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
-    Parameter("epoch", "float", None, "of the orientation; default the satellite's", "yr", **EPOCHS),
+    Parameter(
+        "epoch", "float", None, "of the orientation; default the satellite's", "yr", minimum=EARLIEST, maximum=LATEST
+    ),
     Parameter("release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)),
     Parameter("from_release", "str", "dr3", "what the satellite's table is", choices=tuple(RELEASES)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
-    Parameter("new_epoch", "float", None, "of new positions; default that of the source", "yr", **EPOCHS),
+    Parameter(
+        "new_epoch",
+        "float",
+        None,
+        "of new positions; default that of the source",
+        "yr",
+        minimum=EARLIEST,
+        maximum=LATEST,
+    ),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
     Parameter(
         "new_positions",
@@ -37,7 +56,7 @@ PARAMETERS = (
         "single-epoch",
         "of new rows: displaced by the parallax, or mean ones",
         choices=("single-epoch", "mean"),
-    ),  # fmt: skip
+    ),
     Parameter("goal", "str", "", "blocks for which new positions are chosen; default all"),
     Parameter(
         "candidates",
@@ -45,7 +64,7 @@ PARAMETERS = (
         "matched",
         "for new positions: sources with rows, or all of the satellite's",
         choices=("matched", "all"),
-    ),  # fmt: skip
+    ),
     Parameter("position_jitter", "float", 0.0, "added in quadrature to the reference's positions", "mas", minimum=0.0),
     Parameter("motion_jitter", "float", 0.0, "added in quadrature to its motions", "mas/yr", minimum=0.0),
     Parameter("known_spin", "vector", None, "taken out before, reference - satellite; default none", "mas/yr"),
@@ -55,15 +74,31 @@ PARAMETERS = (
     Parameter("by", "str", "", "how rows are matched: name, COLUMN, position[:ARCSEC]; default name if possible"),
     Parameter("satellite_columns", "map", (), "the satellite's names of columns"),
     Parameter("reference_columns", "map", (), "the reference's names of columns"),
-    Parameter("satellite_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
-    Parameter("reference_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
+    Parameter(
+        "satellite_epoch",
+        "float",
+        None,
+        "of a table without a column of epochs",
+        "yr",
+        minimum=EARLIEST,
+        maximum=LATEST,
+    ),
+    Parameter(
+        "reference_epoch",
+        "float",
+        None,
+        "of a table without a column of epochs",
+        "yr",
+        minimum=EARLIEST,
+        maximum=LATEST,
+    ),
     Parameter(
         "positions",
         "str",
         "table",
         "the reference's: of a single epoch or mean; default what the table says",
         choices=("table", "single-epoch", "mean"),
-    ),  # fmt: skip
+    ),
     Parameter("zero_errors", "str", "error", "what an error of 0 means", choices=("error", "missing", "exact")),
     Parameter(
         "truth", "str", "estimate", "of the draws: the solution of the tables, or zero", choices=("estimate", "zero")
