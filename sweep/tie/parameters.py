@@ -1,17 +1,26 @@
 """What a study of a link can set, and what a point of it gives."""
 
 from core.tie.releases import RELEASES
-from core.unknowns import parse_unknowns
+from core.unknowns import Block, Glide, Orientation, ParallaxZeroPoint, Rotation, parse_unknowns
 from sweep.contract import Output, Parameter
 
-_UNKNOWNS = parse_unknowns("orientation,spin,position_glide,glide,parallax")
-COMPONENTS = _UNKNOWNS.labels
+_BLOCKS: tuple[Block, ...] = (
+    Orientation(),
+    Rotation(),
+    *parse_unknowns("position_glide").blocks,
+    Glide(),
+    ParallaxZeroPoint(),
+)
+COMPONENTS = tuple(label for block in _BLOCKS for label in block.labels)
 """The unknowns that have a place in the results: those of degree 1 and the zero point of parallaxes."""
 
 UNITS = _UNKNOWNS.units
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
 
-FIRST_EPOCH, LAST_EPOCH = 1800.0, 2200.0
+
+def _epoch(name: str, meaning: str) -> Parameter:
+    return Parameter(name, "float", None, meaning, "yr", minimum=1800.0, maximum=2200.0)
+
 
 PARAMETERS = (
     Parameter("satellite", "file", None, "table of the satellite; required"),
@@ -25,27 +34,11 @@ PARAMETERS = (
     Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
-    Parameter(
-        "epoch",
-        "float",
-        None,
-        "of the orientation; default the satellite's",
-        "yr",
-        minimum=FIRST_EPOCH,
-        maximum=LAST_EPOCH,
-    ),
+    _epoch("epoch", "of the orientation; default the satellite's"),
     Parameter("release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)),
     Parameter("from_release", "str", "dr3", "what the satellite's table is", choices=tuple(RELEASES)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
-    Parameter(
-        "new_epoch",
-        "float",
-        None,
-        "of new positions; default that of the source",
-        "yr",
-        minimum=FIRST_EPOCH,
-        maximum=LAST_EPOCH,
-    ),
+    _epoch("new_epoch", "of new positions; default that of the source"),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
     Parameter(
         "new_positions",
@@ -71,24 +64,8 @@ PARAMETERS = (
     Parameter("by", "str", "", "how rows are matched: name, COLUMN, position[:ARCSEC]; default name if possible"),
     Parameter("satellite_columns", "map", (), "the satellite's names of columns"),
     Parameter("reference_columns", "map", (), "the reference's names of columns"),
-    Parameter(
-        "satellite_epoch",
-        "float",
-        None,
-        "of a table without a column of epochs",
-        "yr",
-        minimum=FIRST_EPOCH,
-        maximum=LAST_EPOCH,
-    ),
-    Parameter(
-        "reference_epoch",
-        "float",
-        None,
-        "of a table without a column of epochs",
-        "yr",
-        minimum=FIRST_EPOCH,
-        maximum=LAST_EPOCH,
-    ),
+    _epoch("satellite_epoch", "of a table without a column of epochs"),
+    _epoch("reference_epoch", "of a table without a column of epochs"),
     Parameter(
         "positions",
         "str",

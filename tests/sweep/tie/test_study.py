@@ -48,6 +48,7 @@ def mixed_problem(weights="covariance"):
     return Problem(satellite, rows, again, unknowns, 2016.0, weights)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", ["covariance", "variance", "equal"])
 def test_draws_have_the_covariance_and_the_chi2_of_the_normal_equations(weights):
     problem = mixed_problem(weights)
@@ -75,6 +76,7 @@ def test_the_separations_of_a_draw_are_those_of_a_table():
         np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", ["covariance", "equal"])
 def test_draws_scatter_as_the_closed_form_says(weights):
     found = results(point("pulsar-timing", weights=weights), 2000)
@@ -170,6 +172,7 @@ def test_what_is_set_in_vain_is_refused():
     assert "truth" in unused(point("pulsar-forecast", n_new=5))
 
 
+@pytest.mark.slow
 def test_a_study_runs_into_a_store_and_refuses_what_is_set_in_vain(tmp_path):
     study = load_study("pulsar-forecast", settings=["n_sim=20"], axes=["n_new=10,62"])
     run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
