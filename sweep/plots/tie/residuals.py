@@ -83,7 +83,7 @@ def _arrows(dataset: xr.Dataset, name: str, pair: tuple[int, int]) -> _Arrows:
     dropped = dataset["weight_factor"].values[source] == 0.0
     values, errors = values[rows], errors[rows]
     if len(values) <= MOST_ARROWS:
-        return _Arrows(ra, dec, *values.T, dropped)
+        return _Arrows(ra, dec, values[:, 0], values[:, 1], dropped)
     kept = ~dropped
     return _averaged(ra[kept], dec[kept], values[kept], errors[kept])
 
@@ -163,7 +163,7 @@ def _angles(axes: Any, x: Array, y: Array, east: Array, north: Array) -> Array:
     step = np.stack([-east / length / np.cos(start[:, 1]), north / length], axis=1) * small
     projection = axes.transProjection
     there = projection.transform(start + step) - projection.transform(start)
-    return np.degrees(np.arctan2(there[:, 1], there[:, 0]))
+    return np.asarray(np.degrees(np.arctan2(there[:, 1], there[:, 0])))
 
 
 def _round(value: float) -> float:
