@@ -10,7 +10,15 @@ from core.errors import SIDES
 from core.expected_errors import errors_at_limit, errors_of_objects
 from core.function_curve import CurveError
 from core.missions import MissionUnavailableError
-from core.scenario import catalogue_kind, catalogue_size, error_kind, error_model, own_objects
+from core.scenario import (
+    catalogue_kind,
+    catalogue_size,
+    error_kind,
+    error_model,
+    own_objects,
+    systematics,
+    zonal_errors,
+)
 from sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
@@ -36,6 +44,8 @@ def check(point: Point) -> str | None:
     if problem is None and point["aberration"] and not catalogue_kind(point).extragalactic:
         stars = point["catalogue"].replace("-", " ")
         problem = f"aberration: the glide is that of extragalactic objects, not of {stars}"
+    if problem is None:
+        problem = _check_systematics(point)
     if problem is not None:
         return problem
     objects = own_objects(point)
@@ -58,6 +68,18 @@ def _check_catalogue(point: Point) -> str | None:
     return kind.why_not(point)
 
 
+def _check_systematics(point: Point) -> str | None:
+    try:
+        found = systematics(point)
+    except ValueError as error:
+        return f"motion_field = {point['motion_field']!r}: {error}"
+    if found.of_magnitude and any(map(math.isnan, catalogue_kind(point).magnitudes(point))):
+        return (
+            "omega_slope and magnitude equations need a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
+        )
+    return None
+
+
 def _check_error_models(point: Point) -> str | None:
     kind = catalogue_kind(point)
     problems = (error_kind(point, side).problem(point, side, kind) for side in SIDES)
@@ -65,45 +87,34 @@ def _check_error_models(point: Point) -> str | None:
 
 
 def _check_errors(point: Point) -> str | None:
-    """Inverse-variance weights need both a position and a proper-motion error, or neither (error-free data)."""
+    """Positions or proper motions without any error are not measured; both without are error-free data."""
     reference, satellite = errors_at_limit(point, "reference"), errors_at_limit(point, "satellite")
     position_mas = math.hypot(reference.pos_mas, satellite.pos_mas)
     motion_mas_yr = math.hypot(reference.pm_mas_yr, satellite.pm_mas_yr)
-    if not position_mas and not motion_mas_yr:
-        return None
-    if not position_mas > 0.0 or not motion_mas_yr > 0.0:
-        return _one_without_error(point, exact_positions=not position_mas > 0.0)
-    if SMALLEST_ERROR <= position_mas <= LARGEST_ERROR and SMALLEST_ERROR <= motion_mas_yr <= LARGEST_ERROR:
-        return None
+    if all(not error or SMALLEST_ERROR <= error <= LARGEST_ERROR for error in (position_mas, motion_mas_yr)):
+        return _glide_without_motions(point, motions=bool(motion_mas_yr), positions=bool(position_mas))
     return _out_of_bounds(position_mas, motion_mas_yr)
 
 
 def _check_errors_of_objects(point: Point, objects: Catalogue) -> str | None:
     errors = np.hypot(*errors_of_objects(point, objects))
-    if not errors.any():
+    kinds = [kind for kind in (errors[:2], errors[2:]) if kind.any()]
+    if not kinds:
         return None
-    without = ~(errors > 0.0)
-    position, motion = without[:2].all(), without[2:].all()
-    if position or motion:
-        return _one_without_error(point, exact_positions=bool(position))
-    if without.any():
-        row = 1 + int(np.argmax(without.any(axis=0)))
+    given = np.concatenate(kinds)
+    if not (given > 0.0).all():
+        row = 1 + int(np.argmax(~(given > 0.0).all(axis=0)))
         return f"object {row} has an observable without any error, which cannot be weighed"
-    if errors.min() < SMALLEST_ERROR or errors.max() > LARGEST_ERROR:
-        extreme = np.min if errors.min() < SMALLEST_ERROR else np.max
+    if given.min() < SMALLEST_ERROR or given.max() > LARGEST_ERROR:
+        extreme = np.min if given.min() < SMALLEST_ERROR else np.max
         return _out_of_bounds(extreme(errors[:2]), extreme(errors[2:]))
-    return None
+    return _glide_without_motions(point, motions=bool(errors[2:].any()), positions=bool(errors[:2].any()))
 
 
-def _one_without_error(point: Point, exact_positions: bool) -> str:
-    exact, noisy = ("positions", "proper motions") if exact_positions else ("proper motions", "positions")
-    problem = f"{exact} without any error beside {noisy} with errors cannot be weighed; give an error to both"
-    side = next((side for side in SIDES if point[f"{side}_errors"] == "none"), None)
-    if side is None:
-        return problem
-    # the unknowns separate but for A21, so any error of the others leaves sigma as it is
-    alone, zero = ("spin", "pm") if exact_positions else ("orientation", "pos")
-    return f"{problem} (for the {alone} alone: {side}_errors = 'normal' with {side}_sigma_{zero} = 0)"
+def _glide_without_motions(point: Point, motions: bool, positions: bool) -> str | None:
+    if not point["solve_glide"] or motions or not positions:
+        return None
+    return "solve_glide: the proper motions have no errors on either side, so they are not measured"
 
 
 def _out_of_bounds(position_mas: float, motion_mas_yr: float) -> str:
@@ -117,6 +128,11 @@ def _check_method(point: Point, objects: Catalogue | None) -> str | None:
     """Projected errors need a fixed design; what is near the limit is told by the catalogue when it is drawn."""
     if point["method"] == "catalogue":
         return None
+    if zonal_errors(point) is not None:
+        return "method = 'projected' needs errors that are independent from object to object, and zonal ones are not"
+    for side in SIDES:
+        if point[f"{side}_error_ratio"] != 1.0:
+            return f"method = 'projected' needs errors that are as large as they weigh: {side}_error_ratio = 1"
     if objects is not None and any(error_model(point, side).correlation(objects) is not None for side in SIDES):
         return "method = 'projected' needs uncorrelated errors, and those of the file are correlated"
     position_mas = (

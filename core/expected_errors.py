@@ -1,13 +1,15 @@
 """Errors of a point before any catalogue of it is drawn, at the cost of a few multiplications."""
 
 from functools import partial
+from math import hypot
 
 import numpy as np
 
 from core.catalogue import Catalogue
 from core.constants import MAS
 from core.errors import SIDES, Errors
-from core.scenario import Array, catalogue_kind, error_kind, error_model, own_objects
+from core.errors.floor import floor_of
+from core.scenario import Array, catalogue_kind, error_kind, error_model, own_objects, zonal_errors
 from sweep.contract import Point
 
 
@@ -15,7 +17,9 @@ def errors_at_limit(point: Point, side: str) -> Errors:
     """Return the errors of one side, "reference" or "satellite", for an object at the limit of a catalogue that is
     drawn.
     """
-    return error_kind(point, side).errors_at(point, side, partial(_limit, point))
+    kind = error_kind(point, side)
+    errors, floor = kind.errors_at(point, side, partial(_limit, point)), floor_of(point, kind, side)
+    return errors if floor is None else Errors(*map(hypot, errors, floor))
 
 
 def _limit(point: Point) -> float:
@@ -31,4 +35,7 @@ def errors_of_objects(point: Point, objects: Catalogue) -> tuple[Array, Array]:
 
 def has_errors(point: Point, side: str) -> bool:
     """Return whether one side has any error, so that normals are drawn for it."""
-    return error_kind(point, side).any(point, side, partial(own_objects, point))
+    if side == "satellite" and zonal_errors(point) is not None:
+        return True
+    kind = error_kind(point, side)
+    return floor_of(point, kind, side) is not None or kind.any(point, side, partial(own_objects, point))

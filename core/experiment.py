@@ -9,7 +9,7 @@ from core.checks import check
 from core.expected_errors import has_errors
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
-from core.scenario import catalogue_size, scenario
+from core.scenario import catalogue_size, scenario, zonal_errors
 from core.simulate import BlockSums, simulate
 from core.unused import unused
 from core.warn import warn
@@ -34,6 +34,9 @@ SUMS: Mapping[str, tuple[int, ...]] = {
 }
 
 
+HARMONICS = 20.0
+
+
 def evaluate(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
@@ -53,16 +56,18 @@ def samples(
 
 
 def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Array]:
-    """Return every output of `OUTPUTS` from the sums over n realisations of n_cat catalogues.
+    """Return every output of `OUTPUTS` from the sums over n realisations of n_cat catalogues, NaN for what is not
+    determined.
 
     Source: Metz & Geffert 2004, Sect. 4.1 (sigma is the RMS of estimate - truth); error of an RMS of normal errors
     sigma/sqrt(2 n).
     """
     each = n[:, None]
     bias = sums["error"] / each
+    undetermined = np.isnan(bias)
     second_moment = sums["error_products"] / each[..., None]
-    variance = np.einsum("...ii->...i", second_moment)
-    predicted = sums["predicted_variance"] / each
+    variance = np.where(undetermined, np.nan, np.einsum("...ii->...i", second_moment))
+    predicted = np.where(undetermined, np.nan, sums["predicted_variance"] / each)
     means = np.stack([predicted[:, part].mean(axis=1) for part in (slice(0, 3), slice(3, 6))], axis=1)
     catalogue_error = _catalogue_error(
         np.concatenate([predicted, means], axis=1), sums["predicted_variance_squared"] / each, n_cat
@@ -70,6 +75,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     total = predicted + sums["predicted_bias_squares"] / each
     covariance = second_moment - bias[..., :, None] * bias[..., None, :]
     n_obj = sums["n_obj"] / n
+    kinds = 2.0 - undetermined[:, [0, 3]].sum(axis=1)  # of observables that are measured: positions, proper motions
     results = {
         "n_obj": n_obj,
         "sigma": np.sqrt(variance),
@@ -78,13 +84,13 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         "sigma_rms_predicted": np.sqrt(total),
         "sigma_catalogue_error": catalogue_error[:, :6],
         "bias": bias,
-        "bias_predicted": sums["predicted_bias"] / each,
+        "bias_predicted": np.where(undetermined, np.nan, sums["predicted_bias"] / each),
         "bias_mc_error": _bias_error(sums, bias, variance, n, n_cat),
         "covariance": covariance,
         "correlation": _correlation(covariance),
         "condition_number": sums["condition_number"] / n,
         "chi2": sums["chi2"] / n,
-        "dof": 4.0 * n_obj - np.where(np.isnan(sums["glide_error"][:, 0]), 6.0, 9.0),
+        "dof": 2.0 * kinds * n_obj - (3.0 * kinds + np.where(np.isnan(sums["glide_error"][:, 0]), 0.0, 3.0)),
         "glide_sigma": np.sqrt(sums["glide_squares"] / each),
         "glide_bias": sums["glide_error"] / each,
     }
@@ -99,13 +105,18 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
 
 
 def cost(point: Point) -> float:
-    """Return how many normal deviates one realisation takes; a projected one takes a chi-square for each chunk too."""
+    """Return how many normal deviates one realisation takes; a projected one takes a chi-square for each chunk too.
+
+    A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
+    """
     reference, satellite = has_errors(point, "reference"), has_errors(point, "satellite")
     if point["method"] == "projected":
         unknowns = 9 if point["solve_glide"] else 6
         columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
         return float(min(columns, 4 * catalogue_size(point)) if reference or satellite else 0)
-    return float(4 * (reference + satellite) * catalogue_size(point))
+    zonal = zonal_errors(point)
+    per_object = 4 * (reference + satellite) + (0.0 if zonal is None else zonal.coefficients / HARMONICS)
+    return float(per_object * catalogue_size(point))
 
 
 def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:
@@ -115,9 +126,11 @@ def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:
 
 
 def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
-    """Return the sums of one block in the shapes of `SUMS`, NaN for a glide that was not solved for."""
+    """Return the sums of one block in the shapes of `SUMS`; errors of a glide that was not solved for, and of what
+    nothing measured determines, are NaN.
+    """
     glide = block.error[6:] if len(block.error) > 6 else np.full(3, np.nan)
-    squares = np.diag(block.error_products)[6:] if len(block.error) > 6 else np.full(3, np.nan)
+    squares = np.where(np.isnan(glide), np.nan, np.diag(block.error_products)[6:]) if len(block.error) > 6 else glide
     squared = block.predicted_variance_squared
     return {
         "error": block.error[:6],
@@ -172,7 +185,7 @@ def _catalogue_error(predicted: Array, squared: Array, n_cat: Array) -> Array:
     """Return how uncertain sqrt(mean variance) is because only n_cat catalogues were drawn; NaN for too few."""
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_square = (np.maximum(squared - predicted**2, 0.0).T * small_sample_factor(n_cat) / (n_cat - 1.0)).T
-        return np.where(predicted > 0.0, np.sqrt(mean_square) / (2.0 * np.sqrt(predicted)), 0.0)
+        return np.where(predicted > 0.0, np.sqrt(mean_square) / (2.0 * np.sqrt(predicted)), 0.0 * predicted)
 
 
 link = Experiment(
@@ -192,5 +205,5 @@ link = Experiment(
     warn=warn,
     cost=cost,
     shared=SHARED,
-    nan_sums=("glide_error", "glide_squares"),
+    nan_sums=("error", "batch_mean_squares", "glide_error", "glide_squares"),
 )

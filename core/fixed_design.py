@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.link import condition_number, design_matrix, normal_inverse, require_off_poles
+from core.link import condition_number, design_matrix, hold, normal_inverse, require_off_poles
 from core.noise import Tile
 from core.prepared import Setup
 from core.shared_arrays import Prefixes, origin, parts
+from core.zonal import DrawnField
 
 Array = NDArray[np.float64]
 
@@ -35,16 +36,16 @@ class FixedDesign:
     gain_squares: Array  # the variance of g^T z, (K,)
     condition_number: float  # of A^T W A
 
-    def begin(self, rows: int) -> "FixedSums":
-        """Return empty sums of ``rows`` realisations."""
-        return FixedSums(self, np.zeros((self.columns.shape[2], rows)))
+    def begin(self, rows: int, field: DrawnField | None = None) -> "FixedSums":
+        """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
+        return FixedSums(self, np.zeros((self.columns.shape[2], rows)), field)
 
     def predicted_variance(self) -> Array:
         """Return the variance of each unknown; shape (K,)."""
         sides = self.setup.reference, self.setup.satellite
         if not any(sides):
             return np.zeros(len(self.bias))
-        if all(side.factor is None for side in sides):
+        if all(side.as_weighed for side in sides):
             return self.gain_squares
         gain = self.columns[..., self.solving] @ self.inverse / self.setup.sigma[..., None]
         return np.asarray(sum(side.variance_through(gain) for side in sides))
@@ -76,26 +77,31 @@ class FixedSums:
 
     design: FixedDesign
     products: Array
+    field: DrawnField | None = None
     squares: float = 0.0
 
     def __post_init__(self) -> None:
         """Note what each tile asks for."""
         self._noise, self._columns = self.design.setup.satellite, self.design.columns
         self._n_obj = len(self._columns) if self._noise else 0
-        self._whose = origin(self._columns)
+        self._whose, self._measured = origin(self._columns), self.design.setup.observables
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
         """Add the objects of a tile; the reference has no errors here."""
         if satellite is None or satellite.start >= self._n_obj:
             return
-        part = self._columns[satellite.start : satellite.start + len(satellite.normals)]
-        if self._noise.factor is None:
-            self.products += satellite.product(part, self._whose)
-            self.squares += satellite.squares(self._n_obj)
+        place = slice(satellite.start, satellite.start + len(satellite.normals))
+        part, ratio = self._columns[place], self._noise.ratio
+        if self._noise.factor is None and self.field is None:
+            self.products += ratio * satellite.product(part, self._whose)
+            self.squares += ratio**2 * satellite.squares(self._n_obj, self._measured)
         else:
-            errors = self._noise.standardised(satellite.head(self._n_obj), satellite.start)
+            errors = ratio * self._noise.standardised(satellite.head(self._n_obj), satellite.start)
+            if self.field is not None:
+                errors += self.field.values(place) / self.design.setup.sigma[place, :, None]
             self.products += part.reshape(-1, part.shape[2]).T @ errors.reshape(-1, errors.shape[2])
-            self.squares += float(np.vdot(errors, errors))
+            measured = errors[:, self._measured]
+            self.squares += float(np.vdot(measured, measured))
 
     def solved(self) -> tuple[Array, float]:
         """Return estimate - truth of each realisation, (K, rows), and the sum of chi2."""
@@ -111,7 +117,8 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
     design, solving = slice(0, unknowns), slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
     normal, design_misclosure = products[design, design], products[design, -1]
     # of equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
-    inverse = normal_inverse(products[design, solving])
+    solved = hold(products[design, solving].copy(), setup.held)
+    inverse = normal_inverse(solved)
     bias = inverse @ products[solving, -1]
     design_residual = design_misclosure - normal @ bias
     return FixedDesign(
@@ -124,14 +131,14 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
         design_residual=np.zeros(unknowns) if optimal else design_residual,
         residual_squares=max(0.0, float(products[-1, -1] - bias @ (design_misclosure + design_residual))),
         gain_squares=np.einsum("ki,ij,jk->k", inverse, products[solving, solving], inverse),
-        condition_number=condition_number(products[design, solving]),
+        condition_number=condition_number(solved),
     )
 
 
 def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
     """Return the columns [a, m], or with two ``copies`` [a, sigma^2 a, m]; shape (N, 4, C)."""
     catalogue, scenario, truth = setup.catalogue, setup.scenario, setup.truth
-    unknowns = len(truth)
+    unknowns, left_out = len(truth), setup.counted == 0.0
 
     def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array, sigma: Array) -> Array:
         require_off_poles(dec, np.cos(dec))
@@ -148,8 +155,11 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
             if copies == 2:
                 into[unknowns:-1] = design * weighing
             into[-1] = misclosure / weighing
+            into[:, left_out] = 0.0
+            for k in range(unknowns)[setup.held]:
+                into[k::unknowns][:copies] = 0.0
         return columns
 
-    settings = "columns", copies, scenario.corrections, scenario.solve_glide, truth.tobytes()
+    settings = "columns", copies, scenario.corrections, scenario.solve_glide, truth.tobytes(), setup.measured
     objects = catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec
     return shared.once(settings, compute, *objects, setup.differences, setup.sigma)

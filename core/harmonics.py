@@ -1,5 +1,6 @@
 """Vector spherical harmonics on the sky: the toroidal and spheroidal fields of Mignard & Klioner 2012."""
 
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -38,43 +39,63 @@ def toroidal(degree: int, ra: Array, dec: Array) -> Array:
     Source: Mignard & Klioner 2012, A&A 547, A59, Eqs. 2-8; fully normalised recurrences in the degree.
     """
     fields = np.empty((degree * (degree + 2), 2, len(ra)))
-    sin_dec, cos_dec = np.sin(dec), np.cos(dec)
-    turn_cos, turn_sin = np.cos(ra), np.sin(ra)
-    first = np.full(len(ra), np.sqrt(3.0 / (8.0 * np.pi)))  # P_11/cos dec, normalised
-    cos_m, sin_m = turn_cos, turn_sin
-    for m in range(1, degree + 1):
-        if m > 1:
-            first = np.sqrt((2 * m + 1) / (2 * m)) * cos_dec * first
-            cos_m, sin_m = cos_m * turn_cos - sin_m * turn_sin, sin_m * turn_cos + cos_m * turn_sin
-        before, here = np.zeros_like(first), first  # P_lm/cos dec of the degrees l - 1 and l
-        for degree_here in range(m, degree + 1):
-            if degree_here > m:
-                before, here = here, _next_degree(degree_here, m, sin_dec, here, before)
-            place, norm = degree_here**2 - 1, 1.0 / np.sqrt(degree_here * (degree_here + 1))
-            if m == 1:  # dP_l0/d dec = sqrt(l (l + 1)) P_l1
-                fields[place, 0], fields[place, 1] = cos_dec * here, 0.0
-            slope = np.sqrt((2 * degree_here + 1) / (2 * degree_here - 1) * (degree_here**2 - m**2)) * before
-            slope -= degree_here * sin_dec * here
-            slope *= 2.0 * (-1) ** m * norm
-            along = (2.0 * (-1) ** m * norm * m) * here
-            real, imaginary = fields[place + 2 * m - 1], fields[place + 2 * m]
-            np.multiply(slope, cos_m, out=real[0])
-            np.multiply(along, sin_m, out=real[1])
-            np.multiply(-slope, sin_m, out=imaginary[0])
-            np.multiply(along, cos_m, out=imaginary[1])
+    fill_toroidal({d: fields[d**2 - 1 : d * (d + 2)] for d in range(1, degree + 1)}, ra, dec)
     return fields
 
 
+def fill_toroidal(into: Mapping[int, Array], ra: Array, dec: Array) -> None:
+    """Write the toroidal fields of some degrees into arrays of shape (2 degree + 1, 2, N), all orders at once."""
+    highest = max(into)
+    orders = np.arange(1, highest + 1)
+    sin_dec, cos_dec = np.sin(dec), np.cos(dec)
+    cosines, sines = _multiples(highest, ra)
+    # P_lm/cos dec for the orders m = 1..l, of the degrees l - 1 and l
+    before, here = np.zeros((2, highest, len(ra)))
+    here[0] = np.sqrt(3.0 / (8.0 * np.pi))
+    raised = sin_dec * here
+    for degree in range(1, highest + 1):
+        if degree > 1:
+            low = orders[: degree - 1]  # from the two degrees below, and the highest order from the one before
+            factor = np.sqrt((4 * degree**2 - 1) / (degree**2 - low**2))[:, None]
+            below = np.sqrt(((degree - 1) ** 2 - low**2) / (4 * (degree - 1) ** 2 - 1))[:, None]
+            before[: degree - 1] *= -below
+            before[: degree - 1] += raised[: degree - 1]
+            before[: degree - 1] *= factor
+            np.multiply(here[degree - 2], np.sqrt((2 * degree + 1) / (2 * degree)) * cos_dec, out=before[degree - 1])
+            before, here = here, before
+            np.multiply(sin_dec, here[:degree], out=raised[:degree])
+        if degree not in into:
+            continue
+        found, m, norm = into[degree], orders[:degree], 1.0 / np.sqrt(degree * (degree + 1))
+        np.multiply(cos_dec, here[0], out=found[0, 0])  # dP_l0/d dec = sqrt(l (l + 1)) P_l1
+        found[0, 1] = 0.0
+        slope = (degree * norm) * raised[:degree]
+        slope -= (norm * np.sqrt((2 * degree + 1) / (2 * degree - 1) * (degree**2 - m**2)))[:, None] * before[:degree]
+        along = (norm * m)[:, None] * here[:degree]
+        np.multiply(slope, -cosines[:degree], out=found[1::2, 0])
+        np.multiply(along, sines[:degree], out=found[1::2, 1])
+        np.multiply(slope, sines[:degree], out=found[2::2, 0])
+        np.multiply(along, cosines[:degree], out=found[2::2, 1])
+
+
+def _multiples(highest: int, ra: Array) -> tuple[Array, Array]:
+    """Return 2 (-1)^m cos(m ra) and 2 (-1)^m sin(m ra) of the orders from 1; shape (highest, N)."""
+    cosines, sines = np.empty((2, highest, len(ra)))
+    turn_cos, turn_sin = -np.cos(ra), -np.sin(ra)
+    cosines[0], sines[0] = 2.0 * turn_cos, 2.0 * turn_sin
+    for m in range(1, highest):
+        cosines[m] = cosines[m - 1] * turn_cos - sines[m - 1] * turn_sin
+        sines[m] = sines[m - 1] * turn_cos + cosines[m - 1] * turn_sin
+    return cosines, sines
+
+
 def turned(fields: Array, out: Array | None = None) -> Array:
-    """Return fields (..., 2, N) turned by 90 deg from east through north: toroidal ones become spheroidal."""
+    """Return fields (..., 2, N) turned by 90 deg from east through north: toroidal ones become spheroidal.
+
+    ``out`` may be the fields themselves.
+    """
     found = np.empty_like(fields) if out is None else out
+    east = fields[..., 0, :].copy() if out is fields else fields[..., 0, :]
     np.negative(fields[..., 1, :], out=found[..., 0, :])
-    found[..., 1, :] = fields[..., 0, :]
+    found[..., 1, :] = east
     return found
-
-
-def _next_degree(degree: int, order: int, sin_dec: Array, last: Array, before: Array) -> Array:
-    """Return the normalised P_lm from those of the two degrees below; any common factor of all three is allowed."""
-    factor = np.sqrt((4 * degree**2 - 1) / (degree**2 - order**2))
-    below = np.sqrt(((degree - 1) ** 2 - order**2) / (4 * (degree - 1) ** 2 - 1))
-    return np.asarray(factor * (sin_dec * last - below * before))

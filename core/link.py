@@ -24,6 +24,9 @@ there.
 """
 
 
+KINDS = (slice(0, 2), slice(2, 4))
+"""The observables that are positions, and those that are proper motions."""
+
 SMALLEST_EIGENVALUE = 1e-12
 """Of a normal matrix scaled to a diagonal of 1, below which the link is rank deficient."""
 
@@ -90,17 +93,29 @@ def paper_design_matrix(ra: Array, dec: Array, mu_alpha: Array, mu_delta: Array)
     return design
 
 
+def measured(sigma: Array) -> tuple[bool, bool]:
+    """Return whether positions and proper motions are measured, from combined errors (4, N): a kind that has no error
+    at all beside the other one is not; where nothing has an error, all is.
+    """
+    positions, motions = (bool(np.any(sigma[kind])) for kind in KINDS)
+    return positions or not motions, motions or not positions
+
+
 def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
     """Return the standard error of the differences, sqrt(ref^2 + sat^2), as the link weighs them; shape (4, N).
 
-    Error-free data (all zero) get unit errors of 1 mas and 1 mas/yr, that is equal weights.  Raises LinkError where an
-    error is negative or not finite, or zero beside non-zero ones.
+    Error-free data (all zero) get unit errors of 1 mas and 1 mas/yr, that is equal weights; so does a kind of
+    observable that is not `measured`, which only keeps it finite.  Raises LinkError where an error is negative or not
+    finite, or zero beside non-zero ones of its kind.
     """
     sigma = np.hypot(sigma_reference, sigma_satellite) if np.any(sigma_reference) else np.abs(sigma_satellite)
     _require(np.isfinite(sigma), "non-finite standard error")
     _require(np.minimum(sigma_reference, sigma_satellite) >= 0.0, "negative standard error")
     if not np.any(sigma):
         return np.full_like(sigma, MAS)
+    for kind, is_measured in zip(KINDS, measured(sigma), strict=True):
+        if not is_measured:
+            sigma[kind] = MAS
     _require(sigma > 0.0, "zero standard error beside non-zero ones, so an infinite weight,")
     return sigma
 
@@ -171,6 +186,17 @@ def solve(design: Array, differences: Array, sigma: Array, weighting: Weighting 
         rank=rank,
         condition_number=float(singular[0] / singular[-1]),
     )
+
+
+def hold(normal: Array, held: slice) -> Array:
+    """Return normal matrices (K, K, ...) with 1 on the diagonal of unknowns that nothing determines.
+
+    Their rows and columns are zero, so the solution leaves them at zero and the others as they are; nor does a 1 change
+    the ratio of the eigenvalues of the others, whose mean is 1.
+    """
+    for k in range(len(normal))[held]:
+        normal[k, k] = 1.0
+    return normal
 
 
 def normal_inverse(normal: Array) -> Array:

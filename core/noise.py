@@ -6,7 +6,7 @@ object i gets depends neither on how many objects follow nor on what the other s
 """
 
 from collections.abc import Hashable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
+from core.zonal import DrawnField, Field, ZonalErrors
 
 Array = NDArray[np.float64]
 
@@ -41,20 +42,23 @@ class Tile:
 
     start: int
     normals: Array
-    _squares: dict[int, float] = field(default_factory=dict)
+    _squares: dict[Hashable, float] = field(default_factory=dict)
     _products: dict[Hashable, Array] = field(default_factory=dict)
 
     def head(self, n_obj: int) -> Array:
         """Return the part that belongs to a catalogue of ``n_obj`` objects."""
         return self.normals[: max(0, n_obj - self.start)]
 
-    def squares(self, n_obj: int) -> float:
-        """Return the sum of squares of that part, computed once for all points that have as many objects in it."""
+    def squares(self, n_obj: int, observables: slice) -> float:
+        """Return the sum of squares of some observables in that part, computed once for all points that have as many
+        objects in it.
+        """
         count = max(0, min(n_obj - self.start, len(self.normals)))
-        if count not in self._squares:
-            part = self.normals[:count]
-            self._squares[count] = float(np.vdot(part, part))
-        return self._squares[count]
+        key = count, observables.start, observables.stop
+        if key not in self._squares:
+            part = self.normals[:count, observables]
+            self._squares[key] = float(np.vdot(part, part))
+        return self._squares[key]
 
     def product(self, columns: Array, whose: Hashable) -> Array:
         """Return columns^T normals, (C, rows), of the columns (n, 4, C) of the tile's first n objects, computed once
@@ -79,10 +83,15 @@ def tiles(rng: np.random.Generator, rows: int, n_obj: int) -> Iterator[Tile]:
 
 @dataclass(frozen=True)
 class Noise:
-    """Errors of one side: standard errors (N, 4) and, where they are correlated, Cholesky factors (N, 4, 4)."""
+    """True errors of one side: standard errors (N, 4) and, where they are correlated, Cholesky factors (N, 4, 4).
+
+    They are ``inflation`` times the errors that weigh.  A ``field`` has further errors, which objects share.
+    """
 
     sigma: Array
     factor: Array | None
+    inflation: float = 1.0
+    field: Field | None = None
 
     @staticmethod
     def of(model: ErrorModel, catalogue: Catalogue) -> "Noise":
@@ -91,12 +100,36 @@ class Noise:
         sigma = np.ascontiguousarray(model.standard_errors(catalogue).T)
         return Noise(sigma, None if correlation is None else np.asarray(np.linalg.cholesky(correlation)))
 
+    def inflated(self, factor: float) -> "Noise":
+        """Return errors ``factor`` times as large, with the same weights."""
+        if factor == 1.0 or not self._any:
+            return self
+        return replace(self, sigma=factor * self.sigma, inflation=factor * self.inflation)
+
+    def with_zonal(self, errors: ZonalErrors | None, catalogue: Catalogue) -> "Noise":
+        """Return them with zonal errors of the objects of a catalogue."""
+        return self if errors is None else replace(self, field=Field(errors, catalogue.ra, catalogue.dec))
+
     def __bool__(self) -> bool:
-        return self._any
+        return self.field is not None or self._any
 
     @cached_property
     def _any(self) -> bool:
         return bool(np.any(self.sigma))
+
+    @property
+    def as_weighed(self) -> bool:
+        """Whether all errors are independent and as large as they weigh."""
+        return self.factor is None and self.field is None and self.inflation == 1.0
+
+    @property
+    def ratio(self) -> float:
+        """The errors of single objects over those that weigh; 0 where only a field has any."""
+        return self.inflation if self._any else 0.0
+
+    def draw_field(self, rows: int, rng: np.random.Generator) -> DrawnField | None:
+        """Return ``rows`` realisations of the errors that objects share, or None."""
+        return None if self.field is None else self.field.draw(rows, rng)
 
     def standardised(self, normals: Array, start: int) -> Array:
         """Return errors in units of their sigma from the unit normals (m, 4, rows) of the objects from ``start`` on."""
@@ -107,4 +140,5 @@ class Noise:
         scaled = self.sigma[..., None] * gain
         if self.factor is not None:
             scaled = np.swapaxes(self.factor, 1, 2) @ scaled
-        return np.asarray(np.einsum("nik,nik->k", scaled, scaled))
+        variance = np.asarray(np.einsum("nik,nik->k", scaled, scaled))
+        return variance if self.field is None else variance + self.field.variance_through(gain)

@@ -3,10 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from core.link import POLE_LIMIT, pole_error, solve_normal
+from core.link import POLE_LIMIT, hold, pole_error, solve_normal
 from core.noise import Tile
 from core.normal_equations import NormalSums, Seen
 from core.prepared import Setup
+from core.zonal import DrawnField
 
 Array = NDArray[np.float64]
 
@@ -36,28 +37,32 @@ class FullPath:
         self.reference_sigma, self.satellite_sigma = setup.reference.sigma[..., None], setup.satellite.sigma[..., None]
         self.small = FARTHEST * setup.reference.sigma[:, :2].max(axis=1) < SMALL_ANGLE * self.cos_dec[:, 0]
         inverse_variance = setup.sigma[..., None] ** -2.0
+        counted = setup.counted[:, None]
+        inverse_variance *= counted
         equal = setup.scenario.weighting == "equal"
         # the weights of the solution, then those of chi2 where they are others
-        self.weights = [np.ones_like(inverse_variance), inverse_variance] if equal else [inverse_variance]
+        self.weights = [np.ones_like(inverse_variance) * counted, inverse_variance] if equal else [inverse_variance]
 
-    def begin(self, rows: int) -> "FullSums":
-        """Return empty sums of ``rows`` realisations."""
-        return FullSums(self, rows)
+    def begin(self, rows: int, field: DrawnField | None = None) -> "FullSums":
+        """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
+        return FullSums(self, rows, field)
 
 
 class FullSums:
     """Normal equations of the objects met so far, for the realisations of one chunk."""
 
-    def __init__(self, path: FullPath, rows: int) -> None:
+    def __init__(self, path: FullPath, rows: int, field: DrawnField | None = None) -> None:
         scenario, n_obj = path.setup.scenario, len(path.ra)
-        self.path = path
+        self.path, self.field = path, field
         self.objects = min(max(1, ELEMENTS // rows), n_obj)
         self.squares = 0.0
         # written to again and again: temporary arrays would cost more than the arithmetic
         self.errors = np.empty((3, self.objects, 4, rows))
         self.seen = np.empty((len(Seen._fields), self.objects, rows))
         self.scratch = np.empty((3, self.objects, rows))
-        self.sums = [NormalSums(self.objects, rows, scenario.corrections, scenario.solve_glide) for _ in path.weights]
+        # an orientation that is held at its true value has no derivatives
+        turns = scenario.corrections and path.setup.measured[0]
+        self.sums = [NormalSums(self.objects, rows, turns, scenario.solve_glide) for _ in path.weights]
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
         """Add the objects of a tile, the same on both sides; a side without errors may have none."""
@@ -75,7 +80,7 @@ class FullSums:
     def solved(self) -> tuple[Array, float]:
         """Return estimate - truth of each realisation, (K, rows), and the sum of chi2."""
         normal, right = self.sums[0].equations()
-        error = solve_normal(normal, right)
+        error = solve_normal(hold(normal, self.path.setup.held), right)
         normal, right = self.sums[-1].equations()
         chi2 = self.squares + np.sum(error * (np.einsum("klr,lr->kr", normal, error) - 2.0 * right))
         return error, float(chi2)
@@ -89,6 +94,8 @@ class FullSums:
         if satellite is not None:
             noise = setup.satellite.standardised(satellite, start)
             misclosure -= np.multiply(noise, path.satellite_sigma[part], out=weighted)
+        if self.field is not None:
+            misclosure -= self.field.values(part)
         seen = self._seen(part, shift)
         self._subtract_truth(seen, misclosure)
         for sums, weights in zip(self.sums, path.weights, strict=True):

@@ -1,7 +1,7 @@
 """One point's physics, and what all realisations of one catalogue share."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
 from core.frames import along, exact_differences, stored_differences, triad
-from core.link import Weighting, combined_error
+from core.link import KINDS, Weighting, combined_error, measured
 from core.noise import Noise
 from core.shared_arrays import Prefixes, parts
+from core.systematics import Systematics
+from core.zonal import ZonalErrors
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -41,7 +43,9 @@ class Scenario:
     """One point's physics: how a catalogue is drawn, its errors, the truth (rad, rad/yr) and how the link is solved.
 
     ``aberration`` is a glide (rad/yr) added to the satellite's proper motions; ``solve_glide`` adds it to the unknowns.
-    ``method`` says whether the errors of every object are drawn or what the link makes of them.
+    ``method`` says whether the errors of every object are drawn or what the link makes of them.  The true errors of a
+    side are its ``error_ratio`` times those of its model, which weigh; ``zonal`` are further errors of the satellite,
+    and ``systematics`` what is wrong in proper motions beside them.
     """
 
     draw_catalogue: Callable[[np.random.Generator], Catalogue]
@@ -55,6 +59,10 @@ class Scenario:
     weighting: Weighting = "inverse-variance"
     arithmetic: Arithmetic = "exact"
     method: Method = "catalogue"
+    reference_error_ratio: float = 1.0
+    satellite_error_ratio: float = 1.0
+    zonal: ZonalErrors | None = None
+    systematics: Systematics = field(default_factory=Systematics)
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,24 @@ class Setup:
     reference: Noise
     satellite: Noise
     sigma: Array  # (N, 4), as the link weighs the differences
+    measured: tuple[bool, bool] = (True, True)  # positions, proper motions
+
+    @property
+    def observables(self) -> slice:
+        """The observables that are measured."""
+        positions, motions = self.measured
+        return slice(KINDS[0 if positions else 1].start, KINDS[1 if motions else 0].stop)
+
+    @property
+    def counted(self) -> Array:
+        """1 for each observable that is measured, 0 for the others; shape (4,)."""
+        return np.repeat(self.measured, 2).astype(float)
+
+    @property
+    def held(self) -> slice:
+        """The unknowns that nothing measured determines, which stay at their true values."""
+        positions, motions = self.measured
+        return slice(3 if positions else 0, 3 if motions else len(self.truth))
 
 
 @dataclass(frozen=True)
@@ -89,14 +115,16 @@ def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
     catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
     reference = Noise.of(scenario.reference_errors, catalogue)
     satellite = Noise.of(scenario.satellite_errors, catalogue)
+    both = reference.sigma.T, satellite.sigma.T
     return Setup(
         scenario=scenario,
         catalogue=catalogue,
         truth=np.concatenate([drawn.epsilon, drawn.omega, *([-glide] if scenario.solve_glide else [])]),
         differences=_differences(scenario, drawn, shared),
-        reference=reference,
-        satellite=satellite,
-        sigma=np.ascontiguousarray(combined_error(reference.sigma.T, satellite.sigma.T).T),
+        reference=reference.inflated(scenario.reference_error_ratio),
+        satellite=satellite.inflated(scenario.satellite_error_ratio).with_zonal(scenario.zonal, catalogue),
+        sigma=np.ascontiguousarray(combined_error(*both).T),
+        measured=measured(np.add(*both)),
     )
 
 
@@ -104,17 +132,22 @@ def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
     subtract = exact_differences if scenario.arithmetic == "exact" else stored_differences
     catalogue, vectors = drawn.catalogue, np.array([drawn.epsilon, drawn.omega, scenario.aberration])
     epsilon, omega, glide = vectors
+    systematics = scenario.systematics
 
     def compute(*objects: Array) -> Array:
         found = np.empty((len(objects[0]), 4))
         for part in parts(len(found)):
-            ra, dec, pmra, pmdec = (column[part] for column in objects)
+            ra, dec, pmra, pmdec, *v_mag = (column[part] for column in objects)
             found[part] = subtract(ra, dec, pmra, pmdec, epsilon, omega).T
             if np.any(glide):
                 p, q, _ = triad(ra, dec)
                 found[part, 2] -= along(glide, p)  # it is in the satellite's motions
                 found[part, 3] -= along(glide, q)
+            if systematics:
+                found[part, 2:] += systematics.differences(ra, dec, *v_mag).T
         return found
 
-    settings = "differences", scenario.arithmetic, vectors.tobytes()
-    return shared.once(settings, compute, catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec)
+    settings = "differences", scenario.arithmetic, vectors.tobytes(), systematics
+    # magnitudes only where they matter: others of the same objects do not keep them from being shared
+    v_mag = (catalogue.v_mag,) if systematics.of_magnitude else ()
+    return shared.once(settings, compute, catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec, *v_mag)

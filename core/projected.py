@@ -31,6 +31,8 @@ class Projected:
         setup = design.setup
         if setup.reference.factor is not None or setup.satellite.factor is not None:
             raise LinkError("the projected method needs uncorrelated errors: otherwise chi2 has no chi-square law")
+        if not (setup.reference.as_weighed and setup.satellite.as_weighed):
+            raise LinkError("the projected method needs errors that are as large as they weigh, and no zonal ones")
         worst = float(np.max(neglected(design)))
         if worst > LARGEST_NEGLECT:
             raise LinkError(
@@ -41,7 +43,7 @@ class Projected:
         self.noisy = bool(setup.reference) or bool(setup.satellite)
         self.triangle = np.zeros((0, design.columns.shape[2]))
         for part in parts(len(design.columns)):
-            rows = design.columns[part].reshape(-1, design.columns.shape[2])
+            rows = design.columns[part, setup.observables].reshape(-1, design.columns.shape[2])
             self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, rows]), mode="r"))
 
     def draw(self, rows: int, rng: np.random.Generator) -> "Drawn":
@@ -49,7 +51,7 @@ class Projected:
         if not self.noisy:
             return Drawn(*self.design.solved(np.zeros((self.triangle.shape[1], rows)), 0.0))
         normals = rng.standard_normal((rows, len(self.triangle))).T
-        outside = self.design.columns[..., 0].size - len(self.triangle)
+        outside = self.design.columns[:, self.design.setup.observables, 0].size - len(self.triangle)
         # only the sum over the realisations is asked for, and that of chi-squares is one too
         squares = float(np.vdot(normals, normals)) + (rng.chisquare(rows * outside) if outside else 0.0)
         return Drawn(*self.design.solved(self.triangle.T @ normals, squares))
@@ -89,15 +91,17 @@ def neglected(design: FixedDesign) -> Array:
         squares += _squared_changes(design, part, size.reshape(-1, 3).sum(axis=1))
         mean[:3] += _mean_change(design, part)
     rows = np.square(design.inverse).reshape(unknowns, -1, 3).sum(axis=2)
-    return np.asarray(np.sqrt((rows @ squares * len(squares) + np.square(design.inverse @ mean)) / predicted))
+    bound = rows @ squares * len(squares) + np.square(design.inverse @ mean)
+    return np.sqrt(np.divide(bound, predicted, out=np.zeros_like(bound), where=predicted > 0.0))
 
 
 def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:
     """Return bounds of E|D^T W e - A^T W D x|^2, added up over objects, for orientation, spin and glide; (K/3,)."""
     setup, catalogue = design.setup, design.setup.catalogue
+    counted = setup.counted[:, None]
     square_sec = np.cos(catalogue.dec[part]) ** -2.0
     reference, variance = np.square(setup.reference.sigma[part]).T, np.square(setup.sigma[part]).T
-    weight = variance**-2.0 if design.optimal else np.ones_like(variance)  # squared
+    weight = counted * (variance**-2.0 if design.optimal else np.ones_like(variance))  # squared
     error = 3.0 * variance * (1.0 + np.square(design.residual(part).T))
     # E|D|^2: p and q turn with ra and dec by at most 1/cos dec, pmdec eta and pmra eta with the motions too
     turn = square_sec * (reference[0] + reference[1])

@@ -5,9 +5,12 @@ from numpy.typing import NDArray
 
 from core.catalogue import Catalogue
 from core.catalogues import CATALOGUES, CatalogueKind
-from core.constants import GALACTIC_AXES, MAS, MICROARCSEC
+from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import ERROR_KINDS, ErrorKind, ErrorModel
+from core.errors.floor import FlooredErrors, floor_of
 from core.prepared import Scenario, TrueVector, Vector
+from core.systematics import Pattern, Systematics, parse_pattern, rms
+from core.zonal import ZonalErrors
 from sweep.contract import Point
 
 Array = NDArray[np.float64]
@@ -33,6 +36,28 @@ def scenario(point: Point) -> Scenario:
         weighting=point["weighting"],
         arithmetic=point["arithmetic"],
         method=point["method"],
+        reference_error_ratio=point["reference_error_ratio"],
+        satellite_error_ratio=point["satellite_error_ratio"],
+        zonal=zonal_errors(point),
+        systematics=systematics(point),
+    )
+
+
+def zonal_errors(point: Point) -> ZonalErrors | None:
+    """Return the zonal errors of the satellite at a point, or None."""
+    position, motion = point["zonal_pos"], point["zonal_pm"]
+    if not position and not motion:
+        return None
+    return ZonalErrors(position * MAS, motion * MAS, point["zonal_length"] * DEGREE)
+
+
+def systematics(point: Point) -> Systematics:
+    """Return what is wrong in the proper motions of a point; raises ValueError for a field that is none."""
+    return Systematics(
+        omega_slope=_radians(point["omega_slope"], point["omega_slope_size"]),
+        magnitude_equation=(point["magnitude_equation_pmra"] * MAS, point["magnitude_equation_pmdec"] * MAS),
+        v_zero=point["v_zero"],
+        pattern=_pattern(point["motion_field"], point["motion_field_size"]),
     )
 
 
@@ -48,7 +73,9 @@ def error_kind(point: Point, side: str) -> ErrorKind:
 
 def error_model(point: Point, side: str) -> ErrorModel:
     """Return the error model of one side, "reference" or "satellite"."""
-    return error_kind(point, side).model(point, side)
+    kind = error_kind(point, side)
+    model, floor = kind.model(point, side), floor_of(point, kind, side)
+    return model if floor is None else FlooredErrors(model, floor)
 
 
 def catalogue_size(point: Point) -> int:
@@ -68,6 +95,14 @@ def _radians(vector_mas: Vector, size_mas: float | None) -> Vector:
         length = np.linalg.norm(vector)
         vector = vector / length * size_mas * MAS if length > 0.0 else np.array([size_mas * MAS, 0.0, 0.0])
     return (float(vector[0]), float(vector[1]), float(vector[2]))
+
+
+def _pattern(text: str | None, size_mas_yr: float | None) -> Pattern:
+    if text is None:
+        return ()
+    pattern = parse_pattern(text)
+    scale = MAS if size_mas_yr is None else MAS * size_mas_yr / rms(pattern)
+    return tuple((term, coefficient * scale) for term, coefficient in pattern)
 
 
 def _glide(point: Point) -> Vector:

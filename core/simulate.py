@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
 from core.fixed_design import FixedDesign, FixedSums, fixed_design
+from core.link import LinkError
 from core.noise import chunks, tiles
 from core.noisy_design import FullPath, FullSums
 from core.prepared import Draw, Scenario, Setup, prepare
@@ -26,7 +27,8 @@ class BlockSums:
     ``error`` (K,), ``error_products`` (K, K), ``chi2``; and, counted once per realisation of the catalogue, the closed
     form's ``predicted_variance`` (K,), the squares of its elements and of its mean over orientation and over spin, its
     ``predicted_bias`` (K,) and the squares of that, the condition number of the normal matrix and the number of
-    objects.  ``estimates`` (n_sim, K) are the realisations themselves, where they are kept.
+    objects.  ``estimates`` (n_sim, K) are the realisations themselves, where they are kept.  ``error`` and
+    ``estimates`` are NaN for unknowns that nothing measured determines, the rest of those is zero.
     """
 
     error: Array
@@ -60,7 +62,8 @@ def simulate(
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for rows in chunks(n_sim):
         satellite_rng, reference_rng = rng.spawn(2)
-        begun = [point.begin(rows, satellite_rng) for point in points]
+        (field_rng,) = satellite_rng.spawn(1)
+        begun = [point.begin(rows, satellite_rng, field_rng) for point in points]
         for satellite, reference in zip_longest(
             tiles(satellite_rng, rows, satellite_objects), tiles(reference_rng, rows, reference_objects)
         ):
@@ -94,16 +97,19 @@ class _Point:
             n_obj if setup.reference and not projected else 0,
         )
 
-    def begin(self, rows: int, rng: np.random.Generator) -> FixedSums | FullSums | Drawn:
+    def begin(
+        self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator
+    ) -> FixedSums | FullSums | Drawn:
         """Return sums of ``rows`` realisations; what is projected is drawn from the beginning of the satellite's
-        stream, and leaves it there for others.
+        stream, zonal errors from that of their own, and both are left there for others.
         """
-        if not isinstance(self.path, Projected):
-            return self.path.begin(rows)
-        state = rng.bit_generator.state
-        drawn = self.path.draw(rows, rng)
-        rng.bit_generator.state = state
-        return drawn
+        states = rng.bit_generator.state, field_rng.bit_generator.state
+        if isinstance(self.path, Projected):
+            begun: FixedSums | FullSums | Drawn = self.path.draw(rows, rng)
+        else:
+            begun = self.path.begin(rows, self.setup.satellite.draw_field(rows, field_rng))
+        rng.bit_generator.state, field_rng.bit_generator.state = states
+        return begun
 
     def add(self, error: Array, chi2: float) -> None:
         """Add realisations: their estimate - truth (K, rows), and the sum of their chi2."""
@@ -115,9 +121,16 @@ class _Point:
 
     def sums(self) -> BlockSums:
         """Return what has been added up."""
+        held = self.setup.held
+        if not np.all(np.isfinite(self.error)):  # NaN is only for what is held
+            raise LinkError("the solution is not finite")
+        error, estimates = self.error / MAS, None if self.kept is None else np.concatenate(self.kept)
+        error[held] = np.nan
+        if estimates is not None:
+            estimates[:, held] = np.nan
         means = (self.predicted[:3].mean(), self.predicted[3:6].mean())
         return BlockSums(
-            error=self.error / MAS,
+            error=error,
             error_products=self.products / MAS**2,
             chi2=self.chi2,
             predicted_variance=self.n_sim * self.predicted,
@@ -126,7 +139,7 @@ class _Point:
             predicted_bias_squares=self.n_sim * np.square(self.bias),
             condition_number=self.n_sim * self.condition_number,
             n_obj=float(self.n_sim * len(self.setup.catalogue)),
-            estimates=None if self.kept is None else np.concatenate(self.kept),
+            estimates=estimates,
         )
 
 

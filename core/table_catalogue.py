@@ -28,6 +28,7 @@ OBSERVABLES = ("ra", "dec", "pmra", "pmdec")
 CORRELATIONS = {f"{a}_{b}_corr": (i, j) for i, a in enumerate(OBSERVABLES) for j, b in enumerate(OBSERVABLES) if i < j}
 SIDES = ("reference", "satellite")
 ERRORS = (*(f"{observable}_error" for observable in OBSERVABLES), *CORRELATIONS)
+POSITION_ERRORS, MOTION_ERRORS = {"ra_error", "dec_error"}, {"pmra_error", "pmdec_error"}
 QUANTITIES = (*UNITS, *CORRELATIONS, *(f"{side}_{name}" for side in SIDES for name in ERRORS))
 """Errors and correlations may be those of one side: reference_pmra_error beside satellite_pmra_error."""
 
@@ -70,11 +71,11 @@ def catalogue_from_table(
     """Return the objects of a table; ``columns`` maps a quantity of `QUANTITIES` to the table's name for it.
 
     Positions are required; proper motions are zero where the table has none, magnitudes NaN.  Errors are taken if
-    there are those of both proper motions; a position without error columns counts as exact.  A side with columns of
-    its own, as reference_pmra_error, has no others.  ``units`` are those of quantities for which the table has none.
-    ``pmra_cos_dec`` says whether pmra includes cos(dec); None is good only for a table of Gaia's, a column pm_ra_cosdec
-    or one in seconds of time.  Raises ValueError that says what is ambiguous, impossible or missing, with rows counted
-    from 1.
+    there are those of both proper motions, or of the position alone; what has no error column counts as exact.  A side
+    with columns of its own, as reference_pmra_error, has no others.  ``units`` are those of quantities for which the
+    table has none.  ``pmra_cos_dec`` says whether pmra includes cos(dec); None is good only for a table of Gaia's, a
+    column pm_ra_cosdec or one in seconds of time.  Raises ValueError that says what is ambiguous, impossible or
+    missing, with rows counted from 1.
     """
     reader = _Reader(table, columns, units or {})
     ra, dec = reader.read("ra"), reader.read("dec")
@@ -150,11 +151,13 @@ class _Reader:
     def errors(self, side: str) -> OwnErrors | None:
         """Return the errors that are given for a side, or "" for those of no side; None if there are none.
 
-        Raises ValueError for a side with some of its own, but not those of both motions.
+        Raises ValueError for a side with some of its own, but neither those of both motions nor those of the position
+        alone.
         """
         prefix = f"{side}_" if side else ""
         given = [name for name in ERRORS if self.has(f"{prefix}{name}")]
-        if not {"pmra_error", "pmdec_error"} <= set(given):
+        of_motions = MOTION_ERRORS.intersection(given)
+        if of_motions != MOTION_ERRORS and (of_motions or not POSITION_ERRORS.issubset(given)):
             if side and given:
                 raise ValueError(
                     f"columns: {prefix}{given[0]} needs {prefix}pmra_error and {prefix}pmdec_error beside it"

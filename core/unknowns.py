@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.frames import Triad, triad
-from core.harmonics import Kind, Term, terms, toroidal, turned
+from core.harmonics import Kind, Term, fill_toroidal, terms, turned
 from core.link import require_off_poles
 
 Array = NDArray[np.float64]
@@ -33,6 +33,11 @@ class Objects:
     pmra: Array
     pmdec: Array
     columns: Mapping[str, Array] = field(default_factory=dict)
+
+    def taken(self, part: slice) -> "Objects":
+        """Return some of the sources."""
+        columns = {name: column[part] for name, column in self.columns.items()}
+        return Objects(self.ra[part], self.dec[part], self.pmra[part], self.pmdec[part], columns)
 
     @cached_property
     def triad(self) -> Triad:
@@ -150,29 +155,30 @@ class Harmonics:
     rate: bool
     parts: tuple[tuple[Kind, int], ...]
 
-    @property
+    @cached_property
     def terms(self) -> tuple[Term, ...]:
         """The coefficients in their order."""
         return tuple(term for kind, degree in self.parts for term in terms(kind, degree))
 
-    @property
+    @cached_property
     def labels(self) -> tuple[str, ...]:
         """For example vsh_motion_t_2_1_re."""
         return tuple(f"{self.name}_{term.label}" for term in self.terms)
 
     def derivatives(self, objects: Objects) -> Array:
         """Return the fields of all terms; shape (k, 2, N)."""
-        fields = toroidal(max(degree for _, degree in self.parts), objects.ra, objects.dec)
-        found = np.empty((len(self.terms), 2, len(objects.ra)))
-        start = 0
+        found = np.empty((sum(2 * degree + 1 for _, degree in self.parts), 2, len(objects.ra)))
+        place, start = {}, 0
         for kind, degree in self.parts:
-            part = fields[degree**2 - 1 : degree * (degree + 2)]
-            into = found[start : start + len(part)]
-            if kind == "t":
-                into[:] = part
-            else:
-                turned(part, out=into)
-            start += len(part)
+            place[kind, degree] = found[start : start + 2 * degree + 1]
+            start += 2 * degree + 1
+        fields: dict[int, Array] = {}  # a spheroidal field without the toroidal one is turned in its own place
+        for kind, degree in self.parts:
+            fields[degree] = place.get(("t", degree), place[kind, degree])
+        fill_toroidal(fields, objects.ra, objects.dec)
+        for kind, degree in self.parts:
+            if kind == "s":
+                turned(fields[degree], out=place[kind, degree])
         return found
 
 
@@ -226,8 +232,17 @@ class Unknowns:
         """The names of the blocks."""
         return tuple(block.name for block in self.blocks)
 
+    @property
+    def columns(self) -> frozenset[str]:
+        """The columns of the sources that the unknowns depend on."""
+        return frozenset(block.column for block in self.blocks if isinstance(block, SpinByBin))
+
     def __len__(self) -> int:
-        return len(self.labels)
+        return self._length
+
+    @cached_property
+    def _length(self) -> int:
+        return sum(len(block.labels) for block in self.blocks)
 
     def part(self, name: str) -> slice:
         """Return where the unknowns of a block stand; raises ValueError where there is no such block."""

@@ -3,25 +3,27 @@
 from core.catalogues import CATALOGUES
 from core.catalogues.kind import RANDOM_SKY
 from core.errors import ERROR_KINDS, SIDES
-from core.scenario import catalogue_kind, error_kind
+from core.scenario import catalogue_kind, error_kind, zonal_errors
 from sweep.contract import Point
 
 CATALOGUE_PARAMETERS = (
     *("v_min", "v_max", "counts", "mean_pm", "pm_distribution", "positions", "zone_of_avoidance", "sky_contrast"),
-    *("file", "columns", "pmra_cos_dec"),
+    *("file", "columns", "units", "pmra_cos_dec"),
 )
 """Parameters of catalogues (step A) that not every kind uses."""
 
 ERROR_PARAMETERS = (
     *("model", "mission_length", "error_scale", "satellite_error_scale", "reference_error_scale"),
     *("satellite_sigma_pos", "satellite_sigma_pm", "reference_sigma_pos", "reference_sigma_pm"),
+    *("satellite_floor_pos", "satellite_floor_pm", "reference_floor_pos", "reference_floor_pm"),
+    *("satellite_error_ratio", "reference_error_ratio"),
 )
 """Parameters of error models (steps C and D)."""
 
 
 def unused(point: Point) -> dict[str, str]:
     """Return the names of the parameters that change nothing at a point, each with a clause that says why."""
-    return _of_catalogue(point) | _of_errors(point) | _of_truth(point)
+    return _of_catalogue(point) | _of_errors(point) | _of_truth(point) | _of_systematics(point)
 
 
 def _of_catalogue(point: Point) -> dict[str, str]:
@@ -66,6 +68,19 @@ def _of_truth(point: Point) -> dict[str, str]:
             found[vector] = f"its direction is random (directions) and its length is {vector}_size"
     if not point["aberration"]:
         found["glide"] = "it is for aberration = true"
+    return found
+
+
+def _of_systematics(point: Point) -> dict[str, str]:
+    found: dict[str, str] = {}
+    if zonal_errors(point) is None:
+        found["zonal_length"] = "it is for zonal errors, zonal_pos or zonal_pm above 0"
+    if point["motion_field"] is None:
+        found["motion_field_size"] = "it is for a motion_field"
+    slope, size = any(point["omega_slope"]), point["omega_slope_size"]
+    equation = point["magnitude_equation_pmra"] or point["magnitude_equation_pmdec"]
+    if not (equation or (slope if size is None else size)):
+        found["v_zero"] = "it is for an omega_slope or a magnitude equation"
     return found
 
 

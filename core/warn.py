@@ -3,19 +3,40 @@
 import numpy as np
 
 from core.errors import SIDES
-from core.expected_errors import errors_of_objects
-from core.scenario import catalogue_kind, error_kind
+from core.expected_errors import errors_at_limit, errors_of_objects
+from core.scenario import catalogue_kind, error_kind, own_objects
 from sweep.contract import Point
+
+KINDS = {"positions": ("proper motions", "orientation"), "proper motions": ("positions", "spin")}
+"""Of observables: what else there is, and the unknowns that need them."""
 
 LARGE_SHARE = 0.1
 """Of the weight of all objects: one that holds more is named."""
 
 
 def warn(point: Point) -> list[str]:
-    """Return sentences about magnitudes outside of a curve's range, and about objects that decide nearly alone."""
+    """Return sentences about magnitudes outside of a curve's range, about what is not measured, and about objects that
+    decide nearly alone.
+    """
     kind = catalogue_kind(point)
     found = [error_kind(point, side).warning(point, kind) for side in SIDES]
-    return [sentence for sentence in (*found, _heaviest(point)) if sentence is not None]
+    return [sentence for sentence in (*found, _not_measured(point), _heaviest(point)) if sentence is not None]
+
+
+def _not_measured(point: Point) -> str | None:
+    """Say which observables have no error on either side beside others that have."""
+    objects = own_objects(point)
+    if objects is None:
+        errors = np.sum([errors_at_limit(point, side) for side in SIDES], axis=0)
+    else:
+        errors = np.add(*errors_of_objects(point, objects)).reshape(2, -1).max(axis=1)
+    if errors.all() or not errors.any():
+        return None
+    missing, (present, unknowns) = list(KINDS.items())[int(np.argmin(errors))]
+    return (
+        f"{missing} have no errors on either side while {present} have: they are taken as not measured, and the "
+        f"{unknowns} is not determined (NaN)"
+    )
 
 
 def _heaviest(point: Point) -> str | None:
@@ -24,11 +45,13 @@ def _heaviest(point: Point) -> str | None:
     if listed is None or point["weighting"] == "equal":
         return None
     objects, name = listed
-    variance = np.sum(np.square(errors_of_objects(point, objects)), axis=0)
-    if not np.all(variance > 0.0):
+    variance = np.sum(np.square(errors_of_objects(point, objects)), axis=0).reshape(2, 2, -1)
+    measured = variance.any(axis=(1, 2))
+    if not measured.any():
         return None
-    weight = (1.0 / variance).reshape(2, 2, -1).sum(axis=1)  # of positions and of proper motions
-    share = weight / weight.sum(axis=1, keepdims=True)
+    variance[~measured] = 1.0
+    weight = (1.0 / variance).sum(axis=1) * measured[:, None]  # of positions and of proper motions
+    share = weight / np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     heaviest = int(np.argmax(share.max(axis=0)))
     position, motion = (f"{100.0 * part:.0f} %" for part in share[:, heaviest])
     if share[:, heaviest].max() <= LARGE_SHARE:

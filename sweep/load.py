@@ -37,11 +37,14 @@ def read_experiment(reference: str, folder: Path) -> Experiment:
     """Return an Experiment as its file and local modules are now, whatever was loaded before; raises SweepError as
     `load_experiment`.
     """
-    absolute = absolute_reference(reference, folder)
+    try:
+        absolute = absolute_reference(reference, folder)
+    except ValueError:  # no path, as loading it will say
+        absolute = reference
     loaded = sources_of(absolute)
     if loaded is not None and _read(Path(loaded.path)).digest != loaded.digest:
         forget(absolute)
-    return load_experiment(absolute)
+    return load_experiment(reference, folder)
 
 
 @dataclass(frozen=True)

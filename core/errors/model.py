@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 Objects = Callable[[], Catalogue | None]
 
 SIDES = ("reference", "satellite")
+FLOOR = ("floor_pos", "floor_pm")
 
 
 class ErrorModel(Protocol):
@@ -46,7 +47,7 @@ class ErrorKind:
 
     def uses(self, side: str) -> frozenset[str]:
         """Return the names of the parameters that it looks at, for one side."""
-        return frozenset({"error_scale", f"{side}_error_scale"})
+        return frozenset({"error_scale", *(f"{side}_{name}" for name in ("error_scale", "error_ratio", *FLOOR))})
 
     def model(self, point: Point, side: str) -> ErrorModel:
         """Return the error model of a point."""

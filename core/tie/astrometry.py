@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,19 +45,21 @@ class Astrometry:
     def taken(self, part: Indices | slice | NDArray[np.bool_]) -> "Astrometry":
         """Return some of the objects."""
 
-        def of(array: Array | None) -> Array | None:
-            return None if array is None else array[..., part]
+        def of(array: Any) -> Any:
+            if array is None or isinstance(part, slice) or part.dtype == np.bool_:
+                return None if array is None else array[..., part]
+            return np.take(array, part, axis=-1)  # half the time of an index
 
         return replace(
             self,
-            values=self.values[:, part],
-            errors=self.errors[:, part],
-            epoch=self.epoch[part],
+            values=of(self.values),
+            errors=of(self.errors),
+            epoch=of(self.epoch),
             correlations=of(self.correlations),
             radial_velocity=of(self.radial_velocity),
-            names=None if self.names is None else self.names[part],
-            columns={name: column[part] for name, column in self.columns.items()},
-            apparent=None if self.apparent is None else self.apparent[part],
+            names=of(self.names),
+            columns={name: of(column) for name, column in self.columns.items()},
+            apparent=of(self.apparent),
         )
 
     def covariance(self) -> Array:
@@ -68,6 +71,24 @@ class Astrometry:
             for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
                 found[:, i, j] = found[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
         return found
+
+
+def positive_definite(correlations: Array) -> NDArray[np.bool_]:
+    """Return whether each matrix of ten correlations (10, N), all finite, is one; shape (N,).
+
+    By its Cholesky factors, all matrices at once: eigenvalues of a million of them take many seconds.
+    """
+    n = correlations.shape[1]
+    row = dict(zip(PAIRS, correlations, strict=True))
+    factor: dict[tuple[int, int], Array] = {}
+    good = np.ones(n, dtype=bool)
+    for j in range(5):
+        pivot = 1.0 - sum((factor[j, k] ** 2 for k in range(j)), np.zeros(n))
+        good &= pivot > 0.0
+        root = np.sqrt(np.where(pivot > 0.0, pivot, 1.0))
+        for i in range(j + 1, 5):
+            factor[i, j] = (row[j, i] - sum((factor[i, k] * factor[j, k] for k in range(j)), np.zeros(n))) / root
+    return good
 
 
 KINDS = {

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from core.constants import MAS
 from core.link import LinkError
-from core.tie.differences import differences
+from core.tie.differences import Differences, differences
 from core.tie.normal_sums import BLOCK, Problem, Solution
 
 Array = NDArray[np.float64]
@@ -110,17 +110,29 @@ def separation(problem: Problem) -> tuple[Array, Array]:
         source = problem.source[rows]
         own = problem.satellite.taken(source)
         found = differences(own, problem.rows.taken(rows), np.arange(len(source)), problem.taken_out(own))
-        whole = found.covariance + found.partials @ own.covariance() @ found.partials.swapaxes(1, 2)
-        free = np.einsum("rij,rj->ri", np.abs(found.partials), (~own.present.T).astype(np.float64)) > 0.0
-        use_motion = ~found.present[:, 0]
-        for pair, chosen in (((0, 1), ~use_motion), ((3, 4), use_motion)):
-            usable = chosen & found.present[:, pair].all(axis=1) & ~free[:, pair].any(axis=1)
-            at = np.flatnonzero(usable)
-            d = found.values[at][:, pair]
-            square = np.einsum("ri,ri->r", d, np.linalg.solve(whole[at][:, pair][:, :, pair], d[..., None])[..., 0])
-            np.maximum.at(normalised, source[at], np.sqrt(square))
-            if pair == (0, 1):
-                np.maximum.at(plain, source[at], np.hypot(*d.T))
+        of_rows = row_separations(found, own.covariance(), ~own.present.T)
+        np.maximum.at(normalised, source, of_rows[0])
+        np.maximum.at(plain, source, of_rows[1])
+    return normalised, plain
+
+
+def row_separations(found: Differences, covariance: Array, free: Flags) -> tuple[Array, Array]:
+    """Return X and the separation (rad) of each row as `separation` does; shape (R,).
+
+    ``covariance`` (R, 5, 5) is that of the satellite's parameters, ``free`` (R, 5) says which of them it lacks.
+    """
+    normalised, plain = np.zeros(len(covariance)), np.zeros(len(covariance))
+    whole = found.covariance + found.partials @ covariance @ found.partials.swapaxes(1, 2)
+    depends = np.einsum("rij,rj->ri", np.abs(found.partials), free.astype(np.float64)) > 0.0
+    use_motion = ~found.present[:, 0]
+    for pair, chosen in (((0, 1), ~use_motion), ((3, 4), use_motion)):
+        usable = chosen & found.present[:, pair].all(axis=1) & ~depends[:, pair].any(axis=1)
+        at = np.flatnonzero(usable)
+        d = found.values[at][:, pair]
+        square = np.einsum("ri,ri->r", d, np.linalg.solve(whole[at][:, pair][:, :, pair], d[..., None])[..., 0])
+        normalised[at] = np.sqrt(square)
+        if pair == (0, 1):
+            plain[at] = np.hypot(*d.T)
     return normalised, plain
 
 

@@ -58,6 +58,18 @@ class Eliminated:
         right[:, into] = self.right[:, at]
         return weight, right, spread
 
+    def taken(self, part: slice) -> "Eliminated":
+        """Return some of the sources."""
+        return Eliminated(
+            self.weight[part],
+            self.right[part],
+            self.squares[part],
+            self.count[part],
+            self.expected[part],
+            self.spread[part],
+            self.parameters,
+        )
+
     def scaled(self, factors: Array) -> "Eliminated":
         """Return the same with the weight of each source multiplied by a factor (S,)."""
         each = factors[:, None, None]

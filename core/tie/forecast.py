@@ -19,18 +19,18 @@ Criterion = Literal["A", "D"]
 EXHAUSTIVE_LIMIT = 200_000
 
 
-def with_new_rows(problem: Problem, epochs: Sequence[float], error: float) -> Problem:
-    """Return the problem with a position of a single epoch added to each source at each of ``epochs``.
+def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, apparent: bool = True) -> Problem:
+    """Return the problem with a position added to each source at each of ``epochs`` (NaN for the source's own).
 
-    ``error`` (rad) is that of each coordinate.  The new rows have the satellite's position, so they serve forecasts,
-    which do not depend on measured values.
+    ``error`` (rad) is that of each coordinate; the position is of a single epoch (``apparent``) or a mean one.  The
+    new rows have the satellite's position, so they serve forecasts, which do not depend on measured values.
     """
     n, times = len(problem.satellite), len(epochs)
     values, errors = np.full((2, 5, n * times), np.nan)
     values[:2] = np.tile(problem.satellite.values[:2], times)
     errors[:2] = error
     new = Astrometry(
-        values, errors, np.repeat(np.asarray(epochs, dtype=np.float64), n), apparent=np.ones(n * times, dtype=bool)
+        values, errors, np.repeat(np.asarray(epochs, dtype=np.float64), n), apparent=np.full(n * times, apparent)
     )
     source = np.concatenate([problem.source, np.tile(np.arange(n), times)])
     return replace(problem, rows=joined(problem.rows, new), source=source)

@@ -1,8 +1,9 @@
 """Normal equations of the unknowns, kept for each source or for groups of sources, and their solution."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,17 @@ from core.link import SMALLEST_EIGENVALUE, LinkError
 from core.tie.astrometry import Astrometry, Indices
 from core.tie.differences import differences
 from core.tie.elimination import Eliminated, Weights, eliminate
+from core.tie.products import add_products
 from core.tie.simple_rows import eliminate_simple
 from core.unknowns import Objects, Unknowns
 
 Array = NDArray[np.float64]
 
-BLOCK = 8192
-"""Sources at a time: bounds the memory beyond the tables."""
+BLOCK = 4096
+"""Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""
+
+GATHERED = 64 * BLOCK
+"""Sources that are taken out of the tables at a time: bounds the memory beyond these."""
 
 
 @dataclass(frozen=True)
@@ -81,15 +86,16 @@ class Problem:
 
     def sources(self, part: Indices) -> tuple[Unknowns, Objects, Array, Eliminated]:
         """Return the objects, years and eliminated rows of some sources."""
-        own = self.satellite.taken(part)
-        rows_of = self._rows_of(part)
-        rows = self.rows.taken(rows_of)
-        place = np.full(len(self.satellite), -1)
-        place[part] = np.arange(len(part))
-        source = place[self.source[rows_of]]
+        chosen = _as_slice(part)
+        own = self._needed.taken(chosen)
+        if self._one_each:
+            rows, source = self.rows.taken(chosen), np.arange(len(part))
+        else:
+            rows_of, counts = self._rows_of(part)
+            rows, source = self.rows.taken(rows_of), np.repeat(np.arange(len(part)), counts)
         objects, years = self.objects(own)
         taken_out = self.taken_out(own)
-        if self.weights == "covariance" and np.array_equal(source, np.arange(len(part))):
+        if self.weights == "covariance" and len(rows) == len(part) and np.array_equal(source, np.arange(len(part))):
             simple = eliminate_simple(own, rows, taken_out)
             if simple is not None:
                 return self.unknowns, objects, years, simple
@@ -97,7 +103,7 @@ class Problem:
         try:
             left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
         except LinkError as error:
-            raise LinkError(_named(str(error), own, part)) from None
+            raise LinkError(_named(str(error), self.satellite, part)) from None
         return self.unknowns, objects, years, left
 
     def objects(self, own: Astrometry) -> tuple[Objects, Array]:
@@ -115,24 +121,37 @@ class Problem:
         return np.asarray(np.einsum("nik,k->in", known.matrix(*self.objects(own)), values))
 
     @cached_property
+    def _needed(self) -> Astrometry:
+        """The satellite without names and without columns that nothing depends on."""
+        wanted = self.unknowns.columns | (self.known[0].columns if self.known is not None else frozenset())
+        columns = {name: column for name, column in self.satellite.columns.items() if name in wanted}
+        return replace(self.satellite, names=None, columns=columns)
+
+    @cached_property
+    def _one_each(self) -> bool:
+        """True if row i is the only one of source i."""
+        return len(self.source) == len(self.satellite) and np.array_equal(self.source, np.arange(len(self.source)))
+
+    @cached_property
     def _order(self) -> tuple[Indices, Indices]:
         """Rows sorted by source, and where those of each source begin."""
         n_rows = np.bincount(self.source, minlength=len(self.satellite))
         return np.argsort(self.source, kind="stable"), np.concatenate([[0], np.cumsum(n_rows)])
 
-    def _rows_of(self, part: Indices) -> Indices:
+    def _rows_of(self, part: Indices) -> tuple[Indices, Indices]:
+        """Return the rows of some sources, source by source, and how many each has."""
         order, first = self._order
         counts = first[part + 1] - first[part]
         ends = np.cumsum(counts)
         inside = np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts, counts)
-        return np.asarray(order[np.repeat(first[part], counts) + inside])
+        return order[np.repeat(first[part], counts) + inside], counts
 
 
 def source_sums(problem: Problem) -> NormalSums:
     """Return the sums of each source."""
     n, k = len(problem.satellite), len(problem.unknowns)
     sums = _empty(n, k, problem.weights != "covariance")
-    for part in _blocks(np.arange(n)):
+    for part in _blocks(n, BLOCK):
         unknowns, objects, years, left = problem.sources(part)
         rows, derivatives = unknowns.derivatives(objects, years)
         weight, right, spread = left.onto(rows)
@@ -152,57 +171,71 @@ def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array |
     """
     equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
     sums = _empty(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
-    order = np.argsort(group, kind="stable")
-    if factors is not None:
-        order = order[factors[order] > 0.0]
-    for part in _blocks(order):
-        unknowns, objects, years, left = problem.sources(part)
+    short = np.int16 if n_groups < 2**15 else np.int64  # short numbers sort in no time
+    for part in _blocks(len(group), GATHERED):
+        chosen = part if factors is None else part[factors[part] > 0.0]
+        chosen = chosen[np.argsort(group[chosen].astype(short), kind="stable")]
+        unknowns, objects, years, left = problem.sources(chosen)
         if factors is not None and not equal:
-            left = left.scaled(factors[part])
-        rows, derivatives = unknowns.derivatives(objects, years)
-        weight, right, spread = left.onto(rows)
-        here = group[part]
-        for one in np.unique(here):
-            piece = slice(*np.searchsorted(here, [one, one + 1]))
-            matrix = derivatives[..., piece]
-            _add(sums.normal[one], matrix, weight[piece])
-            if sums.spread is not None:
-                _add(sums.spread[one], matrix, spread[piece])
-            sums.right[one] += matrix.reshape(len(matrix), -1) @ right[piece].T.ravel()
-            sums.squares[one] += left.squares[piece].sum()
-            sums.count[one] += left.count[piece].sum()
-            sums.expected[one] += left.expected[piece].sum()
+            left = left.scaled(factors[chosen])
+        here = group[chosen]
+        for piece in _pieces(here):
+            _add_piece(sums, int(here[piece.start]), unknowns, objects.taken(piece), years[piece], left.taken(piece))
     return sums
 
 
-def source_discrepancies(problem: Problem, estimate: Array) -> tuple[Array, Array]:
-    """Return Q_i and n_i of each source at a solution, without keeping its sums; both (S,)."""
-    squares, count = np.zeros(len(problem.satellite)), np.zeros(len(problem.satellite))
-    for part in _blocks(np.arange(len(squares))):
+def _add_piece(
+    sums: NormalSums, one: int, unknowns: Unknowns, objects: Objects, years: Array, left: Eliminated
+) -> None:
+    """Add sources to the sums of one group."""
+    rows, derivatives = unknowns.derivatives(objects, years)
+    weight, right, spread = left.onto(rows)
+    sums.right[one] += derivatives.reshape(len(derivatives), -1) @ right.T.ravel()
+    if sums.spread is not None:
+        add_products(sums.spread[one], derivatives.copy(), spread)
+    add_products(sums.normal[one], derivatives, weight)
+    sums.squares[one] += left.squares.sum()
+    sums.count[one] += left.count.sum()
+    sums.expected[one] += left.expected.sum()
+
+
+def source_counts(problem: Problem) -> Array:
+    """Return the number of observations of each source less that of its free parameters; shape (S,)."""
+    n = len(problem.satellite)
+    return np.concatenate([problem.sources(part)[3].count for part in _blocks(n, GATHERED)]) if n else np.zeros(0)
+
+
+def source_discrepancies(problem: Problem, estimate: Array) -> Array:
+    """Return Q_i of each source at a solution, without keeping its sums; shape (S,)."""
+    squares = np.zeros(len(problem.satellite))
+    for part in _blocks(len(squares), BLOCK):
         unknowns, objects, years, left = problem.sources(part)
         rows, derivatives = unknowns.derivatives(objects, years)
         shift = np.tensordot(estimate, derivatives, axes=1)
         weight, right, _ = left.onto(rows)
         squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", right, shift)
         squares[part] += np.einsum("rn,nrs,sn->n", shift, weight, shift)
-        count[part] = left.count
-    return np.maximum(squares, 0.0), count
+    return np.maximum(squares, 0.0)
 
 
-def _add(total: Array, matrix: Array, weight: Array) -> None:
-    """Add K' W K of sources; ``matrix`` (K, r, n), ``weight`` (n, r, r)."""
-    weighted = np.empty_like(matrix)
-    for i in range(matrix.shape[1]):
-        np.multiply(weight[:, i, i], matrix[:, i], out=weighted[:, i])
-        for j in range(matrix.shape[1]):
-            if i != j and np.any(element := weight[:, i, j]):
-                weighted[:, i] += element * matrix[:, j]
-    total += matrix.reshape(len(total), -1) @ weighted.reshape(len(total), -1).T
+def _blocks(n: int, size: int) -> Iterator[Indices]:
+    for start in range(0, n, size):
+        yield np.arange(start, min(start + size, n))
 
 
-def _blocks(order: Indices) -> Iterator[Indices]:
-    for start in range(0, len(order), BLOCK):
-        yield order[start : start + BLOCK]
+def _pieces(group: Indices) -> Iterator[slice]:
+    """Yield runs of equal numbers, each at most a block long."""
+    limits = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
+    for first, last in pairwise(limits):
+        for start in range(first, last, BLOCK):
+            yield slice(start, min(start + BLOCK, last))
+
+
+def _as_slice(part: Indices) -> Indices | slice:
+    """Return rising neighbours as a slice, which takes without a copy."""
+    if len(part) and part[-1] - part[0] == len(part) - 1 and np.all(np.diff(part) == 1):
+        return slice(int(part[0]), int(part[-1]) + 1)
+    return part
 
 
 def _empty(groups: int, k: int, with_spread: bool) -> NormalSums:
@@ -221,7 +254,7 @@ def _named(message: str, own: Astrometry, part: Indices) -> str:
     words = message.split()
     at = words.index("source") + 1
     number = int(words[at])
-    words[at] = repr(str(own.names[number])) if own.names is not None else str(part[number] + 1)
+    words[at] = repr(str(own.names[part[number]])) if own.names is not None else str(part[number] + 1)
     return " ".join(words)
 
 

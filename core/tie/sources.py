@@ -1,16 +1,24 @@
 """Sources whose sums are kept one by one, or for cells of the sky where they are too many."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.frames import triad
 from core.tie.astrometry import Indices
 from core.tie.clips import Sources
 from core.tie.influence import discrepancies
-from core.tie.normal_sums import NormalSums, Problem, Solution, group_sums, solve, source_discrepancies, source_sums
+from core.tie.normal_sums import (
+    NormalSums,
+    Problem,
+    Solution,
+    group_sums,
+    solve,
+    source_counts,
+    source_discrepancies,
+    source_sums,
+)
 
 Array = NDArray[np.float64]
 
@@ -23,10 +31,24 @@ def sky_cells(ra: Array, dec: Array, divisions: int) -> Indices:
 
     2 d^2 cells for ``divisions`` d: d bands of equal height in sin dec, each of 2 d equal steps in ra.
     """
-    _, _, r = triad(ra, dec)
-    band = np.minimum(((r[2] + 1.0) * 0.5 * divisions).astype(np.int64), divisions - 1)
+    band = np.minimum(((np.sin(dec) + 1.0) * 0.5 * divisions).astype(np.int64), divisions - 1)
     step = ((ra % (2.0 * np.pi)) * (divisions / np.pi)).astype(np.int64) % (2 * divisions)
     return np.asarray(2 * divisions * band + step)
+
+
+def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
+    """Return what the clips need of sources whose sums are kept one by one."""
+    return Sources(
+        lambda factors: _solve_kept(sums, labels, factors),
+        lambda estimate: discrepancies(sums, estimate),
+        sums.count,
+    )
+
+
+def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array) -> Solution:
+    kept = factors > 0.0
+    equal = np.all(factors[kept] == 1.0)
+    return solve(sums.taken(kept), labels, None if equal else factors[kept])
 
 
 @dataclass(frozen=True)
@@ -35,6 +57,7 @@ class SourceTable:
 
     problem: Problem
     divisions: int = 6
+    _last: list[tuple[Array, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def single(self) -> bool:
@@ -50,13 +73,16 @@ class SourceTable:
     def cells(self) -> Indices:
         """The cell of each source, counted from 0 among those that have any."""
         values = self.problem.satellite.values
-        return np.unique(sky_cells(values[0], values[1], self.divisions), return_inverse=True)[1]
+        cells = sky_cells(values[0], values[1], self.divisions)
+        number = np.cumsum(np.bincount(cells) > 0) - 1
+        found: Indices = number[cells]
+        return found
 
     def cell_sums(self, factors: Array) -> NormalSums:
         """Return the sums of cells, each source with a factor of its weight."""
-        n_cells = int(self.cells.max()) + 1
         if not self.single:
-            return group_sums(self.problem, self.cells, n_cells, factors)
+            return self._streamed(factors)
+        n_cells = int(self.cells.max()) + 1
         member = np.zeros((n_cells, len(factors)))
         member[self.cells, np.arange(len(factors))] = 1.0
         weighted = member * factors
@@ -71,18 +97,24 @@ class SourceTable:
             spread=None if optimal else np.tensordot(member * factors**2, sums.right_covariance, axes=1),
         )
 
+    def _streamed(self, factors: Array) -> NormalSums:
+        """Return the sums of cells by a pass over the tables, or those of the last pass where it was the same."""
+        if not self._last or not np.array_equal(self._last[0][0], factors):
+            sums = group_sums(self.problem, self.cells, int(self.cells.max()) + 1, factors)
+            self._last[:] = [(factors.copy(), sums)]
+        return self._last[0][1]
+
     def solve(self, factors: Array) -> Solution:
         """Return the solution with a factor of the weight of each source."""
         labels = self.problem.unknowns.labels
         if not self.single:
             return solve(self.cell_sums(factors), labels)
-        kept = factors > 0.0
-        equal = np.all(factors[kept] == 1.0)
-        return solve(self.sums.taken(kept), labels, None if equal else factors[kept])
+        return _solve_kept(self.sums, labels, factors)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
         if self.single:
-            return Sources(self.solve, lambda estimate: discrepancies(self.sums, estimate), self.sums.count)
-        _, count = source_discrepancies(self.problem, np.zeros(len(self.problem.unknowns)))
-        return Sources(self.solve, lambda estimate: source_discrepancies(self.problem, estimate)[0], count)
+            return sources_of(self.sums, self.problem.unknowns.labels)
+        return Sources(
+            self.solve, lambda estimate: source_discrepancies(self.problem, estimate), source_counts(self.problem)
+        )

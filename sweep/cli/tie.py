@@ -125,6 +125,9 @@ def tie(
 
     SATELLITE has positions, parallaxes and proper motions (Gaia archive, Hipparcos-2, ICRF text, or any table with such
     columns), REFERENCE whatever was measured of the same objects, or zero-motion for quasars.
+
+    \b
+    sweep tie gaia.fits vlbi.ecsv --by name --unknowns orientation,spin -o tie.zarr
     """
     from sweep.tie import text
     from sweep.tie.link_tables import tie as solve
@@ -171,7 +174,11 @@ def tie(
 def forecast(
     satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
 ) -> None:
-    """Forecast the errors of a link with new observations, and choose what to observe."""
+    """Forecast the errors of a link with new observations, and choose what to observe.
+
+    \b
+    sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --error 0.1 --choose 5 --for spin
+    """
     from sweep.tie import text
     from sweep.tie.planning import forecast as plan
 

@@ -93,8 +93,10 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         right = read_table(Path(reference), options.reference_options)
         matched = match(left, right, options.by)
     sources = np.arange(len(left.astrometry)) if all_sources else np.unique(matched.source)
-    own = left.astrometry.taken(sources)
-    rows = right.astrometry.taken(matched.rows)
+    everything = len(sources) == len(left.astrometry)
+    own = left.astrometry if everything else left.astrometry.taken(sources)
+    all_rows = np.array_equal(matched.rows, np.arange(len(right.astrometry)))
+    rows = right.astrometry if all_rows else right.astrometry.taken(matched.rows)
     place = np.full(len(left.astrometry), -1)
     place[sources] = np.arange(len(sources))
     names = _names(left, right, matched, sources)
@@ -195,10 +197,9 @@ def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float)
 
 
 def _zero_motion(satellite: AstrometricTable) -> AstrometricTable:
-    own = satellite.astrometry
-    values, errors = np.full((2, 5, len(own)), np.nan)
-    values[3:], errors[3:] = 0.0, 0.0
-    rows = Astrometry(values, errors, np.full(len(own), np.nan))
+    n = len(satellite.astrometry)
+    zeros = np.broadcast_to(np.array([np.nan, np.nan, np.nan, 0.0, 0.0])[:, None], (5, n))  # takes no memory
+    rows = Astrometry(zeros, zeros, np.broadcast_to(np.nan, n))
     return AstrometricTable(ZERO_MOTION, "", rows, satellite.names)
 
 

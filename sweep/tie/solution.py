@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from core.tie.clips import Clipped, clipped, parse_clip, separation
 from core.tie.influence import LARGE_SHARE, Influence, influence
@@ -52,11 +53,12 @@ def solve_link(
     if resamples < 2:
         raise SweepError(f"{resamples} resamples: at least 2")
     try:
-        table = SourceTable(setup.problem)
-        sources = table.as_sources()
-        found = clipped(parse_clip(clip), sources, lambda: separation(setup.problem))
-        covariances, notes = _covariances(table, found, errors, resamples, seed)
-        squares = sources.discrepancies(found.solution.estimate)
+        with threadpool_limits(1):  # the same bits whatever the machine, and products of blocks are small
+            table = SourceTable(setup.problem)
+            sources = table.as_sources()
+            found = clipped(parse_clip(clip), sources, lambda: separation(setup.problem))
+            covariances, notes = _covariances(table, found, errors, resamples, seed)
+            squares = sources.discrepancies(found.solution.estimate)
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     effect = None

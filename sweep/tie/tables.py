@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.constants import ARCSEC, DEGREE, MAS
-from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows
+from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
 from core.unknowns import PARAMETERS
 from sweep import table_reader
 from sweep.contract import SweepError
@@ -292,15 +292,13 @@ class _Reader:
         if not any(names):
             return None
         found = np.array([np.zeros(len(self.table)) if name is None else self._numbers(name) for name in names])
-        matrix = np.tile(np.eye(5), (len(self.table), 1, 1))
         for row, name, (i, j) in zip(found, names, PAIRS, strict=True):
             both = present[i] & present[j]
             if name is not None:
                 self._check(both & ~np.isfinite(row), f"no {name}")
-            matrix[:, i, j] = matrix[:, j, i] = np.where(both, np.nan_to_num(row), 0.0)
-        bad = ~(np.linalg.eigvalsh(matrix)[:, 0] > 0.0)
-        self._check(bad, "correlations that are impossible (not positive definite)")
-        return np.asarray(np.nan_to_num(found))
+            row[~(both & np.isfinite(row))] = 0.0
+        self._check(~positive_definite(found), "correlations that are impossible (not positive definite)")
+        return found
 
     def _upper(self) -> Array | None:
         """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; or None."""
@@ -331,7 +329,13 @@ class _Reader:
             if name in wanted or getattr(getattr(self.table[name], "dtype", None), "kind", "") in "US"
         ]
         text.sort(key=lambda name: wanted.index(name) if name in wanted else len(wanted))
-        return {name: np.array([" ".join(str(v).split()) for v in self.table[name]]) for name in text}
+        return {name: self._text(name) for name in text}
+
+    def _text(self, name: str) -> NDArray[np.str_]:
+        column = self.table[name]
+        if getattr(getattr(column, "dtype", None), "kind", "") in "iu" and not np.any(np.ma.getmaskarray(column)):
+            return np.asarray(column).astype(np.str_)  # millions of source_id
+        return np.array([" ".join(str(v).split()) for v in column])
 
     def _check(self, bad: NDArray[np.bool_], what: str) -> None:
         rows = np.flatnonzero(bad)

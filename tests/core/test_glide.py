@@ -47,6 +47,15 @@ def expected_leak(sky):
     return -np.cross(mean, GLIDE) / ((1.0 + polar) / 2.0) / np.linalg.norm(GLIDE)
 
 
+def test_a_glide_that_is_solved_for_has_no_error():
+    """Estimate and truth are reference - satellite: a glide of the satellite is a negative one."""
+    (block,) = simulate(
+        [gliding(40, solve_glide=True)], 1, np.random.default_rng(0), np.random.default_rng(1), keep_estimates=True
+    )
+    np.testing.assert_allclose(block.estimates[0, 6:] * MAS, -GLIDE, rtol=1e-9)
+    np.testing.assert_allclose(block.error * MAS, 0.0, atol=1e-9 * np.linalg.norm(GLIDE))
+
+
 def test_columns_are_the_derivative_of_proper_motions_by_the_glide():
     """A glide moves an object towards its apex: r -> <r + t g>, read off as ra and dec after a short time."""
     rng = np.random.default_rng(2)

@@ -5,7 +5,7 @@ import pytest
 
 from core.catalogue import Sky
 from core.frames import triad
-from core.missions import MISSIONS, Exponentials, LogLinear, PyGaia
+from core.missions import MISSIONS, Exponentials, LogLinear, PyGaia, accuracy_curves
 from core.quasars import quasars
 
 TABLE_1_AMEX = {14: 0.65, 14.5: 0.63, 15: 0.61, 15.5: 0.60, 16: 0.58, 16.5: 0.58, 17: 0.57}
@@ -103,3 +103,10 @@ def test_every_mission_says_where_it_comes_from():
     assert all(mission.source for mission in MISSIONS.values())
     with pytest.raises(TypeError):
         MISSIONS["another"] = MISSIONS["amex"]
+
+
+def test_curves_side_by_side_include_the_faint_limit_and_nothing_beyond():
+    mission = MISSIONS["gaia-2001"]
+    curves = accuracy_curves({"gaia-2001": mission}, np.array([20.9, 21.0, np.nextafter(21.0, 30.0)]))
+    np.testing.assert_array_equal(np.isnan(curves.sigma_pm_mas_yr), [[False, False, True]])
+    assert curves.sigma_pos_mas[0, 1] == mission.sigma_pos_mas(np.array([21.0]))[0]

@@ -42,8 +42,28 @@ OTHER = {
     "pm_distribution": "constant",
     "zone_of_avoidance": 20.0,
     "sky_contrast": 0.4,
+    "satellite_floor_pos": 0.3,
+    "satellite_floor_pm": 0.4,
+    "reference_floor_pos": 0.5,
+    "reference_floor_pm": 0.6,
+    "satellite_error_ratio": 2.0,
+    "reference_error_ratio": 0.7,
+    "zonal_pos": 1.0,
+    "zonal_pm": 2.0,
+    "zonal_length": 70.0,
+    "omega_slope": (0.1, 0.0, -0.2),
+    "omega_slope_size": 0.3,
+    "magnitude_equation_pmra": 0.2,
+    "magnitude_equation_pmdec": -0.1,
+    "v_zero": 9.0,
+    "motion_field": "t_2_0,s_3_1_im=-0.5",
+    "motion_field_size": 0.5,
 }
 """Another value of every parameter that leaves the draw as it is."""
+
+
+OWN_STREAM = {"satellite_errors", "reference_errors", "zonal_pos", "zonal_pm"}
+"""Parameters that decide whether a stream is drawn from at all."""
 
 
 def point(**changes):
@@ -84,7 +104,7 @@ def test_quasars_of_each_limit_share_the_draw():
             np.testing.assert_array_equal(together[name][k], values[0], err_msg=name)
 
 
-@pytest.mark.parametrize("name", sorted(set(SHARED) - {"satellite_errors", "reference_errors"}))
+@pytest.mark.parametrize("name", sorted(set(SHARED) - OWN_STREAM))
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])
 def test_a_shared_parameter_does_not_change_the_generators(name, reference_errors):
     """What is drawn is counted and compared, normal by normal, for the default and the other value."""

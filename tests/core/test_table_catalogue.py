@@ -250,8 +250,8 @@ def test_a_position_without_errors_is_exact(given, exact):
     np.testing.assert_allclose(found.sigma, expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize("given", [("ra", "dec"), ("ra", "dec", "pmra"), ("pmdec",)])
-def test_without_both_errors_of_the_motions_there_are_none(given):
+@pytest.mark.parametrize("given", [("ra",), ("ra", "dec", "pmra"), ("pmdec",)])
+def test_without_both_errors_of_the_motions_or_the_position_there_are_none(given):
     assert catalogue(GAIA | {f"{name}_error": ERRORS[f"{name}_error"] for name in given}).sigma is None
 
 

@@ -124,6 +124,10 @@ def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_somet
             "reference_sigma_pm": 2.0,
         },
         "weighting": "equal",
+        **{"satellite_floor_pm": 0.5, "reference_floor_pm": 0.5, "satellite_error_ratio": 2.0},
+        **{"reference_error_ratio": 2.0, "zonal_pm": 1.0, "zonal_length": 60.0, "omega_slope": (0.0, 0.0, 1.0)},
+        **{"omega_slope_size": 1.0, "magnitude_equation_pmra": 1.0, "magnitude_equation_pmdec": 1.0, "v_zero": 9.0},
+        **{"motion_field": "t_2_0", "motion_field_size": 2.0},
     }
     base = link.defaults() | {"catalogue": catalogue, "n_obj": 8}
     unused, reference = link.unused(base), sums(base)

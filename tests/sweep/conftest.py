@@ -78,6 +78,13 @@ SHORT = {
     "radio-stars": {"settings": ["n_sim=10", "n_cat=20"]},
     "galaxies": {"settings": ["n_sim=10", "n_cat=10"]},
     "scatter": {"settings": ["n_sim=1000"]},
+    "degree-two": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["n_obj=30,100", "motion_field=t_2_0,s_2_1_re"]},
+    "zonal-errors": {"settings": ["n_sim=16", "n_cat=5"], "axes": ["n_obj=30,100", "zonal_length=15,60"]},
+    "magnitude-equation": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["v_max=15,16"]},
+    "error-budget": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["v_max=14,15"]},
+    "icrf2-icrf3": {"settings": ["n_sim=2"]},
+    "pulsar-timing": {"settings": ["n_sim=20"]},
+    "pulsar-forecast": {"settings": ["n_sim=100"], "axes": ["n_new=5,62"]},
 }
 
 

@@ -8,11 +8,12 @@ from scipy.stats import chi2, kstest
 
 from core.constants import MAS
 from core.link import LinkError
-from core.tie.astrometry import Astrometry
+from core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
 from core.tie.forecast import Goal, choose, choose_exhaustively, with_new_rows
 from core.tie.influence import influence
-from core.tie.normal_sums import NormalSums, Problem, solve, source_sums
+from core.tie.normal_sums import NormalSums, Problem, group_sums, solve, source_sums
+from core.tie.products import add_products
 from core.tie.releases import factors, released
 from core.tie.sources import SourceTable, sky_cells
 from core.unknowns import parse_unknowns
@@ -285,3 +286,40 @@ def test_releases_scale_errors_as_their_lengths():
     assert later.epoch[0] == 2017.5
     with pytest.raises(ValueError, match="no release 'dr9'"):
         factors("dr3", "dr9")
+
+
+def test_impossible_correlations_are_those_with_a_negative_eigenvalue():
+    rng = np.random.default_rng(31)
+    correlations = random_correlations(rng, 400) * rng.uniform(0.5, 2.0, 400)
+    matrix = np.tile(np.eye(5), (400, 1, 1))
+    for row, (i, j) in zip(correlations, PAIRS, strict=True):
+        matrix[:, i, j] = matrix[:, j, i] = row
+    expected = np.linalg.eigvalsh(matrix)[:, 0] > 0.0
+    assert 50 < expected.sum() < 350
+    np.testing.assert_array_equal(positive_definite(correlations), expected)
+
+
+def test_products_are_those_of_single_sources():
+    rng = np.random.default_rng(32)
+    for size, rank in ((1, 1), (2, 2), (2, 1), (4, 4)):
+        matrix = rng.normal(size=(7, size, 50))
+        half = rng.normal(size=(50, size, rank))
+        weight = half @ half.swapaxes(1, 2)
+        expected = sum(matrix[..., i] @ weight[i] @ matrix[..., i].T for i in range(50))
+        total = np.zeros((7, 7))
+        add_products(total, matrix.copy(), weight)
+        np.testing.assert_allclose(total, expected, rtol=1e-11, atol=1e-11)
+
+
+def test_errors_of_cells_take_no_pass_of_their_own(monkeypatch):
+    from core.tie import sources
+
+    monkeypatch.setattr(sources, "KEPT_NUMBERS", 0)
+    passes = []
+    monkeypatch.setattr(sources, "group_sums", lambda *given: passes.append(1) or group_sums(*given))
+    table = SourceTable(with_outliers())
+    table.solve(np.ones(80))
+    table.cell_sums(np.ones(80))
+    assert len(passes) == 1
+    table.cell_sums(np.linspace(0.0, 1.0, 80))
+    assert len(passes) == 2

@@ -558,10 +558,10 @@ def loop_of_links(place: Path) -> None:
 FOREIGN: dict[Callable[[Path], None], str] = {
     foreign_directory: "is not a store of linksweep (foreign or half-made)",
     plain_file: "is a file, not a Zarr store",
-    half_made: "is not a store of linksweep (foreign or half-made)",
+    half_made: "zarr.json and its copy blocks/zarr.json are both damaged",
     truncated_metadata: "is not a store of linksweep (foreign or half-made)",
     foreign_zarr: "is not a store of linksweep (foreign or half-made)",
-    newer_format: "has store format 99; this version of linksweep reads format 2. It is newer",
+    newer_format: "has store format 99; this version of linksweep reads formats 2 and 3. It is newer",
 }
 
 

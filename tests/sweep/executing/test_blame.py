@@ -43,7 +43,7 @@ def no_pauses(monkeypatch):
     monkeypatch.setattr(dask_executor, "FIRST_PAUSE_S", 1e-3)
 
 
-FAILURES_LEFT = [0]
+FAILURES_LEFT = {0: 0}
 
 
 def failing(*arguments):

@@ -165,7 +165,9 @@ def test_the_printed_table_shows_ours_the_prediction_and_the_papers(main_job):
 def test_the_table_comes_back_from_the_store(main_job, sweep):
     store = main_job[0] / "results" / "quasars.zarr"
     code, out, _ = sweep("show", store)
-    assert (code, out) == (0, main_job[1])
+    assert code == 0
+    assert out.startswith(main_job[1])
+    assert "condition number" in out.removeprefix(main_job[1])
     code, out, _ = sweep("show", store, "--format", "csv")
     rows = list(csv.DictReader(out.splitlines()))
     assert len(rows) == 26
@@ -197,8 +199,11 @@ def test_status_tells_that_it_is_done(main_job, sweep):
 
 def test_error_free_data_return_the_truth(tmp_path, sweep):
     """epsilon and omega come back to 1e-6 of their size."""
-    options = ("--set", "satellite_errors=none", "--set", "n_sim=1", "--set", "n_cat=10", "-o", tmp_path / "s.zarr")
-    code, _, err = sweep("run", "quasars", *options)
+    (tmp_path / "exact.toml").write_text(
+        'title = "No errors"\naxes = { v_max = [14.0, 17.0, 20.0] }\nsampling = { n_sim = 1, n_cat = 10 }\n'
+        'fixed = { catalogue = "quasars", satellite_errors = "none" }\n'
+    )
+    code, _, err = sweep("run", tmp_path / "exact.toml", "-o", tmp_path / "s.zarr")
     assert code == 0, err
     exact = xr.open_zarr(tmp_path / "s.zarr").load()
     assert exact["sigma"].max() < 1e-6  # the truth is 1 mas and 1 mas/yr in every component
@@ -208,4 +213,4 @@ def test_error_free_data_return_the_truth(tmp_path, sweep):
 def test_the_store_holds_no_pickle_and_few_files(main_job):
     files = [p for p in Path(main_job[0]).rglob("*") if p.is_file()]
     assert not any(b"numcodecs.pickle" in p.read_bytes() for p in files if p.name == "zarr.json")
-    assert len(files) < 100
+    assert len(files) < 200

@@ -75,6 +75,11 @@ def test_a_point_gets_what_the_worst_of_its_results_needs_at_once(headlines, exp
     assert rounds(plan_of(headlines, precision=0.01)) == expected
 
 
+def test_a_point_gets_at_most_sixteen_times_what_it_has_before_it_is_asked_again():
+    """200 000 are needed, but the errors of few realisations are too uncertain to believe that."""
+    assert rounds(plan_of(("b",), precision=0.001, max_n_sim=40_000))[:3] == [128, 2048, 32768]
+
+
 def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
     plan = plan_of(precision=0.001, n_cat=40)
     (point,) = plan.grid.points()

@@ -43,6 +43,7 @@ def two_writings(tmp_path, coins, monkeypatch):
     return study, tmp_path / "s.zarr"
 
 
+@pytest.mark.slow
 def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
     _, store = two_writings
     wanted = open_dataset(store)
@@ -211,6 +212,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
     """`cp -r` of a store that is written as often as possible: values are those of a finished run, or there is a
     message; nothing is mixed.
@@ -261,6 +263,7 @@ class Killed(BaseException):
 OPERATIONS = ("put", "create", "swap", "delete")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["folder", "bucket"])
 def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request, tmp_path, coins, monkeypatch):
     monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)

@@ -1,0 +1,45 @@
+"""A noise floor under any error model: errors that no object is without, added in quadrature."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.catalogue import Catalogue
+from core.errors.model import ErrorKind, ErrorModel, Errors, four_rows
+from sweep.contract import Point
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FlooredErrors:
+    """The errors of ``model`` and an independent one of ``floor`` in each observable, in quadrature."""
+
+    model: ErrorModel
+    floor: Errors
+
+    def standard_errors(self, catalogue: Catalogue) -> Array:
+        """Return the root of both squares; shape (4, N)."""
+        return np.asarray(np.hypot(self.model.standard_errors(catalogue), self._floor(catalogue)))
+
+    def correlation(self, catalogue: Catalogue) -> Array | None:
+        """Return the correlations of the sums: smaller than those of the model, since floors are independent."""
+        correlation = self.model.correlation(catalogue)
+        if correlation is None:
+            return None
+        own, total = self.model.standard_errors(catalogue).T, self.standard_errors(catalogue).T
+        share = np.divide(own, total, out=np.ones_like(own), where=total > 0.0)
+        found = correlation * share[:, :, None] * share[:, None, :]
+        found[:, range(4), range(4)] = 1.0
+        return np.asarray(found)
+
+    def _floor(self, catalogue: Catalogue) -> Array:
+        each = np.ones(len(catalogue))
+        return four_rows(self.floor.pos_mas * each, self.floor.pm_mas_yr * each)
+
+
+def floor_of(point: Point, kind: ErrorKind, side: str) -> Errors | None:
+    """Return the floor of one side's errors; None where it has none or its kind of errors cannot have one."""
+    floor = Errors(point[f"{side}_floor_pos"], point[f"{side}_floor_pm"])
+    return floor if any(floor) and f"{side}_floor_pos" in kind.uses(side) else None

@@ -1,0 +1,128 @@
+"""Errors of the tables of a link drawn again and again, and the normal equations of each draw."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.tie.clips import row_separations
+from core.tie.differences import Differences, differences
+from core.tie.elimination import Eliminated, eliminate
+from core.tie.normal_sums import NormalSums, Problem
+
+Array = NDArray[np.float64]
+
+BLOCK = 8192
+"""Sources, in all draws that are made together: the numbers depend on it."""
+
+
+class Draw(NamedTuple):
+    """The sums of each source of one draw, and what `core.tie.clips.clipped` asks for separations."""
+
+    sums: NormalSums
+    separations: Callable[[], tuple[Array, Array]]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """The tables of a problem as they might have been, had the unknowns the values ``truth`` (K,).
+
+    The errors of the satellite's parameters and of the rows are normal with the covariances of the tables, times
+    ``error_factor``; those of a fraction ``outliers`` of the sources are ``outlier_factor`` times larger still.
+    """
+
+    problem: Problem
+    truth: Array
+    error_factor: float = 1.0
+    outliers: float = 0.0
+    outlier_factor: float = 1.0
+
+    def draws(self, number: int, rng: np.random.Generator) -> Iterator[Draw]:
+        """Yield so many draws; memory is that of a block of sources, or of one draw."""
+        at_once = max(1, BLOCK // len(self.problem.satellite))
+        for start in range(0, number, at_once):
+            yield from self._together(min(at_once, number - start), rng)
+
+    @cached_property
+    def normals(self) -> NormalSums:
+        """The sums of each source without any difference: N, numbers and averages are those of every draw."""
+        return self._sums(self._eliminated(np.zeros((1, *self._found.values.shape))), 1)[0]
+
+    @cached_property
+    def _found(self) -> Differences:
+        return differences(self.problem.satellite, self.problem.rows, self.problem.source)
+
+    @cached_property
+    def _covariance(self) -> Array:
+        return self.problem.satellite.covariance()
+
+    @cached_property
+    def _matrix(self) -> Array:
+        return self.problem.unknowns.matrix(*self.problem.objects(self.problem.satellite))
+
+    @cached_property
+    def _halves(self) -> tuple[Array, Array]:
+        return _half(self._covariance), _half(self._found.covariance)
+
+    def _together(self, number: int, rng: np.random.Generator) -> Iterator[Draw]:
+        values = self._values(number, rng)
+        for i, sums in enumerate(self._sums(self._eliminated(values), number)):
+            yield Draw(sums, partial(self._separations, values[i]))
+
+    def _values(self, number: int, rng: np.random.Generator) -> Array:
+        """Return differences, (number, R, 5): M (K x - satellite's errors) + the rows' errors, zero where absent."""
+        source, found = self.problem.source, self._found
+        own_half, row_half = self._halves
+        scale = np.full((number, len(self.problem.satellite), 1), self.error_factor)
+        if self.outliers > 0.0:
+            scale[rng.random(scale.shape) < self.outliers] *= self.outlier_factor
+        own = scale * np.einsum("sij,nsj->nsi", own_half, rng.standard_normal((number, *own_half.shape[:2])))
+        rows = np.einsum("rij,nrj->nri", row_half, rng.standard_normal((number, *row_half.shape[:2])))
+        inside = (self._matrix @ self.truth - own)[:, source]
+        values = np.einsum("rij,nrj->nri", found.partials, inside) + scale[:, source] * rows
+        return np.where(found.present, values, 0.0)
+
+    def _eliminated(self, values: Array) -> Eliminated:
+        """Eliminate many draws (n, R, 5) at once, as sources of one large table."""
+        n, problem, found = len(values), self.problem, self._found
+        tiled = Differences(
+            values=values.reshape(-1, 5),
+            partials=np.tile(found.partials, (n, 1, 1)),
+            covariance=np.tile(found.covariance, (n, 1, 1)),
+            present=np.tile(found.present, (n, 1)),
+        )
+        n_sources = len(problem.satellite)
+        source = (problem.source + n_sources * np.arange(n)[:, None]).ravel()
+        free = np.tile(~problem.satellite.present.T, (n, 1))
+        return eliminate(tiled, source, np.tile(self._covariance, (n, 1, 1)), free, problem.weights)
+
+    def _sums(self, left: Eliminated, number: int) -> list[NormalSums]:
+        n_sources, matrix = len(self.problem.satellite), self._matrix
+        across = matrix.swapaxes(1, 2)
+        normal = across @ left.weight[:n_sources] @ matrix
+        spread = None if self.problem.weights == "covariance" else across @ left.spread[:n_sources] @ matrix
+        right = np.einsum("ski,nsi->nsk", across, left.right.reshape(number, n_sources, 5))
+        squares = left.squares.reshape(number, n_sources)
+        count, expected = left.count[:n_sources], left.expected[:n_sources]
+        return [NormalSums(normal, right[i], squares[i], count, expected, spread) for i in range(number)]
+
+    def _separations(self, values: Array) -> tuple[Array, Array]:
+        source = self.problem.source
+        found = replace(self._found, values=values)
+        free = ~self.problem.satellite.present.T
+        of_rows = row_separations(found, self._covariance[source], free[source])
+        of_sources = np.zeros((2, len(self.problem.satellite)))
+        for into, one in zip(of_sources, of_rows, strict=True):
+            np.maximum.at(into, source, one)
+        return of_sources[0], of_sources[1]
+
+
+def _half(covariance: Array) -> Array:
+    """Return a square root L of each covariance (N, 5, 5), L L' = C, which may be singular."""
+    scale = np.sqrt(np.einsum("nii->ni", covariance))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / (safe[:, :, None] * safe[:, None, :]))
+    return np.asarray(scale[:, :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

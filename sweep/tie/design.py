@@ -1,0 +1,177 @@
+"""What a point of a study of a link stands for: tables as they are, their solution, and the tables to simulate."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.constants import MAS
+from core.tie.astrometry import KINDS, Indices
+from core.tie.clips import Clip, parse_clip
+from core.tie.forecast import Goal, choose, with_new_rows
+from core.tie.normal_sums import Problem, source_sums
+from core.tie.releases import RELEASES, released
+from sweep.contract import Point, SweepError
+from sweep.tie.parameters import PARAMETERS
+from sweep.tie.setup import ZERO_MOTION, Options, Setup, set_up
+from sweep.tie.solution import Link, solve_link
+from sweep.tie.tables import TableOptions
+
+Array = NDArray[np.float64]
+
+ERRORS = ("scaled", "formal", "jackknife")
+
+
+@dataclass(frozen=True)
+class Design:
+    """A point: its clip, the solution of the tables as they are (None without rows of a reference), and the problem
+    with the release and the new rows, whose sources all have rows.
+    """
+
+    clip: Clip
+    solved: Link | None
+    matched: int
+    problem: Problem
+
+    @property
+    def truth(self) -> Array:
+        """The solution of the tables as they are; zero where there is none."""
+        return np.zeros(len(self.problem.unknowns)) if self.solved is None else self.solved.solution.estimate
+
+
+def design_of(point: Point) -> Design:
+    """Return the design of a point; raises SweepError or another ValueError that says what is wrong."""
+    return _design(tuple((parameter.name, point[parameter.name]) for parameter in PARAMETERS))
+
+
+@lru_cache(maxsize=16)
+def _design(values: tuple[tuple[str, Any], ...]) -> Design:
+    point = dict(values)
+    clip = parse_clip(point["clip"])
+    setup = _within(_set_up(_options_of(point)), point)
+    problem = setup.problem
+    if not point["correlations"]:
+        without = replace(problem.satellite, correlations=None), replace(problem.rows, correlations=None)
+        problem = replace(problem, satellite=without[0], rows=without[1])
+        setup = replace(setup, problem=problem)
+    solved = None
+    if len(problem.rows):
+        solved = solve_link(_with_rows_only(setup), str(clip), ERRORS)
+    matched = len(np.unique(problem.source))
+    if point["release"] != "table":
+        shift = RELEASES[point["release"]].epoch - RELEASES[point["from_release"]].epoch
+        problem = replace(problem, satellite=released(problem.satellite, point["from_release"], point["release"]))
+        problem = problem if point["epoch"] is not None else replace(problem, epoch=problem.epoch + shift)
+    if point["n_new"]:
+        problem = _with_chosen(problem, point)
+    if not len(problem.rows):
+        raise SweepError("no rows: give a reference, or zero_motion = true, or n_new above 0")
+    return Design(clip, solved, matched, _only(problem, np.unique(problem.source)))
+
+
+def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return what decides which rows belong to which sources, as something that can be looked up."""
+    reference = None if point["reference"] is None else (point["reference"].path, point["reference"].digest)
+    if point["satellite"] is None:
+        raise SweepError("satellite is required: the table of the satellite")
+    if reference is not None and point["zero_motion"]:
+        raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
+    named = ("unknowns", "degree", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors")
+    named += ("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch")
+    named += ("position_jitter", "motion_jitter", "candidates")
+    table = (point["satellite"].path, point["satellite"].digest)
+    return (table, reference, point["zero_motion"], tuple((name, point[name]) for name in named))
+
+
+@lru_cache(maxsize=4)
+def _set_up(key: tuple[Any, ...]) -> Setup:
+    (satellite, _), reference, zero_motion, named = key
+    given = dict(named)
+    jitter = given["position_jitter"], given["motion_jitter"]
+    of_table = {
+        side: TableOptions(
+            columns=dict(given[f"{side}_columns"]),
+            epoch=given[f"{side}_epoch"],
+            zero_errors=given["zero_errors"],
+            positions=None if side == "satellite" or given["positions"] == "table" else given["positions"],
+        )
+        for side in ("satellite", "reference")
+    }
+    options = Options(
+        unknowns=given["unknowns"],
+        degree=given["degree"],
+        by=given["by"] or None,
+        epoch=given["epoch"],
+        weights=given["weights"],
+        known_spin=given["known_spin"],
+        aberration=given["aberration"],
+        jitter=dict.fromkeys((*KINDS.values(), "single epoch"), jitter) if any(jitter) else {},
+        satellite_options=of_table["satellite"],
+        reference_options=of_table["reference"],
+    )
+    everything = reference is None or given["candidates"] == "all"
+    setup = set_up(satellite, ZERO_MOTION if reference is None else reference[0], options, everything)
+    if reference is None and not zero_motion:
+        none = np.zeros(0, dtype=np.int64)
+        problem = replace(setup.problem, rows=setup.problem.rows.taken(none), source=none)
+        setup = replace(setup, problem=problem)
+    return setup
+
+
+def _within(setup: Setup, point: Mapping[str, Any]) -> Setup:
+    """Leave out the sources beyond the limits of magnitude, and those without one."""
+    low, high, column = point["g_min"], point["g_max"], point["magnitude"]
+    if low is None and high is None:
+        return setup
+    columns = setup.problem.satellite.columns
+    if column not in columns:
+        raise SweepError(f"magnitude = {column!r}: the satellite has no such column of numbers; there are "
+                         f"{', '.join(columns) or 'none'}")  # fmt: skip
+    magnitude = columns[column]
+    kept = (magnitude >= (-np.inf if low is None else low)) & (magnitude <= (np.inf if high is None else high))
+    if not np.any(kept):
+        raise SweepError(f"no source has a {column} within the limits g_min and g_max")
+    return _taken(setup, np.flatnonzero(kept))
+
+
+def _with_rows_only(setup: Setup) -> Setup:
+    return _taken(setup, np.unique(setup.problem.source))
+
+
+def _taken(setup: Setup, sources: Indices) -> Setup:
+    problem = _only(setup.problem, sources)
+    return replace(setup, problem=problem, sources=setup.sources[sources], names=setup.names[sources])
+
+
+def _only(problem: Problem, sources: Indices) -> Problem:
+    """Return the problem of some sources and their rows."""
+    place = np.full(len(problem.satellite), -1)
+    place[sources] = np.arange(len(sources))
+    rows = np.flatnonzero(place[problem.source] >= 0)
+    return replace(
+        problem,
+        satellite=problem.satellite.taken(sources),
+        rows=problem.rows.taken(rows),
+        source=place[problem.source[rows]],
+    )
+
+
+def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:
+    """Return the problem with a new position of the ``n_new`` sources that help most, chosen one after the other."""
+    n_sources, number = len(problem.satellite), point["n_new"]
+    if number > n_sources:
+        raise SweepError(f"n_new = {number}: there are {n_sources} sources to observe")
+    epoch = np.nan if point["new_epoch"] is None else point["new_epoch"]
+    apparent = point["new_positions"] == "single-epoch"
+    planned = with_new_rows(problem, [epoch], point["new_error"] * MAS, apparent)
+    if number == n_sources:
+        return planned
+    blocks = tuple(name.strip() for name in point["goal"].split(",") if name.strip())
+    goal = Goal(problem.unknowns, blocks, "A")
+    chosen = choose(source_sums(problem), source_sums(planned), number, goal).sources
+    old = len(problem.rows)
+    rows = np.concatenate([np.arange(old), old + np.sort(np.array(chosen, dtype=np.int64))])
+    return replace(planned, rows=planned.rows.taken(rows), source=planned.source[rows])

@@ -1,0 +1,248 @@
+"""The link of two tables as an experiment: closed form and Monte Carlo from the same normal equations."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.constants import MAS
+from core.link import LinkError
+from core.tie.clips import clipped
+from core.tie.draws import Draw, Simulation
+from core.tie.normal_sums import Solution, solve
+from core.tie.sources import sources_of
+from sweep.contract import Experiment, Point, SweepError
+from sweep.tie.design import Design, design_of
+from sweep.tie.parameters import COMPONENTS, ORIENTATION, OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SPIN, UNITS
+
+Array = NDArray[np.float64]
+
+N = len(COMPONENTS)
+FACTS = ("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn")
+"""Numbers of the tables that no draw changes."""
+
+SUMS: Mapping[str, tuple[int, ...]] = {
+    "facts": (len(FACTS),),
+    "estimate": (N,),
+    "error_formal": (N,),
+    "error_scaled": (N,),
+    "error_jackknife": (N,),
+    "predicted_variance": (N,),
+    "error": (N,),
+    "error_squares": (N,),
+    "mean_square": (2,),
+    "mean_square_squares": (2,),
+    "within": (N,),
+    "within_scaled": (N,),
+    "kept": (),
+    "ratio": (),
+    "ratio_squares": (),
+}
+
+
+def evaluate(
+    points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
+) -> dict[str, Array]:
+    """Return the sums of `SUMS` over ``n_sim`` draws of the errors of each point's tables."""
+    return _stacked([_simulated(point, n_sim, rng)[0] for point in points])
+
+
+def samples(
+    points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
+) -> dict[str, Array]:
+    """Return what `evaluate` returns and the estimates, shape (points, n_sim, components)."""
+    found = [_simulated(point, n_sim, rng) for point in points]
+    return _stacked([sums for sums, _ in found]) | {"drawn": np.array([drawn for _, drawn in found])}
+
+
+def _stacked(rows: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    return {name: np.array([row[name] for row in rows]) for name in SUMS}
+
+
+def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict[str, Array], Array]:
+    """Return the sums of one point, and its estimates in mas and mas/yr (n_sim, components)."""
+    design = design_of(point)
+    truth = design.truth if point["truth"] == "estimate" else np.zeros_like(design.truth)
+    simulation = Simulation(design.problem, truth, point["error_factor"], point["outliers"], point["outlier_factor"])
+    labels = design.problem.unknowns.labels
+    solution = solve(simulation.normals, labels)
+    drawn = _Drawn(design, simulation, solution)
+    error, formal, ratio, kept = (
+        np.array(part) for part in zip(*map(drawn, simulation.draws(n_sim, rng)), strict=True)
+    )
+    error, formal = _placed(error, labels), _placed(formal, labels)
+    scaled = formal * np.sqrt(ratio)[:, None]
+    size = np.abs(error)
+    missing = np.where(np.isnan(error[0]), np.nan, 0.0)  # unknowns that are not solved for
+    mean_square = np.stack([np.mean(error[:, part] ** 2, axis=1) for part in (ORIENTATION, SPIN)], axis=1)
+    sums = {name: n_sim * value for name, value in _of_tables(design).items()}
+    sums |= {
+        "predicted_variance": n_sim * _placed(np.diag(solution.covariance) / MAS**2, labels),
+        "error": error.sum(axis=0),
+        "error_squares": np.sum(error**2, axis=0),
+        "mean_square": mean_square.sum(axis=0),
+        "mean_square_squares": np.sum(mean_square**2, axis=0),
+        "within": np.sum(size <= formal, axis=0) + missing,
+        "within_scaled": np.sum(size <= scaled, axis=0) + np.where(np.isnan(ratio).any(), np.nan, missing),
+        "kept": np.array(kept.sum()),
+        "ratio": np.array(ratio.sum()),
+        "ratio_squares": np.array(np.sum(ratio**2)),
+    }
+    return sums, error + _placed(truth / MAS, labels)
+
+
+class _Drawn:
+    """Solves draws: error of the estimate and formal error (mas, mas/yr), chi2 over its average, sources kept."""
+
+    def __init__(self, design: Design, simulation: Simulation, solution: Solution) -> None:
+        self.clip, self.labels = design.clip, design.problem.unknowns.labels
+        self.truth, self.solution = simulation.truth, solution
+
+    def __call__(self, draw: Draw) -> tuple[Array, Array, float, float]:
+        if self.clip.kind == "none":
+            right, one = draw.sums.right.sum(axis=0), self.solution  # whose matrices are those of every draw
+            estimate, expected, kept = one.inverse @ right, one.expected, len(draw.sums)
+            squares = max(0.0, float(draw.sums.squares.sum() - right @ estimate))
+        else:
+            found = clipped(self.clip, sources_of(draw.sums, self.labels), draw.separations)
+            one, kept = found.solution, int(np.sum(found.factors > 0.0))
+            estimate, expected, squares = one.estimate, one.expected, one.squares
+        ratio = squares / expected if one.dof > 0 and expected > 0.0 else np.nan
+        return (estimate - self.truth) / MAS, np.sqrt(np.diag(one.covariance)) / MAS, ratio, kept
+
+
+def _of_tables(design: Design) -> dict[str, Array]:
+    """Return what no draw changes: the solution of the tables as they are, in mas and mas/yr."""
+    labels = design.problem.unknowns.labels
+    found = {f"error_{kind}": np.full(N, np.nan) for kind in ("formal", "scaled", "jackknife")}
+    estimate = np.full(N, np.nan)
+    kept = ratio = share = np.nan
+    if (solved := design.solved) is not None:
+        estimate = _placed(solved.solution.estimate / MAS, labels)
+        for kind in ("formal", "scaled", "jackknife"):
+            variance = np.diag(solved.covariances[kind])
+            found[f"error_{kind}"] = _placed(np.sqrt(variance) / MAS, labels)
+        kept = float(np.sum((solved.found.factors > 0.0) & (solved.count > 0)))
+        ratio = solved.solution.scale**2
+        share = np.nan if solved.influence is None else float(solved.influence.share.max())
+    facts = np.array([float(design.matched), kept, ratio, share, float(len(design.problem.satellite))])
+    return found | {"estimate": estimate, "facts": facts}
+
+
+def _placed(values: Array, labels: Sequence[str]) -> Array:
+    """Return values (..., K) at the places of their labels among `COMPONENTS`, NaN elsewhere."""
+    placed = np.full((*values.shape[:-1], N), np.nan)
+    for i, label in enumerate(labels):
+        if label in COMPONENTS:
+            placed[..., COMPONENTS.index(label)] = values[..., i]
+    return placed
+
+
+def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Array]:
+    """Return every output from the sums over n draws."""
+    each = n[:, None]
+    bias = sums["error"] / each
+    sigma = np.sqrt(sums["error_squares"] / each)
+    facts = dict(zip(FACTS, (sums["facts"] / each).T, strict=True))
+    results: dict[str, Array] = dict(facts) | {
+        name: sums[name] / each for name in ("estimate", "error_formal", "error_scaled", "error_jackknife")
+    }
+    for name in ("n_sources", "n_kept", "n_drawn"):
+        results[name] = np.round(results[name])  # n times a whole number, over n
+    results |= {
+        "sigma": sigma,
+        "sigma_mc_error": sigma / np.sqrt(2.0 * each),
+        "sigma_predicted": np.sqrt(sums["predicted_variance"] / each),
+        "bias": bias,
+        "bias_mc_error": _error_of_mean(sums["error"], sums["error_squares"], each),
+        "n_kept_drawn": sums["kept"] / n,
+        "chi2_ratio_drawn": sums["ratio"] / n,
+        "chi2_ratio_drawn_mc_error": _error_of_mean(sums["ratio"], sums["ratio_squares"], n),
+    }
+    for name, key in (("coverage", "within"), ("coverage_scaled", "within_scaled")):
+        results[name] = sums[key] / each
+        between = (sums[key] + 1.0) / (each + 2.0)  # never 0 or 1, where draws show no scatter
+        results[f"{name}_mc_error"] = np.sqrt(between * (1.0 - between) / each)
+    variance = _error_of_mean(sums["mean_square"], sums["mean_square_squares"], each)
+    for which, (name, part) in enumerate((("sigma_orientation", ORIENTATION), ("sigma_spin", SPIN))):
+        rms = np.sqrt(sums["mean_square"][:, which] / n)
+        results[name] = rms
+        with np.errstate(invalid="ignore", divide="ignore"):
+            results[f"{name}_mc_error"] = np.where(rms > 0.0, variance[:, which] / (2.0 * rms), rms)
+        results[f"{name}_predicted"] = np.sqrt((sums["predicted_variance"] / each)[:, part].mean(axis=1))
+    return results
+
+
+def _error_of_mean(total: Array, squares: Array, n: Array) -> Array:
+    """Return the standard error of total/n from the scatter of the n numbers; NaN for one."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.sqrt(np.maximum(squares / n - (total / n) ** 2, 0.0) / np.where(n > 1, n - 1.0, np.nan))
+
+
+def check(point: Point) -> str | None:
+    """Return why a point cannot be computed: its tables, its unknowns, its clip."""
+    try:
+        design = design_of(point)
+        solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
+    except SweepError as error:
+        return str(error)
+    except (LinkError, ValueError) as error:
+        return str(error)
+    if not set(design.problem.unknowns.labels) & set(COMPONENTS):
+        return (
+            f"unknowns = {point['unknowns']!r}: results are for unknowns of degree 1 and the parallax, and none is here"
+        )
+    return None
+
+
+def warn(point: Point) -> list[str]:
+    """Return what the solution of the tables notes: sources that hold much of the weight, clips that do not fit."""
+    solved = design_of(point).solved
+    return [] if solved is None else list(solved.notes)
+
+
+def unused(point: Point) -> dict[str, str]:
+    """Return the parameters that change nothing at a point, each with a clause that says why."""
+    found: dict[str, str] = {}
+
+    def without(use: bool, why: str, *names: str) -> None:
+        found.update({} if use else dict.fromkeys(names, why))
+
+    reference = point["reference"] is not None
+    of_reference = ("reference_columns", "reference_epoch", "positions", "by", "aberration")
+    without(reference, "there is no reference", *of_reference)
+    of_rows = ("truth", "position_jitter", "motion_jitter", "known_spin")
+    without(reference or point["zero_motion"], "there are no rows of a reference", *of_rows)
+    without(point["release"] != "table", "it is for a release", "from_release")
+    new = ("new_epoch", "new_error", "new_positions", "goal", "candidates")
+    without(point["n_new"] > 0, "it is for n_new above 0", *new)
+    limits = point["g_min"] is not None or point["g_max"] is not None
+    without(limits, "it is for g_min or g_max", "magnitude")
+    without(point["outliers"] > 0.0, "it is for outliers above 0", "outlier_factor")
+    return found
+
+
+def cost(point: Point) -> float:
+    """Return how many normal deviates a draw takes."""
+    problem = design_of(point).problem
+    return 5.0 * (len(problem.satellite) + len(problem.rows))
+
+
+tie = Experiment(
+    name="tie",
+    version=1,
+    parameters=PARAMETERS,
+    sums=SUMS,
+    outputs=OUTPUTS,
+    coordinates={"component": COMPONENTS, "unknown": COMPONENTS},
+    component_units={"component": UNITS},
+    evaluate=evaluate,
+    summarise=summarise,
+    samples=samples,
+    sample_outputs=SAMPLE_OUTPUTS,
+    check=check,
+    unused=unused,
+    warn=warn,
+    cost=cost,
+    nan_sums=tuple(name for name in SUMS if name != "kept"),
+)

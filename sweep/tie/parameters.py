@@ -1,0 +1,108 @@
+"""What a study of a link can set, and what a point of it gives."""
+
+from core.tie.releases import RELEASES
+from core.unknowns import Glide, Orientation, ParallaxZeroPoint, Rotation, parse_unknowns
+from sweep.contract import Output, Parameter
+
+_BLOCKS = (Orientation(), Rotation(), *parse_unknowns("position_glide").blocks, Glide(), ParallaxZeroPoint())
+COMPONENTS = tuple(label for block in _BLOCKS for label in block.labels)
+"""The unknowns that have a place in the results: those of degree 1 and the zero point of parallaxes."""
+
+UNITS = tuple("mas/yr" if block.rate else "mas" for block in _BLOCKS for _ in block.labels)
+ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
+
+EPOCHS = {"minimum": 1800.0, "maximum": 2200.0}
+
+PARAMETERS = (
+    Parameter("satellite", "file", None, "table of the satellite; required"),
+    Parameter("reference", "file", None, "table of the reference; without one the rows are those of n_new"),
+    Parameter("zero_motion", "bool", False, "sources are quasars, which do not move: no table of a reference"),
+    Parameter("unknowns", "str", "orientation,spin", "blocks that are solved for, as in sweep tie --unknowns"),
+    Parameter("degree", "int", None, "adds vector spherical harmonics up to it; default none", minimum=1, maximum=50),
+    Parameter("clip", "str", "none", "none, rayleigh, median:K, discrepancy[:N] or huber:C"),
+    Parameter("weights", "str", "covariance", "of the differences", choices=("covariance", "variance", "equal")),
+    Parameter("correlations", "bool", True, "the correlations of the tables are those of the errors"),
+    Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
+    Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
+    Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
+    Parameter("epoch", "float", None, "of the orientation; default the satellite's", "yr", **EPOCHS),
+    Parameter("release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)),
+    Parameter("from_release", "str", "dr3", "what the satellite's table is", choices=tuple(RELEASES)),
+    Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
+    Parameter("new_epoch", "float", None, "of new positions; default that of the source", "yr", **EPOCHS),
+    Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
+    Parameter(
+        "new_positions",
+        "str",
+        "single-epoch",
+        "of new rows: displaced by the parallax, or mean ones",
+        choices=("single-epoch", "mean"),
+    ),
+    Parameter("goal", "str", "", "blocks for which new positions are chosen; default all"),
+    Parameter(
+        "candidates",
+        "str",
+        "matched",
+        "for new positions: sources with rows, or all of the satellite's",
+        choices=("matched", "all"),
+    ),
+    Parameter("position_jitter", "float", 0.0, "added in quadrature to the reference's positions", "mas", minimum=0.0),
+    Parameter("motion_jitter", "float", 0.0, "added in quadrature to its motions", "mas/yr", minimum=0.0),
+    Parameter("known_spin", "vector", None, "taken out before, reference - satellite; default none", "mas/yr"),
+    Parameter(
+        "aberration", "float", 0.0, "Galactic, carries positions without an epoch from 2015.0", "uas/yr", minimum=0.0
+    ),
+    Parameter("by", "str", "", "how rows are matched: name, COLUMN, position[:ARCSEC]; default name if possible"),
+    Parameter("satellite_columns", "map", (), "the satellite's names of columns"),
+    Parameter("reference_columns", "map", (), "the reference's names of columns"),
+    Parameter("satellite_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
+    Parameter("reference_epoch", "float", None, "of a table without a column of epochs", "yr", **EPOCHS),
+    Parameter(
+        "positions",
+        "str",
+        "table",
+        "the reference's: of a single epoch or mean; default what the table says",
+        choices=("table", "single-epoch", "mean"),
+    ),
+    Parameter("zero_errors", "str", "error", "what an error of 0 means", choices=("error", "missing", "exact")),
+    Parameter(
+        "truth", "str", "estimate", "of the draws: the solution of the tables, or zero", choices=("estimate", "zero")
+    ),
+    Parameter("error_factor", "float", 1.0, "errors of the draws over those of the tables", above=0.0),
+    Parameter("outliers", "float", 0.0, "fraction of sources of a draw with larger errors", minimum=0.0, maximum=1.0),
+    Parameter("outlier_factor", "float", 10.0, "how much larger they are", minimum=1.0),
+)
+
+_EACH, _RATIO = ("component",), ("unknown",)  # the first has units
+
+OUTPUTS = (
+    Output("n_sources", "", "sources of the tables that match, or the limits leave"),
+    Output("n_kept", "", "sources that the clip keeps, of the tables as they are", nan=True),
+    Output("estimate", "", "solution of the tables as they are, reference - satellite", _EACH, nan=True),
+    Output("error_formal", "", "its formal error", _EACH, nan=True),
+    Output("error_scaled", "", "its formal error times sqrt(chi2/dof)", _EACH, nan=True),
+    Output("error_jackknife", "", "its error from the solutions without each source", _EACH, nan=True),
+    Output("chi2_ratio", "", "chi2 of the tables over its average", nan=True),
+    Output("largest_share", "", "of the weight of a block of unknowns that one source holds", nan=True),
+    Output("sigma", "", "RMS of estimate - truth of the draws", _EACH, nan=True),
+    Output("sigma_mc_error", "", "its Monte-Carlo error", _EACH, nan=True),
+    Output("sigma_predicted", "", "closed form without a clip", _EACH, nan=True),
+    Output("bias", "", "mean of estimate - truth of the draws", _EACH, nan=True),
+    Output("bias_mc_error", "", "its Monte-Carlo error", _EACH, nan=True),
+    Output("coverage", "", "fraction of draws within their formal error of the truth", _RATIO, nan=True),
+    Output("coverage_mc_error", "", "its Monte-Carlo error", _RATIO, nan=True),
+    Output("coverage_scaled", "", "fraction of draws within their scaled error of the truth", _RATIO, nan=True),
+    Output("coverage_scaled_mc_error", "", "its Monte-Carlo error", _RATIO, nan=True),
+    Output("sigma_orientation", "mas", "RMS over draws and axes", (), True, r"$\sigma_\epsilon$", True),
+    Output("sigma_orientation_mc_error", "mas", "its Monte-Carlo error", nan=True),
+    Output("sigma_orientation_predicted", "mas", "closed form without a clip", nan=True),
+    Output("sigma_spin", "mas/yr", "RMS over draws and axes", (), True, r"$\sigma_\omega$", True),
+    Output("sigma_spin_mc_error", "mas/yr", "its Monte-Carlo error", nan=True),
+    Output("sigma_spin_predicted", "mas/yr", "closed form without a clip", nan=True),
+    Output("n_drawn", "", "sources that are simulated"),
+    Output("n_kept_drawn", "", "mean number of those that the clip keeps"),
+    Output("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", nan=True),
+    Output("chi2_ratio_drawn_mc_error", "", "its Monte-Carlo error", nan=True),
+)
+
+SAMPLE_OUTPUTS = (Output("drawn", "", "estimate of a draw, reference - satellite", _EACH, nan=True),)

@@ -1,0 +1,180 @@
+"""Catalogues whose positions, or proper motions, have no error on either side: these are not measured."""
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from core.experiment import check, evaluate, link, samples, summarise
+from core.warn import warn
+from sweep.tablefile import table_file
+
+N_OBJ = 12
+RNG = np.random.default_rng(8)
+RA, DEC = RNG.uniform(0.0, 2.0 * np.pi, N_OBJ), np.arcsin(RNG.uniform(-0.95, 0.95, N_OBJ))
+MOTIONS = RNG.uniform(-400.0, 400.0, (2, N_OBJ))  # mas/yr
+ERRORS = RNG.uniform(0.2, 2.0, (2, N_OBJ))
+CORRELATION = RNG.uniform(-0.7, 0.7, N_OBJ)
+NAMES = {"motions": ("pmra", "pmdec"), "positions": ("ra", "dec")}
+SOLVED = {"motions": ("sigma_spin", slice(3, 6)), "positions": ("sigma_orientation", slice(0, 3))}
+BESIDE = {"motions": ("sigma_orientation", slice(0, 3)), "positions": ("sigma_spin", slice(3, 6))}
+KINDS = tuple(NAMES)
+
+
+def file_of(folder, kind, correlated=False):
+    first, second = NAMES[kind]
+    columns = {"source_id": np.arange(N_OBJ), "ra": np.degrees(RA), "dec": np.degrees(DEC)}
+    columns |= {"pmra": MOTIONS[0], "pmdec": MOTIONS[1], f"{first}_error": ERRORS[0], f"{second}_error": ERRORS[1]}
+    columns |= {f"{first}_{second}_corr": CORRELATION} if correlated else {}
+    Table(columns).write(folder / "one.ecsv", overwrite=True)
+    return table_file(folder / "one.ecsv")
+
+
+def point(folder, kind, correlated=False, **changes):
+    given = {"catalogue": "file", "file": file_of(folder, kind, correlated), "n_obj": None, "satellite_errors": "none"}
+    return link.defaults() | given | {"reference_errors": "catalogue"} | changes
+
+
+def results(*points, n_sim=2000):
+    sums = evaluate(points, n_sim, np.random.default_rng(4), np.random.default_rng(5))
+    ones = np.ones(len(points))
+    return summarise(sums, n_sim * ones, ones)
+
+
+def covariance_of_one(correlated):
+    """The covariance (N, 2, 2) of the two errors of each object."""
+    mixed = (CORRELATION if correlated else 0.0) * ERRORS[0] * ERRORS[1]
+    mixed = mixed * np.ones(N_OBJ)
+    return np.moveaxis(np.array([[ERRORS[0] ** 2, mixed], [mixed, ERRORS[1] ** 2]]), 2, 0)
+
+
+def field():
+    """d (east, north) / d rotation of each object, (N, 2, 3): the rotation turns r by eps x r."""
+    r = np.array([np.cos(DEC) * np.cos(RA), np.cos(DEC) * np.sin(RA), np.sin(DEC)]).T
+    east = np.array([-np.sin(RA), np.cos(RA), 0.0 * RA]).T
+    north = np.cross(r, east)
+    moved = np.array([np.cross(np.broadcast_to(unit, r.shape), r) for unit in np.eye(3)])  # (3, N, 3)
+    return np.array([[np.sum(m * east, 1), np.sum(m * north, 1)] for m in moved]).transpose(2, 1, 0)
+
+
+def gain_of(weighting):
+    """(K'WK)^-1 K'W of the three unknowns, (3, N, 2), for weights of each observable alone, and its sign."""
+    design, weight = field(), ERRORS.T[..., None] ** -2.0 if weighting == "inverse-variance" else 1.0
+    normal = np.einsum("nik,nil->kl", weight * design, design)
+    return np.einsum("kl,nil->kni", np.linalg.inv(normal), weight * design)
+
+
+def sandwich(weighting, correlated):
+    gain = gain_of(weighting)
+    return np.einsum("kni,nij,lnj->kl", gain, covariance_of_one(correlated), gain)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+@pytest.mark.parametrize(
+    ("side", "method", "correlated"),
+    [
+        ("reference", "catalogue", False),
+        ("satellite", "catalogue", False),
+        ("satellite", "projected", False),
+        ("reference", "projected", False),
+        ("reference", "catalogue", True),
+        ("satellite", "catalogue", True),
+    ],
+)
+def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, correlated, tmp_path):
+    other = {"reference": "satellite", "satellite": "reference"}[side]
+    errors = {f"{side}_errors": "catalogue", f"{other}_errors": "none"}
+    at = point(tmp_path, kind, correlated, weighting=weighting, method=method, **errors)
+    assert check(at) is None
+    found, n_sim = results(at), 2000
+    expected = sandwich(weighting, correlated)
+    (name, part), (name_beside, beside) = SOLVED[kind], BESIDE[kind]
+    sigma = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found["sigma_predicted"][0, part], sigma, rtol=1e-9)
+    np.testing.assert_allclose(found[f"{name}_predicted"], np.sqrt(np.mean(sigma**2)), rtol=1e-9)
+    assert np.all(np.abs(found["sigma"][0, part] / sigma - 1.0) < 4.5 / np.sqrt(2 * n_sim))
+    scatter = np.sqrt((np.outer(sigma, sigma) ** 2 + expected**2) / n_sim)
+    assert np.all(np.abs(found["covariance"][0, part, part] - expected) < 4.5 * scatter)
+    assert np.all(np.isnan([found["sigma"][0, beside], found["bias"][0, beside], found["bias_mc_error"][0, beside]]))
+    assert np.all(np.isnan([found[name_beside], found[f"{name_beside}_predicted"], found[f"{name_beside}_mc_error"]]))
+    assert found["dof"] == 2 * N_OBJ - 3
+    if weighting == "inverse-variance":
+        if not correlated:
+            spread = np.sqrt(2.0 * (2 * N_OBJ - 3) / n_sim)
+            assert abs(found["chi2"][0] - (2 * N_OBJ - 3)) < 4.5 * spread
+        weighted = (field() / ERRORS.T[..., None]).reshape(-1, 3)
+        singular = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), compute_uv=False)
+        assert found["condition_number"][0] == pytest.approx((singular[0] / singular[-1]) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("corrections", [True, False])
+@pytest.mark.parametrize("method", ["catalogue", "projected"])
+def test_the_orientation_that_turns_motions_is_taken_as_known(corrections, method, tmp_path):
+    """A21: an orientation of 10 arcsec turns proper motions of 400 mas/yr, which biases the spin where it is left out
+    and nothing where it is not; the scatter is the same.
+    """
+    epsilon = np.array([3000.0, -8000.0, 5000.0])  # mas
+    at = point(
+        tmp_path, "motions", epsilon=tuple(epsilon), omega=(0.0, 0.0, 0.0), corrections=corrections, method=method
+    )
+    at |= {"satellite_errors": "catalogue", "reference_errors": "none"}
+    found = results(at)
+    turn = (np.cos(RA) * epsilon[0] + np.sin(RA) * epsilon[1]) / np.cos(DEC) * np.pi / 180.0 / 3600e3
+    left_out = np.array([-MOTIONS[1] * turn, MOTIONS[0] * turn]).T
+    bias = 0.0 if corrections else np.einsum("kni,ni->k", gain_of("inverse-variance"), left_out)
+    np.testing.assert_allclose(found["bias_predicted"][0, 3:], bias, atol=1e-5)  # of second order in epsilon
+    assert corrections or np.abs(bias).max() > 1e-3
+    sigma = np.sqrt(np.diag(sandwich("inverse-variance", correlated=False)))
+    np.testing.assert_allclose(found["sigma_predicted"][0, 3:], sigma, rtol=1e-9)
+    assert np.all(np.abs(found["bias"][0, 3:] - bias) < 4.5 * sigma / np.sqrt(2000.0))
+
+
+def test_the_spin_has_the_numbers_that_it_has_beside_positions():
+    """The other kind has random numbers of its own: what is determined does not change with it, nor with who shares the
+    block.
+    """
+    normal = {"satellite_errors": "normal", "n_obj": 20}
+    both, motions, positions = (
+        link.defaults() | normal | changes
+        for changes in ({}, {"satellite_sigma_pos": 0.0}, {"satellite_sigma_pm": 0.0})
+    )
+    together, alone = results(both, motions, positions), [results(p) for p in (both, motions, positions)]
+    for name, values in together.items():
+        np.testing.assert_array_equal(values, np.concatenate([one[name] for one in alone]), err_msg=name)
+    assert together["sigma_spin"][1] == pytest.approx(together["sigma_spin"][0], rel=1e-12)
+    assert together["sigma_orientation"][2] == pytest.approx(together["sigma_orientation"][0], rel=1e-12)
+    np.testing.assert_array_equal(np.isnan(together["sigma_spin"]), [False, False, True])
+    np.testing.assert_array_equal(together["dof"], [74, 37, 37])
+
+
+def test_a_glide_is_solved_for_with_motions_alone_and_refused_without(tmp_path):
+    at = point(tmp_path, "motions", solve_glide=True, aberration=True)
+    assert check(at) is None
+    found = results(at)
+    assert found["dof"] == 2 * N_OBJ - 6
+    assert np.isfinite(found["glide_sigma"]).all()
+    assert abs(found["chi2"][0] - (2 * N_OBJ - 6)) < 4.5 * np.sqrt(2.0 * (2 * N_OBJ - 6) / 2000.0)
+    problem = check(point(tmp_path, "positions", solve_glide=True))
+    assert problem == "solve_glide: the proper motions have no errors on either side, so they are not measured"
+
+
+def test_samples_of_what_is_not_determined_are_nan(tmp_path):
+    found = samples([point(tmp_path, "motions")], 50, np.random.default_rng(4), np.random.default_rng(5))["estimate"]
+    assert np.isnan(found[0, :, :3]).all()
+    assert np.isfinite(found[0, :, 3:]).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("motions", "positions have no errors on either side while proper motions have"),
+        ("positions", "proper motions have no errors on either side while positions have"),
+    ],
+)
+def test_what_is_not_measured_is_said(kind, words, tmp_path):
+    (said,) = [
+        sentence for sentence in warn(point(tmp_path, kind, satellite_errors="none")) if "either side" in sentence
+    ]
+    assert said.startswith(words)
+    assert "is not determined (NaN)" in said
+    assert not any("either side" in sentence for sentence in warn(link.defaults() | {"n_obj": 20}))

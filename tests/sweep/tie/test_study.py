@@ -1,0 +1,193 @@
+"""Links of tables as studies: the draws against closed forms, the built-in studies against what was published."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from core.constants import MAS
+from core.missions import MISSIONS
+from core.tie.clips import separation
+from core.tie.differences import differences
+from core.tie.draws import Simulation
+from core.tie.normal_sums import Problem, source_sums
+from core.unknowns import parse_unknowns
+from sweep.contract import SweepError
+from sweep.executing.choose import Resources
+from sweep.running.run import run_study
+from sweep.studies.reader import load_study
+from sweep.tie.design import design_of
+from sweep.tie.experiment import check, tie, unused, warn
+from sweep.tie.parameters import COMPONENTS
+from tests.core.tie.made import stars
+
+X, Y, Z = range(3)
+
+
+def point(study, **changes):
+    return tie.defaults() | load_study(study).fixed | changes
+
+
+def results(at, n_sim=400, seed=1):
+    sums = tie.evaluate([at], n_sim, np.random.default_rng(seed), np.random.default_rng(0))
+    found = tie.summarise(sums, np.array([float(n_sim)]), np.ones(1))
+    return {name: values[0] for name, values in found.items()}
+
+
+def mixed_problem(weights="covariance"):
+    """Stars with all correlations; each has a five-parameter row, and every third a position of another epoch too."""
+    satellite, reference = stars(30), stars(30, seed=2)
+    rows = replace(reference, values=satellite.values, epoch=np.full(30, 2003.0), radial_velocity=None)
+    again = np.concatenate([np.arange(30), np.arange(0, 30, 3)])
+    rows = rows.taken(again)
+    errors = rows.errors.copy()
+    errors[2:, 30:] = np.nan
+    rows = replace(rows, errors=errors, epoch=np.where(np.arange(40) < 30, 2003.0, 2010.3))
+    unknowns = parse_unknowns("orientation,spin,parallax")
+    return Problem(satellite, rows, again, unknowns, 2016.0, weights)
+
+
+@pytest.mark.parametrize("weights", ["covariance", "variance", "equal"])
+def test_draws_have_the_covariance_and_the_chi2_of_the_normal_equations(weights):
+    problem = mixed_problem(weights)
+    truth = np.arange(1.0, 8.0) * MAS
+    simulation = Simulation(problem, truth)
+    sums = source_sums(problem)
+    np.testing.assert_allclose(simulation.normals.normal, sums.normal, rtol=1e-9, atol=1e-9 * sums.normal.max())
+    normal, spread = sums.normal.sum(axis=0), sums.right_covariance.sum(axis=0)
+    n = 3000
+    drawn = list(simulation.draws(n, np.random.default_rng(3)))
+    right = np.array([d.sums.right.sum(axis=0) for d in drawn]) - normal @ truth
+    whitened = np.linalg.solve(np.linalg.cholesky(spread), right.T)
+    np.testing.assert_allclose(whitened @ whitened.T / n, np.eye(7), atol=5.0 / np.sqrt(n) * np.sqrt(2.0))
+    estimates = np.linalg.solve(normal, (right + normal @ truth).T).T
+    squares = np.array([d.sums.squares.sum() for d in drawn]) - np.einsum("nk,kl,nl->n", estimates, normal, estimates)
+    expected = sums.expected.sum() - np.trace(np.linalg.solve(normal, spread))
+    assert abs(squares.mean() - expected) < 5.0 * squares.std() / np.sqrt(n)
+
+
+def test_the_separations_of_a_draw_are_those_of_a_table():
+    problem = mixed_problem()
+    simulation = Simulation(problem, np.zeros(7))
+    real = differences(problem.satellite, problem.rows, problem.source).values
+    for found, expected in zip(simulation._separations(real), separation(problem), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("weights", ["covariance", "equal"])
+def test_draws_scatter_as_the_closed_form_says(weights):
+    found = results(point("pulsar-timing", weights=weights), 2000)
+    solved = slice(X, Z + 1)
+    off = np.abs(found["sigma"] - found["sigma_predicted"])[solved] / found["sigma_mc_error"][solved]
+    assert off.max() < 4.5
+    assert (
+        abs(found["sigma_orientation"] - found["sigma_orientation_predicted"])
+        < 4.5 * (found["sigma_orientation_mc_error"])
+    )
+    assert np.abs(found["coverage"][solved] - 0.6827).max() < 4.5 * found["coverage_mc_error"][solved].max()
+    assert np.abs(found["bias"] / found["bias_mc_error"])[solved].max() < 4.5
+    assert abs(found["chi2_ratio_drawn"] - 1.0) < 4.5 * found["chi2_ratio_drawn_mc_error"]
+    assert np.all(np.isnan(found["sigma"][3:]))
+
+
+def test_timing_on_de200_as_published():
+    found = results(point("pulsar-timing"), 2)
+    np.testing.assert_allclose(found["estimate"][:3], [-0.90, -13.04, -12.18], atol=0.035)
+    np.testing.assert_allclose(found["error_scaled"][:3], [0.99, 1.21, 0.48], atol=0.015)
+    assert found["n_kept"] == 9
+
+
+def test_icrf2_against_icrf3_as_published():
+    found = results(point("icrf2-icrf3", clip="rayleigh"), 2)
+    glide = COMPONENTS.index("position_glide_x")
+    np.testing.assert_array_equal(np.round(1000.0 * found["estimate"][:3]), [11, 14, -1])
+    np.testing.assert_array_equal(np.round(1000.0 * found["estimate"][glide : glide + 3]), [22, 63, 89])
+    np.testing.assert_array_equal(np.round(1000.0 * found["error_scaled"][:3]), [4, 4, 3])
+    assert (found["n_sources"], found["n_kept"]) == (3410, 3237)
+
+
+def test_the_forecast_of_pulsars_as_published():
+    found = results(point("pulsar-forecast", n_new=62), 2)
+    assert found["sigma_predicted"][:3].max() == pytest.approx(0.243, abs=5e-4)
+    assert np.isnan(found["estimate"]).all()  # there is no timing yet
+
+
+def test_underestimated_errors_and_outliers_show_in_coverage_and_chi2():
+    larger = results(point("pulsar-timing", error_factor=3.0))
+    assert larger["chi2_ratio_drawn"] == pytest.approx(9.0, rel=0.1)
+    assert larger["coverage"][:3].max() < 0.4
+    np.testing.assert_allclose(larger["sigma"][:3], 3.0 * larger["sigma_predicted"][:3], rtol=0.15)
+    all_of_them = results(point("pulsar-timing", outliers=1.0, outlier_factor=3.0))
+    assert all_of_them["chi2_ratio_drawn"] == pytest.approx(9.0, rel=0.1)
+
+
+def test_a_clip_takes_outliers_out_of_the_draws():
+    at = point("pulsar-forecast", n_new=40, outliers=0.1, outlier_factor=30.0)
+    without, clip = results(at, 100), results(at | {"clip": "median:5"}, 100)
+    assert clip["sigma_orientation"] < 0.5 * without["sigma_orientation"]
+    assert 30 < clip["n_kept_drawn"] < 39.5
+    assert clip["n_drawn"] == without["n_kept_drawn"] == 40
+
+
+def test_releases_new_positions_and_jitter_change_the_forecast_as_they_should():
+    few, more = (design_of(point("pulsar-forecast", n_new=n)).problem for n in (5, 10))
+    assert set(few.satellite.names) < set(more.satellite.names)  # the best first
+    at = point("pulsar-forecast", n_new=62, new_error=1e-3)
+    now, later = (results(at | {"release": r, "from_release": "dr3"}, 2)["sigma_predicted"] for r in ("table", "dr5"))
+    # almost all of the error is the satellite's, whose positions improve as T^-1/2
+    assert (later / now)[:3] == pytest.approx((34 / 126) ** 0.5, rel=1e-3)
+    exact, jitter = (results(point("pulsar-timing", position_jitter=j), 2)["error_formal"][:3] for j in (0.0, 5.0))
+    assert np.all(jitter > exact)
+
+
+def test_limits_of_magnitude_leave_sources_out():
+    at = point("pulsar-forecast", n_new=3)
+    names = design_of(at | {"magnitude": "parallax", "g_min": 1.0, "n_new": 6}).problem.satellite.columns["parallax"]
+    assert names.min() >= 1.0
+    assert "no such column" in check(at | {"g_max": 12.0})
+    assert "no source" in check(at | {"magnitude": "parallax", "g_min": 1e6})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"satellite": None}, "satellite is required"),
+        ({"n_new": 63}, "there are 62 sources to observe"),
+        ({"n_new": 0}, "no rows"),
+        ({"clip": "sigma:3"}, "is not known; known are none"),
+        ({"unknowns": "orientatoin"}, "known are orientation"),
+        ({"n_new": 1}, "do not tell these unknowns apart"),
+        ({"goal": "spin"}, "no unknowns 'spin'"),
+    ],
+)
+def test_what_cannot_be_computed_is_said(changes, words):
+    assert words in check(point("pulsar-forecast", n_new=5) | changes)
+
+
+def test_what_is_set_in_vain_is_refused():
+    assert "from_release" in unused(point("pulsar-timing"))
+    assert "truth" in unused(point("pulsar-forecast", n_new=5))
+
+
+def test_a_study_runs_into_a_store_and_refuses_what_is_set_in_vain(tmp_path):
+    study = load_study("pulsar-forecast", settings=["n_sim=20"], axes=["n_new=10,62"])
+    run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+    dataset = xr.open_zarr(tmp_path / "s.zarr").load()
+    assert dataset["sigma_predicted"].dims == ("n_new", "component")
+    assert dataset["sigma_predicted"].sel(n_new=62, component="epsilon_z") == pytest.approx(0.243, abs=5e-4)
+    with pytest.raises(SweepError, match="outlier_factor"):
+        run_study(load_study("pulsar-forecast", settings=["outlier_factor=3"]), tmp_path / "t.zarr")
+
+
+def test_large_shares_are_warned_of():
+    assert any("more than 10 % of the weight" in sentence for sentence in warn(point("pulsar-timing")))
+
+
+@pytest.mark.parametrize("name", [name for name in MISSIONS if not name.startswith("gaia-dr")])
+def test_no_curve_promises_what_a_bright_star_cannot_have(name):
+    """The curve fitted to faint quasars went down to 0.07 uas/yr at V = 3."""
+    mission = MISSIONS[name]
+    bright = np.array([-1.0, 0.0, 3.0, 6.0])
+    assert np.all(mission.sigma_pm_mas_yr(bright) >= 2e-3)
+    assert np.all(mission.sigma_pos_mas(bright) >= 2e-3)
