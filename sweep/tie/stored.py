@@ -29,7 +29,7 @@ def result_at(where: Any) -> "xr.Dataset | None":
 
     try:
         with xr.open_zarr(folder) as stored:
-            dataset: xr.Dataset = stored.load()
-            return dataset
+            result: xr.Dataset = stored.load()
     except Exception as error:  # whatever a damaged file makes of the decoders
         raise SweepError(f"is damaged: {' '.join(str(error).split())}", str(where)) from error
+    return result

@@ -1,6 +1,6 @@
 """What further observations would do: errors against the epoch of new ones, and which sources to observe."""
 
-from typing import Any
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,7 @@ from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
 from sweep.plots.tie.names import readable, unknown_symbol
 
 RANKED = 20
-LINES: tuple[Any, ...] = ("dashed", "dotted", "dashdot")
+LINES: tuple[Literal["dashed", "dotted", "dashdot"], ...] = ("dashed", "dotted", "dashdot")
 
 
 def epoch_figure(dataset: xr.Dataset) -> Figure:

@@ -66,8 +66,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     for row, places in enumerate(blocks.values()):
         factor, _ = readable(stretched[:, places], "mas")
         for axes, (i, j) in zip(grid[row], combinations(places, 2), strict=True):
-            x, y = factor * stretched[far][:, [i, j]].T
-            name_points(axes, x, y, names[far].tolist())
+            name_points(axes, factor * stretched[far, i], factor * stretched[far, j], names[far].tolist())
     return figure
 
 

@@ -83,8 +83,7 @@ def _arrows(dataset: xr.Dataset, name: str, pair: tuple[int, int]) -> _Arrows:
     dropped = dataset["weight_factor"].values[source] == 0.0
     values, errors = values[rows], errors[rows]
     if len(values) <= MOST_ARROWS:
-        east, north = values.T
-        return _Arrows(ra, dec, east, north, dropped)
+        return _Arrows(ra, dec, values[:, 0], values[:, 1], dropped)
     kept = ~dropped
     return _averaged(ra[kept], dec[kept], values[kept], errors[kept])
 

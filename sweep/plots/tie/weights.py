@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
@@ -80,6 +80,8 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
         colour = COLOURS[number % len(COLOURS)]
         left.barh(places + offset, share[order, number], height, color=colour, label=str(name).replace("_", " "))
     left.axvline(LARGE_SHARE, color="0.4", linestyle="dotted", linewidth=1.0)
+    left.xaxis.set_major_locator(MaxNLocator(5))
+    right.xaxis.set_major_locator(MaxNLocator(5))
     left.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100.0 * value:g} %"))
     left.set_xlabel("share of the weight")
     left.set_yticks(places, dataset["source"].values[order].tolist(), fontsize=7)
