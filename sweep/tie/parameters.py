@@ -1,17 +1,11 @@
 """What a study of a link can set, and what a point of it gives."""
 
 from core.tie.releases import RELEASES
-from core.unknowns import Block, Glide, Orientation, ParallaxZeroPoint, Rotation, parse_unknowns
+from core.unknowns import parse_unknowns
 from sweep.contract import Output, Parameter
 
-_BLOCKS: tuple[Block, ...] = (
-    Orientation(),
-    Rotation(),
-    *parse_unknowns("position_glide").blocks,
-    Glide(),
-    ParallaxZeroPoint(),
-)
-COMPONENTS = tuple(label for block in _BLOCKS for label in block.labels)
+_UNKNOWNS = parse_unknowns("orientation,spin,position_glide,glide,parallax")
+COMPONENTS = _UNKNOWNS.labels
 """The unknowns that have a place in the results: those of degree 1 and the zero point of parallaxes."""
 
 UNITS = _UNKNOWNS.units
