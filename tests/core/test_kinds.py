@@ -73,7 +73,7 @@ print("as good")
 
 
 def test_a_toy_of_each_kind_takes_one_file_and_one_entry(tmp_path):
-    for package in ("core", "linksweep", "sweep"):
+    for package in ("core", "linksweep", "sweep", "sweeps"):
         shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
     for folder, module, code, entry, anchor in (
         ("catalogues", "ring", RING, '"ring": Ring(),', '"file": File(),'),

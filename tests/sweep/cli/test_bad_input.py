@@ -155,10 +155,6 @@ STUDIES = {
         axis("[true]", "n_obj").replace("n_obj = [true]", "").replace('"quasars"', '"synthetic"'),
         "n_obj: a synthetic catalogue needs a number of objects (2 points)",
     ),
-    "infinite weight": (
-        fixed('satellite_errors = "normal"\nsatellite_sigma_pm = 0.0'),
-        "give an error to both (4 points)",
-    ),
     "vector too short": (fixed("omega = [1.0, 1.0]"), "omega = [1.0, 1.0]: must be a list of three finite numbers"),
     "vector with a string": (fixed('omega = [1.0, 1.0, "x"]'), "omega = 'x': must be a list of three finite numbers"),
     # axes
