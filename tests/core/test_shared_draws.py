@@ -177,7 +177,7 @@ def test_tiles_are_the_stream_object_by_object(rows, n_obj, fewer):
     assert sum(len(normals) for _, normals in found) == n_obj
     few = min(fewer, n_obj)
     parts = [tile.head(few).copy() for tile in tiles(np.random.default_rng(3), rows, n_obj)]
-    squares = [tile.squares(few) for tile in tiles(np.random.default_rng(3), rows, n_obj)]
+    squares = [tile.squares(few, slice(0, 4)) for tile in tiles(np.random.default_rng(3), rows, n_obj)]
     assert sum(len(part) for part in parts) == few
     np.testing.assert_allclose(np.sum(squares), np.sum(plain[:few] ** 2), rtol=1e-12)
 

@@ -221,10 +221,9 @@ def test_prediction_for_quasars_is_near_the_closed_form():
     assert run(point, 1).predicted_variance[3:].mean() == pytest.approx(closed_form, rel=0.3)
 
 
-@pytest.mark.parametrize("bad", [NormalErrors(1.0, 0.0), NormalErrors(0.0, 1.0), NormalErrors(-1.0, 1.0)])
-def test_errors_that_cannot_be_weighed(bad):
-    with pytest.raises(LinkError, match=r"(zero|negative) standard error"):
-        run(scenario(10, satellite_errors=bad), 1)
+def test_errors_that_cannot_be_weighed():
+    with pytest.raises(LinkError, match=r"negative standard error"):
+        run(scenario(10, satellite_errors=NormalErrors(-1.0, 1.0)), 1)
 
 
 def test_a_sky_that_does_not_determine_the_link():

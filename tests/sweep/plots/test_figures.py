@@ -119,7 +119,7 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     assert half == pytest.approx(standard_error(one, "sigma_spin").values, rel=1e-6)
     assert published.lines[0].get_ydata() == pytest.approx(one["sigma_spin_published"].values)
     drawn = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == one.sizes["v_max"]]
-    assert any(np.array_equal(ydata, one["sigma_spin_predicted"].values) for ydata in drawn)
+    assert any(np.array_equal(ydata, one["sigma_spin_rms_predicted"].values) for ydata in drawn)
     assert texts(axes.get_legend()) == ["simulated", "predicted", "published"]
     assert len(axes.collections) >= 2  # a band, and the error bars
 
@@ -401,7 +401,8 @@ def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkey
     done = invoke("mine.toml", "--kind", "accuracy", "--out", "a.png")
     assert (done.exit_code, "the function 'broken' returns -3 at V = 9 mag" in done.stderr) == (2, True)
     assert invoke("mine.toml", "--kind", "accuracy", "--model", "mine", "--out", "a.png").exit_code == 0
-    (tmp_path / "mine.toml").write_text(MISSION.replace(', "broken"', ""))
+    named = MISSION[MISSION.index("[define.model.broken]") : MISSION.index("[fixed]")]
+    (tmp_path / "mine.toml").write_text(MISSION.replace(', "broken"', "").replace(named, ""))
     run_study(load_study("mine.toml"), "mine.zarr", Resources(pool="serial"))
     assert invoke("mine.zarr", "--kind", "accuracy", "--out", "b.png").exit_code == 0
     assert (tmp_path / "b.png").stat().st_size > 10_000
@@ -497,8 +498,8 @@ def test_plot_without_options_draws_what_suits(store_of, tmp_path, monkeypatch):
         (["STORE", "--at", "metal=lead"], "metal = lead is not in the grid, which has gold, tin"),
         (["STORE", "--out", "coins.bmp"], "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
         (["STORE", "--out", "nowhere/coins.png"], "cannot draw there: No such file or directory"),
-        (["STORE", "--kind", "sky"], "only the link has a sky; this is the experiment coins"),
-        (["STORE", "--kind", "accuracy"], "only the link has missions; this is the experiment coins"),
+        (["STORE", "--kind", "sky"], "only stores of the link alone can be drawn so"),
+        (["STORE", "--kind", "accuracy"], "only stores of the link alone can be drawn so"),
         (["STORE", "--model", "gaia"], "--model goes with --kind accuracy"),
         (["STORE", "--kind", "sky", "--over", "coins"], "--variable and --over do not go with --kind sky"),
         ([], "name the store to draw"),

@@ -133,7 +133,7 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
 
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
     monkeypatch.setattr("sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
-    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1.0)  # one block a task
+    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     plan = Plan(make_grid(study))
     pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
     drawn = 0

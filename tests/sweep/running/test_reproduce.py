@@ -89,7 +89,7 @@ def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
         return run_block(experiment, points, *rest)
 
     monkeypatch.setattr("sweep.executing.worker.run_block", stopped)
-    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1.0)  # one block a task
+    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     with pytest.raises(RunInterruptedError):
         run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
     monkeypatch.undo()
@@ -146,8 +146,8 @@ def test_reproduce_says_what_differs(broken, tmp_path, sweep):
         ("metal=tin", "--at: coins needs a value, one of 1, 5, 20"),
         ("metal=tun,coins=1", "--at metal = 'tun': must be one of 'gold', 'tin'; did you mean 'tin'?"),
         ("metal=tin,coins=6", "--at coins = 6: not on the axis, which has 1, 5, 20"),
-        ("metall=tin,coins=6", "--at 'metall=tin': must be AXIS=VALUE; did you mean 'metal'?"),
-        ("tin", "--at 'tin': must be AXIS=VALUE; axes are metal, coins"),
+        ("metall=tin,coins=6", "--at metall: is not an axis; did you mean 'metal'?"),
+        ("tin", "'tin': a place is AXIS=VALUE"),
     ],
 )
 def test_a_place_that_is_none_is_refused(broken, sweep, at, message):

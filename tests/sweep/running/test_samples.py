@@ -52,7 +52,7 @@ def test_samples_are_the_same_in_any_order_and_after_a_kill(kept, tmp_path):
         patch.setattr("sweep.running.writer.WRITE_EVERY_S", -1.0)
         patch.setattr("sweep.running.writer.WRITE_SHARE", 1e9)
         patch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-        patch.setattr("sweep.planning.work_queue.TARGET", 1.0)  # one block a task
+        patch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
         calls = []
 
         def killed(self, dataset):
@@ -84,4 +84,4 @@ def test_the_sample_outputs_are_declared():
 
     assert link.samples_width == 6
     assert isinstance(link.sample_outputs[0], Output)
-    assert replace(link, sample_outputs=()).samples_width == 0
+    assert replace(link, samples=None, sample_outputs=()).samples_width == 0

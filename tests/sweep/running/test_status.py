@@ -36,7 +36,7 @@ class Impatient(Silent):
 @pytest.fixture
 def stopped(coins, tmp_path, monkeypatch):
     """A store of 6 points x 4 blocks after 14 blocks: three points and a half."""
-    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1.0)  # one block a task
+    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     study = study_from_dict(coins | {"exclude": [{"metal": "tin", "coins": 5}]})
     with pytest.raises(RunInterruptedError):
         run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(14))
@@ -63,7 +63,7 @@ def test_each_axis_counts_points_and_realisations(stopped):
 
 
 def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1.0)
+    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)
     monkeypatch.setattr("sweep.running.writer.LONG_WRITE_BYTES", 0)  # so that an interruption leaves the first dataset
     with pytest.raises(RunInterruptedError):
         run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL, Impatient(8))

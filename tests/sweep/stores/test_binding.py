@@ -199,7 +199,7 @@ from sweep.studies.reader import study_from_dict
 import json
 writer.FLUSH_EVERY_S = writer.WRITE_EVERY_S = -1.0
 writer.WRITE_SHARE = 1e9
-work_queue.TARGET = 1.0
+work_queue.MAX_BLOCKS = 1
 print("ready", flush=True)
 while True:
     for seed in range(3):

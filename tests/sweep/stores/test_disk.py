@@ -55,7 +55,7 @@ def study(coins):
 
 def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch):
     monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1)  # one block a task
+    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
     disk = mount("-t", "tmpfs", "-o", "size=1m", "tmpfs")
     store = disk / "s.zarr"

@@ -46,6 +46,8 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "schema": [["STORE"]],
     "show": [["STORE"], ["STORE", "--format", "csv"]],
     "status": [["STORE"], ["STORE", "--json"]],
+    "tie": [["STORE", "zero-motion"]],
+    "forecast": [["STORE", "STORE"]],
 }
 STUDY = """
 title = "Coins"

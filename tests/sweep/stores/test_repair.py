@@ -115,7 +115,7 @@ def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_pat
     monkeypatch.setattr(ledger, "FEWEST_ROWS", 2)
     monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**19})
     monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1)  # one block a task
+    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     study = study_from_dict(coins if document == "coins" else SAMPLES)
     written = []
     write = Folder._write

@@ -181,7 +181,7 @@ def test_requests_that_fail_are_repeated(bucket, study, wanted, through, kind):
 def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, study, wanted, through, monkeypatch):
     monkeypatch.setattr(bucket_module, "TIMEOUT", bucket_module.TIMEOUT / 10)
     monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.planning.work_queue.TARGET", 1)  # one block a task
+    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
     with pytest.raises(SweepError, match=r"cannot be written: .* does not answer as it should"):
         run_study(study, f"{bucket}/s.zarr", SERIAL)
