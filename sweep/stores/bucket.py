@@ -2,6 +2,7 @@
 
 import os
 import re
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -144,11 +145,25 @@ class Bucket:
         return False
 
     def delete(self, key: str) -> None:
-        """Remove an object if there is one."""
+        """Remove an object if there is one.
+
+        S3 deletes by a POST, which obstore does not repeat after a connection that broke, since it cannot know that
+        this one may be repeated.
+        """
         import obstore
 
-        with self._errors(missing_is_none=True):
-            obstore.delete(self.objects, key)
+        until = time.monotonic() + TIMEOUT.total_seconds()
+        while True:
+            try:
+                with self._errors(missing_is_none=True):
+                    obstore.delete(self.objects, key)
+                return
+            except FileNotFoundError:  # no such bucket
+                raise
+            except OSError:
+                if time.monotonic() > until:
+                    raise
+                time.sleep(0.2)
 
     def keys(self, under: str = "") -> list[str]:
         """Return the names of all objects that begin with ``under``."""

@@ -15,6 +15,9 @@ SAMPLING = {
     "common_random_numbers": "let points share what they can: ratios and exponents have far less noise",
 }
 SUGGESTED = {"precision": 0.01, "max_n_sim": 1_000_000}
+NOT_HERE = "not with the values above:"
+"""How the reason begins why a parameter cannot be set before others are."""
+
 FEW = 2
 """Values on the axis that is there to begin with."""
 
@@ -41,11 +44,13 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         mark = "# " if name in SUGGESTED else ""
         lines.append(f"{mark}{name} = {_toml(given)}  # {SAMPLING[name]}")
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
+    unused = _unused(experiment, axes)
     for parameter in experiment.parameters:
         if parameter.name in axes:
             continue
         unit = f" [{parameter.unit}]" if parameter.unit and f"[{parameter.unit}]" not in parameter.allowed() else ""
-        words = f"# {parameter.meaning}{unit}; {parameter.allowed()}".split()
+        why = f" ({NOT_HERE} {unused[parameter.name]})" if parameter.name in unused else ""
+        words = f"# {parameter.meaning}{unit}; {parameter.allowed()}{why}".split()
         lines += ["", "".join(c for c in " ".join(words) if c.isprintable())]
         default = "" if parameter.default is None else f" {_toml(parameter.written_default())}"
         lines.append(f"# {parameter.name} ={default}")
@@ -79,6 +84,16 @@ def _works(experiment: Experiment, name: str, choice: str) -> bool:
         return experiment.check(experiment.defaults() | {name: choice}) is None
     except Exception:  # whatever a user's experiment raises: then it is no value to begin with
         return False
+
+
+def _unused(experiment: Experiment, axes: dict[str, list[object]]) -> dict[str, str]:
+    """Return the parameters that change nothing at any point of the new study, and why."""
+    [(name, values)] = axes.items() or [("", [])]
+    try:
+        found = [dict(experiment.unused(experiment.defaults() | {name: value})) for value in values]
+    except Exception:  # whatever a user's experiment raises; `sweep plan` says what
+        return {}
+    return {key: why for key, why in found[0].items() if all(key in other for other in found)} if found else {}
 
 
 def _toml(value: object) -> str:

@@ -29,7 +29,7 @@ def s3_endpoint():
     """The address of an S3 server that runs for the whole session."""
     port = free_port()
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    server = subprocess.Popen([sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)], **quiet)
+    server = subprocess.Popen([sys.executable, "-m", "tests.s3_server", str(port)], **quiet)
     while True:
         try:
             socket.create_connection(("127.0.0.1", port)).close()

@@ -18,8 +18,11 @@ class Outside:
         file = folder / "scheduler.json"
         arguments = ("--host", "127.0.0.1", "--port", "0", "--protocol", protocol, "--scheduler-file", str(file))
         self.scheduler = self._start("dask_scheduler", *arguments, "--no-dashboard", *options)
-        wait_until(file.exists, "a scheduler")
-        self.address = json.loads(file.read_text())["address"]
+        try:
+            self.address = wait_until(lambda: address_in(file), "a scheduler")
+        except BaseException:
+            self.close()
+            raise
 
     def start_worker(self, *options: str, **environment: str) -> subprocess.Popen:
         """Start a worker of one thread with its nanny."""
@@ -55,6 +58,14 @@ class Outside:
     def close(self) -> None:
         """End everything."""
         self.kill(*self.processes[::-1])
+
+
+def address_in(file: Path) -> str | None:
+    """Return the address in a scheduler file, None until it has been written to its end."""
+    try:
+        return json.loads(file.read_text())["address"]
+    except (FileNotFoundError, json.JSONDecodeError):
+        return None
 
 
 def wait_until(true, what, seconds=500.0):

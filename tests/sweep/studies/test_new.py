@@ -13,7 +13,7 @@ from sweep.load import load_experiment
 from sweep.planning.grid import make_grid
 from sweep.studies.reader import study_from_dict
 from sweep.studies.schema import study_schema
-from sweep.studies.template import new_study
+from sweep.studies.template import NOT_HERE, new_study
 from tests.conftest import COINS
 from tests.sweep.mutations import corpus
 from tests.sweep.studies.test_study_fuzz import GOOD, documents
@@ -54,13 +54,16 @@ def test_what_it_says_in_comments_are_the_defaults(reference):
     without = tomllib.loads(text)
     [axis] = without["axes"]
     begun, fixed = text.split("[fixed]")
-    lines = re.findall(r"^# (\w+ = .*)$", fixed, flags=re.MULTILINE)
+    lines = re.findall(rf"^(?!# .*{re.escape(NOT_HERE)}).*\n# (\w+ = .*)$", fixed, flags=re.MULTILINE)
     assert len(lines) > 1
     with_all = tomllib.loads(begun + "[fixed]\n" + "\n".join(lines))
     assert digests(with_all) == digests(without)
     sampled = re.sub(r"^# (precision|max_n_sim) =", r"\1 =", begun, flags=re.MULTILINE)
     assert ("precision =" in sampled) == (reference == LINK)  # coins have no error to judge by
     study_from_dict(tomllib.loads(sampled))
+    for line in re.findall(rf"^# .*{re.escape(NOT_HERE)}.*\n# (\w+ = .*)$", fixed, flags=re.MULTILINE):
+        with pytest.raises(SweepError, match="changes nothing"):
+            digests(tomllib.loads(begun + "[fixed]\n" + line))
     names = re.findall(r"^# (\w+) =", fixed, flags=re.MULTILINE)
     assert names == [p.name for p in load_experiment(reference).parameters if p.name != axis]
 
