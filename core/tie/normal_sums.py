@@ -8,13 +8,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from core.blocks import Objects
 from core.link import SMALLEST_EIGENVALUE, LinkError
 from core.tie.astrometry import Astrometry, Indices
 from core.tie.differences import differences
 from core.tie.elimination import Eliminated, Weights, eliminate
 from core.tie.products import add_products
 from core.tie.simple_rows import eliminate_simple
-from core.unknowns import Objects, Unknowns
+from core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
@@ -99,7 +100,7 @@ class Problem:
             simple = eliminate_simple(own, rows, taken_out)
             if simple is not None:
                 return self.unknowns, objects, years, simple
-        found = differences(own, rows, source, taken_out)
+        found = differences(own, rows, source, taken_out, self.unknowns.frames)
         try:
             left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
         except LinkError as error:

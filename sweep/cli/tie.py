@@ -23,13 +23,24 @@ _TABLE_OPTIONS = [
         help="Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]",
     ),
     click.option(
+        "--mission",
+        "missions",
+        multiple=True,
+        metavar="NAME=TABLE",
+        help="A further mission's table of the same sources, in a frame with its own orientation and spin.",
+    ),
+    click.option(
         "--column",
         multiple=True,
         metavar="[TABLE:]KEY=COLUMN",
-        help="The column with a quantity, of both tables or of satellite or reference, e.g. reference:parallax=plx.",
+        help="The column with a quantity, of all tables or of satellite, reference or a mission, e.g. "
+        "reference:parallax=plx.",
     ),
     click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, for a column."),
     click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, for a column."),
+    click.option(
+        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, for a column."
+    ),
     click.option(
         "--positions",
         type=click.Choice(["single-epoch", "mean"]),
@@ -45,7 +56,7 @@ _TABLE_OPTIONS = [
     click.option(
         "--without-cos-dec",
         multiple=True,
-        type=click.Choice(["satellite", "reference"]),
+        metavar="satellite|reference|NAME",
         help="The table whose pmra is mu_alpha, without cos(dec).",
     ),
     click.option(
@@ -202,19 +213,30 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
     """Return the options of both tables as `Options` has them."""
     from sweep.tie.tables import TableOptions
 
-    columns: dict[str, dict[str, str]] = {"satellite": {}, "reference": {}}
+    missions = dict(_named("--mission", "NAME=TABLE", item) for item in given["missions"])
+    if len(missions) < len(given["missions"]):
+        raise click.BadParameter("a mission is named twice", param_hint="--mission")
+    columns: dict[str, dict[str, str]] = {name: {} for name in ("satellite", "reference", *missions)}
+    epochs = {"satellite": given["satellite_epoch"], "reference": given["reference_epoch"]}
+    for name, year in (_named("--mission-epoch", "NAME=YEAR", item) for item in given["mission_epoch"]):
+        if name not in missions:
+            raise click.BadParameter(f"no --mission {name}", param_hint="--mission-epoch")
+        epochs[name] = _numbers("--mission-epoch", year)[0]
+    if unknown := set(given["without_cos_dec"]) - set(columns):
+        raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint="--without-cos-dec")
     for item in given["column"]:
         key, equals, name = item.partition("=")
         table, colon, quantity = key.partition(":")
         if not equals or not name or (colon and table not in columns):
-            raise click.BadParameter(f"{item!r} is not [satellite:|reference:]KEY=COLUMN", param_hint="--column")
+            tables = "|".join(columns)
+            raise click.BadParameter(f"{item!r} is not [{tables}:]KEY=COLUMN", param_hint="--column")
         for one in [table] if colon else columns:
             columns[one][quantity if colon else key] = name
 
     def options(table: str) -> "TableOptions":
         return TableOptions(
             columns=columns[table],
-            epoch=given[f"{table}_epoch"],
+            epoch=epochs.get(table),
             positions=given["positions"] if table == "reference" else None,
             zero_errors=given["zero_errors"],
             pmra_cos_dec=table not in given["without_cos_dec"],
@@ -228,7 +250,16 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
         "aberration": given["aberration"],
         "satellite_options": options("satellite"),
         "reference_options": options("reference"),
+        "missions": missions,
+        "mission_options": {name: options(name) for name in missions},
     }
+
+
+def _named(option: str, form: str, item: str) -> tuple[str, str]:
+    name, equals, value = item.partition("=")
+    if not name or not equals or not value:
+        raise click.BadParameter(f"{item!r} is not {form}", param_hint=option)
+    return name, value
 
 
 def _jitter(item: str) -> tuple[str, tuple[float, float]]:

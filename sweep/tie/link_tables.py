@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.contract import SweepError
 from sweep.tie.dataset import as_dataset
-from sweep.tie.setup import Options, set_up
+from sweep.tie.options import Options
+from sweep.tie.setup import set_up
 from sweep.tie.solution import RESAMPLES, solve_link
 
 if TYPE_CHECKING:
@@ -41,7 +42,8 @@ def tie(
         seed: of the bootstrap.
         options: further ones of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``, ``weights``,
             ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``,
-            ``satellite_options`` and ``reference_options`` (`sweep.tie.tables.TableOptions`).
+            ``missions`` (further tables by name, each with an orientation and a spin of its own),
+            ``satellite_options``, ``reference_options`` and ``mission_options`` (`sweep.tie.tables.TableOptions`).
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,

@@ -14,7 +14,8 @@ from core.tie.forecast import Criterion, Goal, choose, with_new_rows
 from core.tie.normal_sums import inverted, source_sums
 from core.tie.releases import RELEASES, released
 from sweep.contract import SweepError
-from sweep.tie.setup import Options, set_up
+from sweep.tie.options import Options
+from sweep.tie.setup import set_up
 
 if TYPE_CHECKING:
     import xarray as xr

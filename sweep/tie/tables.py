@@ -10,9 +10,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from core.blocks import PARAMETERS
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
-from core.unknowns import PARAMETERS
 from sweep import table_reader
 from sweep.contract import SweepError
 from sweep.tie import hipparcos, icrf

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
+from core.blocks import Objects
 from core.constants import MAS
 from core.frames import position, triad, turned
 from core.harmonics import terms, toroidal
 from core.harmonics import turned as quarter_turn
 from core.link import design_matrix
-from core.unknowns import Objects, parse_unknowns
+from core.unknowns import parse_unknowns
 
 
 def sky(n, seed=0):

@@ -9,13 +9,14 @@ from astropy import units
 from astropy.coordinates import Distance, SkyCoord, get_body_barycentric
 from astropy.time import Time
 
+from core.blocks import Rotation
 from core.constants import MAS
 from core.frames import position, triad
 from core.tie import differences as differences_module
 from core.tie.astrometry import Astrometry, kinds
 from core.tie.motion import parallax_factors, propagated
 from core.tie.normal_sums import Problem, solve, source_sums
-from core.unknowns import Rotation, Unknowns, parse_unknowns
+from core.unknowns import Unknowns, parse_unknowns
 from tests.core.tie.made import seen_by_satellite, stars
 
 EPSILON = np.array([70.0, -130.0, 90.0]) * MAS
