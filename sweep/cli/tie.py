@@ -14,7 +14,7 @@ from sweep.cli.options import json_option
 if TYPE_CHECKING:
     import xarray as xr
 
-    from sweep.tie.tables import TableOptions
+    from sweep.tie.column_names import TableOptions
 
 _TABLE_OPTIONS = [
     click.option(
@@ -211,7 +211,7 @@ def forecast(
 
 def _tables(given: dict[str, Any]) -> dict[str, Any]:
     """Return the options of both tables as `Options` has them."""
-    from sweep.tie.tables import TableOptions
+    from sweep.tie.column_names import TableOptions
 
     missions = dict(_named("--mission", "NAME=TABLE", item) for item in given["missions"])
     if len(missions) < len(given["missions"]):

@@ -15,11 +15,11 @@ from core.tie.forecast import Goal, choose, with_new_rows
 from core.tie.normal_sums import Problem, source_sums
 from core.tie.releases import RELEASES, released
 from sweep.contract import Point, SweepError
+from sweep.tie.column_names import TableOptions
 from sweep.tie.options import Options
 from sweep.tie.parameters import PARAMETERS
 from sweep.tie.setup import ZERO_MOTION, Setup, set_up
 from sweep.tie.solution import Link, solve_link
-from sweep.tie.tables import TableOptions
 
 Array = NDArray[np.float64]
 

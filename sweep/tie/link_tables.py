@@ -43,7 +43,8 @@ def tie(
         options: further ones of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``, ``weights``,
             ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``,
             ``missions`` (further tables by name, each with an orientation and a spin of its own),
-            ``satellite_options``, ``reference_options`` and ``mission_options`` (`sweep.tie.tables.TableOptions`).
+            ``satellite_options``, ``reference_options`` and ``mission_options``
+            (`sweep.tie.column_names.TableOptions`).
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 from core.tie.elimination import Weights
 from core.unknowns import require_mission_name
 from sweep.contract import SweepError
-from sweep.tie.tables import TableOptions
+from sweep.tie.column_names import TableOptions
 
 Sign = Literal["reference-satellite", "satellite-reference"]
 SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from core.tie.astrometry import Astrometry, joined
 from core.tie.normal_sums import Problem
 from sweep.contract import SweepError
+from sweep.tie.column_names import TableOptions
 from sweep.tie.known_spin import known_spin
 from sweep.tie.matching import Match, match
 from sweep.tie.options import SIGNS, Options
 from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, with_jitter
-from sweep.tie.tables import AstrometricTable, TableOptions, read_table
+from sweep.tie.tables import AstrometricTable, read_table
 from sweep.tie.unknowns_of import unknowns_of
 
 Array = NDArray[np.float64]
