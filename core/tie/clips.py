@@ -10,7 +10,9 @@ from scipy.stats import chi2
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.differences import Differences, differences
-from core.tie.normal_sums import BLOCK, Problem, Solution
+from core.tie.normal_sums import BLOCK
+from core.tie.problem import Problem
+from core.tie.solution import Solution
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -164,7 +166,7 @@ def _median(sources: Sources, k: float) -> Clipped:
     factors = used.astype(np.float64)
     solution = sources.solve(factors)
     trajectory = [solution]
-    seen = {factors.tobytes()}
+    seen = {np.packbits(used).tobytes()}
     notes = []
     for _ in range(ITERATIONS):
         residual = np.zeros(len(factors))
@@ -175,10 +177,11 @@ def _median(sources: Sources, k: float) -> Clipped:
         factors = new
         solution = sources.solve(factors)
         trajectory.append(solution)
-        if factors.tobytes() in seen:
+        kept = np.packbits(new > 0.0).tobytes()
+        if kept in seen:
             notes.append("the clip median returned to an earlier selection of sources and was ended there")
             break
-        seen.add(factors.tobytes())
+        seen.add(kept)
     return Clipped(factors, solution, [-1] * len(trajectory), trajectory, len(trajectory) - 1, notes)
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from core.tie.clips import row_separations
 from core.tie.differences import Differences, differences
 from core.tie.elimination import Eliminated, eliminate
-from core.tie.normal_sums import NormalSums, Problem
+from core.tie.normal_sums import NormalSums
+from core.tie.problem import Problem
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from core.link import LinkError
 from core.tie.astrometry import Astrometry, joined
-from core.tie.normal_sums import NormalSums, Problem, inverted
+from core.tie.normal_sums import NormalSums
+from core.tie.problem import Problem
+from core.tie.solution import inverted
 from core.unknowns import Unknowns
 
 Array = NDArray[np.float64]

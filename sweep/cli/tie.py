@@ -128,6 +128,8 @@ def _table_options(command: Callable[..., None]) -> Callable[..., None]:
     show_default=True,
     help="Of everything that is printed and stored.",
 )
+@click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for millions of quasars in Parquet.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler for them, e.g. tcp://host:8786.")
 @_table_options
 def tie(
     satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
@@ -154,6 +156,8 @@ def tie(
         errors=given.pop("errors"),
         resamples=given.pop("resamples"),
         seed=given.pop("seed"),
+        workers=given.pop("workers"),
+        scheduler=given.pop("scheduler"),
         degree=given.pop("degree"),
         sign=given.pop("sign"),
         bins=None if bins is None else _bins(bins),

@@ -56,7 +56,7 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
         "error_kind": order,
     }
     _add_sources(link, variables, coordinates, sign)
-    if len(problem.rows) <= ROWS_KEPT:
+    if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
         _add_rows(link, variables, coordinates, sign)
     _add_steps(link.found, link.setup.names, variables, sign)
     _add_spectrum(link, main, variables, coordinates)
@@ -92,7 +92,7 @@ def _correlation(covariance: Array) -> Array:
 def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     setup, own = link.setup, link.setup.problem.satellite
     coordinates |= {
-        "source": setup.names.astype(str),
+        "source": setup.names if setup.names.dtype.kind == "i" else setup.names.astype(str),
         "ra": ("source", np.degrees(own.values[0]) % 360.0, {"units": "deg"}),
         "dec": ("source", np.degrees(own.values[1]), {"units": "deg"}),
     }

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.forecast import Criterion, Goal, choose, with_new_rows
-from core.tie.normal_sums import inverted, source_sums
+from core.tie.normal_sums import source_sums
 from core.tie.releases import RELEASES, released
+from core.tie.solution import inverted
 from sweep.contract import SweepError
 from sweep.tie.options import Options
 from sweep.tie.setup import set_up

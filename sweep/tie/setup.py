@@ -3,12 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.tie.astrometry import Astrometry, joined
-from core.tie.normal_sums import Problem
+from core.tie.problem import Problem
 from sweep.contract import SweepError
 from sweep.tie.column_names import TableOptions
 from sweep.tie.known_spin import known_spin
@@ -29,8 +30,8 @@ ZERO_MOTION = "zero-motion"
 class Setup:
     """The tables as read and matched, and the problem of the matched sources (S) and rows (R).
 
-    ``sources`` (S,) are places in the satellite's table, ``names`` (S,) their names.  ``missions`` are the further
-    tables by name; the rows of the first one have the frame 1, and so on.
+    ``sources`` (S,) are places in the satellite's table, ``names`` (S,) their names, or numbers.  ``missions`` are the
+    further tables by name; the rows of the first one have the frame 1, and so on.
     """
 
     satellite: AstrometricTable
@@ -38,7 +39,7 @@ class Setup:
     matched: Match
     problem: Problem
     sources: Indices
-    names: NDArray[np.str_]
+    names: NDArray[Any]
     notes: tuple[str, ...] = ()
     missions: Mapping[str, AstrometricTable] = field(default_factory=dict)
 
@@ -73,7 +74,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     own = replace(own, names=names)
     rows = parts[0].rows if len(parts) == 1 else joined(*(part.rows for part in parts))
     source = place[matched]
-    epoch = _epoch(own, options.epoch)
+    epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
     notes = [note for part in parts for note in _unmatched(part)]
     try:
         unknowns = unknowns_of(options, own, rows, source, epoch, notes)
@@ -89,7 +90,7 @@ def _reference(left: AstrometricTable, reference: str | Path, options: Options) 
     if str(reference) == ZERO_MOTION:
         n = len(left.astrometry)
         matched = Match(np.arange(n), np.arange(n), "the satellite's sources", np.zeros(0, dtype=np.int64))
-        right = zero_motion(left)
+        right = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
     else:
         right = read_table(Path(reference), options.reference_options)
         matched = match(left, right, options.by)
@@ -115,12 +116,10 @@ def _unmatched(part: _Part) -> list[str]:
     return [f"{n} of {total} rows of {Path(part.table.path).name} match no source"] if n else []
 
 
-def zero_motion(satellite: AstrometricTable) -> AstrometricTable:
-    """Return the rows of a reference whose sources do not move."""
-    n = len(satellite.astrometry)
+def zero_motion(n: int) -> Astrometry:
+    """Return n rows of a reference whose sources do not move."""
     zeros = np.broadcast_to(np.array([np.nan, np.nan, np.nan, 0.0, 0.0])[:, None], (5, n))  # takes no memory
-    rows = Astrometry(zeros, zeros, np.broadcast_to(np.nan, n))
-    return AstrometricTable(ZERO_MOTION, "", rows, satellite.names)
+    return Astrometry(zeros, zeros, np.broadcast_to(np.nan, n))
 
 
 def _names(left: AstrometricTable, reference: _Part, sources: Indices) -> NDArray[np.str_]:
@@ -134,8 +133,7 @@ def _names(left: AstrometricTable, reference: _Part, sources: Indices) -> NDArra
     return np.array([named[int(s)] for s in sources])
 
 
-def _epoch(own: Astrometry, asked: float | None) -> float:
-    if asked is not None:
-        return asked
-    known = own.epoch[np.isfinite(own.epoch)]
+def default_epoch(epochs: Array) -> float:
+    """Return the median epoch of sources (Julian year), that of ICRF3 where none has one."""
+    known = epochs[np.isfinite(epochs)]
     return float(np.median(known)) if len(known) else ICRF3_EPOCH

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
-from core.tie.normal_sums import Problem, inverted
+from core.tie.problem import Problem
+from core.tie.solution import inverted
 from core.tie.sources import SourceTable
 from core.unknowns import Unknowns, parse_unknowns
 from sweep.tie.options import Options

@@ -12,7 +12,9 @@ from core.tie.clips import separation
 from core.tie.differences import differences
 from core.tie.draws import Simulation
 from core.tie.motion import propagated
-from core.tie.normal_sums import Problem, group_sums, solve, source_discrepancies, source_sums
+from core.tie.normal_sums import group_sums, source_discrepancies, source_sums
+from core.tie.problem import Problem
+from core.tie.solution import solve
 from core.unknowns import parse_unknowns, require_mission_name
 from tests.core.tie.made import noise, seen_by_satellite, stars
 
