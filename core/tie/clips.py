@@ -169,8 +169,7 @@ def _median(sources: Sources, k: float) -> Clipped:
     seen = {np.packbits(used).tobytes()}
     notes = []
     for _ in range(ITERATIONS):
-        residual = np.zeros(len(factors))
-        residual[used] = np.sqrt(sources.discrepancies(solution.estimate)[used] / sources.count[used])
+        residual = _normalised(sources, solution, used)
         new = np.where(used & (residual <= k * np.median(residual[used])), 1.0, 0.0)
         if np.array_equal(new, factors):
             break
@@ -185,14 +184,22 @@ def _median(sources: Sources, k: float) -> Clipped:
     return Clipped(factors, solution, [-1] * len(trajectory), trajectory, len(trajectory) - 1, notes)
 
 
+def _normalised(sources: Sources, solution: Solution, used: Flags) -> Array:
+    """Return sqrt(Q_i/n_i) of each source, zero without observations; in place, for millions of them."""
+    found = sources.discrepancies(solution.estimate)
+    np.divide(found, sources.count, out=found, where=used)
+    np.sqrt(found, out=found)
+    found[~used] = 0.0
+    return found
+
+
 def _huber(sources: Sources, c: float) -> Clipped:
     used = sources.count > 0
     factors = used.astype(np.float64)
     solution = sources.solve(factors)
     notes = []
     for _ in range(ITERATIONS):
-        residual = np.full(len(factors), np.inf)
-        residual[used] = np.sqrt(sources.discrepancies(solution.estimate)[used] / sources.count[used])
+        residual = _normalised(sources, solution, used)
         new = np.where(used, np.minimum(1.0, c / np.maximum(residual, 1e-300)), 0.0)
         if np.max(np.abs(new - factors)) < 1e-12:
             break

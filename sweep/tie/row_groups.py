@@ -158,11 +158,11 @@ class RowGroupTable:
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
-        return Sources(self.solve, self._discrepancies, np.concatenate(list(self._each(_counts))))
+        return Sources(self.solve, self._discrepancies, self._filled(_counts))
 
     def separations(self) -> tuple[Array, Array]:
         """Return the normalised separation and the separation of each source."""
-        normalised, plain = np.concatenate(list(self._each(_separations)), axis=1)
+        normalised, plain = self._filled(_separations, rows=2)
         return normalised, plain
 
     def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
@@ -173,7 +173,14 @@ class RowGroupTable:
         return np.concatenate([places for _, places, _ in found])[order], sums.taken(order)
 
     def _discrepancies(self, estimate: Array) -> Array:
-        return np.concatenate(list(self._each(_discrepancies, estimate)))
+        return self._filled(_discrepancies, estimate)
+
+    def _filled(self, function: Any, *arguments: Any, rows: int | None = None) -> Array:
+        """Return what a function returns of each source, without a second copy of it."""
+        found = np.empty(self.n_sources if rows is None else (rows, self.n_sources))
+        for group, part in zip(self.groups, self._each(function, *arguments), strict=True):
+            found[..., group.first : group.first + part.shape[-1]] = part
+        return found
 
     def _each(self, function: Any, *arguments: Any) -> Iterator[Any]:
         return self.run(function, ((group, *arguments) for group in self.groups))
@@ -197,20 +204,22 @@ def set_up_row_groups(satellite: str | Path, options: Options, run: Map) -> tupl
         for number, (first, size) in enumerate(zip(firsts, sizes, strict=False))
         if size
     )
-    scans = list(run(_scanned, ((group,) for group in groups)))
-    ra, dec, epochs = np.concatenate([places for _, places in scans], axis=1)
+    n = sum(sizes)
+    values, epochs = np.zeros((5, n)), np.empty(n)
+    samples = []
+    for group, (sample, places) in zip(groups, run(_scanned, ((group,) for group in groups)), strict=True):
+        part = slice(group.first, group.first + places.shape[1])
+        values[:2, part], epochs[part] = places[:2], places[2]
+        samples.append(sample)
     epoch = default_epoch(epochs) if options.epoch is None else options.epoch
     notes: list[str] = []
     try:
-        unknowns = _unknowns(replace(groups[0], epoch=epoch), [sample for sample, _ in scans], notes)
+        unknowns = _unknowns(replace(groups[0], epoch=epoch), samples, notes)
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     groups = tuple(replace(group, epoch=epoch, unknowns=unknowns) for group in groups)
-    n = len(ra)
-    values = np.zeros((5, n))
-    values[:2] = ra, dec
     source = np.arange(n)
-    own = Astrometry(values, np.broadcast_to(np.nan, (5, n)), epochs)
+    own = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
     problem = Problem(own, zero_motion(n), source, unknowns, epoch, options.weights)
     left = AstrometricTable(str(satellite), digest, own, {})
     matched = Match(source, source, "the satellite's sources", source[:0])
