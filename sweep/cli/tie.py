@@ -144,6 +144,7 @@ def tie(
     """
     from sweep.tie import text
     from sweep.tie.link_tables import tie as solve
+    from sweep.tie.options import parse_bins
 
     _refuse_existing(output)
     _require_drawing(figures)
@@ -160,7 +161,7 @@ def tie(
         scheduler=given.pop("scheduler"),
         degree=given.pop("degree"),
         sign=given.pop("sign"),
-        bins=None if bins is None else _bins(bins),
+        bins=None if bins is None else parse_bins(bins),
         known_spin=None if known is None else _spin(known),
         **_tables(given),
     )
@@ -274,13 +275,6 @@ def _jitter(item: str) -> tuple[str, tuple[float, float]]:
     if kind in ("motion", "three-parameter") and len(values) == 1:
         return kind, (0.0, values[0])
     return kind, (values[0], values[1] if len(values) == 2 else 0.0)
-
-
-def _bins(text: str) -> tuple[str, list[float]]:
-    column, equals, edges = text.partition("=")
-    if not equals or not column:
-        raise click.BadParameter(f"{text!r} is not COLUMN=EDGE,EDGE,...", param_hint="--bins")
-    return column, _numbers("--bins", edges)
 
 
 def _spin(text: str) -> list[float] | str:

@@ -69,3 +69,15 @@ class Options:
             elif colon and table not in self.missions:
                 raise SweepError(f"jitter of {key!r}: no mission {table!r}")
         return found
+
+
+def parse_bins(text: str) -> tuple[str, list[float]]:
+    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10; raises SweepError for another."""
+    column, equals, edges = text.partition("=")
+    try:
+        numbers = [float(part) for part in edges.split(",")]
+    except ValueError:
+        numbers = []
+    if not (column and equals and numbers):
+        raise SweepError(f"bins {text!r}: they are COLUMN=EDGE,EDGE,...")
+    return column, numbers
