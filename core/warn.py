@@ -23,7 +23,11 @@ def warn(point: Point) -> list[str]:
     """
     kind = catalogue_kind(point)
     found = [error_kind(point, side).warning(point, kind) for side in SIDES]
-    return [sentence for sentence in (*found, _not_measured(point), _epochs(point), _heaviest(point)) if sentence is not None]
+    return [
+        sentence
+        for sentence in (*found, _not_measured(point), _epochs(point), _heaviest(point))
+        if sentence is not None
+    ]
 
 
 def _not_measured(point: Point) -> str | None:

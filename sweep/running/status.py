@@ -108,9 +108,7 @@ def _of_dataset(dataset: xr.Dataset) -> Progress:
     return axes, units, dataset["status"].values, dataset["n_sim_done"].values
 
 
-def plan_report(
-    study: Study, store: Where, workers: int | None = None, accept_code: bool = False
-) -> dict[str, Any]:
+def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
     """Return what a run would do; the time is what the random numbers alone would take, from a short timing of this
     machine, with so many ``workers`` (one a core by default).
     """

@@ -99,7 +99,9 @@ def test_the_errors_of_the_calibration(model):
         made = sigma * np.exp(relative_error * rng.standard_normal(len(sigma)))
         # half a unit in the last digit of a number that scatters goes with it, so that its weight is that of the truth
         printed = [
-            dataclasses.replace(number, sigma_mas_yr=s, rounding_mas_yr=number.rounding_mas_yr * s / number.sigma_mas_yr)
+            dataclasses.replace(
+                number, sigma_mas_yr=s, rounding_mas_yr=number.rounding_mas_yr * s / number.sigma_mas_yr
+            )
             for number, s in zip(numbers, made.tolist(), strict=True)
         ]
         found = fit(model, printed, skies)

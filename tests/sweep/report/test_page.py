@@ -53,7 +53,9 @@ def sentences(dataset):
 
 def test_a_section_says_where_unknowns_can_hardly_be_told_apart():
     dataset = grid(VALUES).assign(condition_number=(("kind", "size"), [[2.0, 3.0, 1e4], [2.0, 5000.0, 1.0]]))
-    assert any("at 2 points the condition number is up to 1e+04" in note for note in section("s", dataset, 1, 100).notes)
+    assert any(
+        "at 2 points the condition number is up to 1e+04" in note for note in section("s", dataset, 1, 100).notes
+    )
     assert not any("condition" in note for note in section("s", grid(VALUES), 1, 100).notes)
 
 
