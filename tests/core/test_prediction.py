@@ -149,7 +149,9 @@ def test_the_bound_of_what_is_projected_contains_the_mean_change():
     variance = (sigma**2 + 1.0) * MAS**2
     size = np.tan(one_quarter.dec) * (sigma * MAS) ** 2 / variance
     mean = np.array([np.sum(size * np.sin(one_quarter.ra)), -np.sum(size * np.cos(one_quarter.ra)), 0.0, 0.0, 0.0, 0.0])
-    a = np.moveaxis(design_matrix(one_quarter.ra, one_quarter.dec, one_quarter.pmra, one_quarter.pmdec), 0, 1).reshape(-1, 6)
+    a = np.moveaxis(design_matrix(one_quarter.ra, one_quarter.dec, one_quarter.pmra, one_quarter.pmdec), 0, 1).reshape(
+        -1, 6
+    )
     covariance = variance * np.linalg.inv(a.T @ a)
     shift = np.abs(covariance @ mean) / np.sqrt(np.diag(covariance))
     bound = neglected(design)
