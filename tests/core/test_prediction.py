@@ -142,8 +142,8 @@ def test_columns_of_another_truth_are_others_though_the_differences_are_the_same
 def test_the_bound_of_what_is_projected_contains_the_mean_change():
     """All objects in one quarter: the means of q's turn with the errors of ra add up, their scatter does not."""
     rng = np.random.default_rng(5)
-    n, sigma = 20_000, 200.0
-    one_quarter = scattered(n, ra=rng.uniform(0.0, 0.5 * np.pi, n), dec=rng.uniform(0.2, 1.35, n))
+    n, sigma = 80_000, 200.0
+    one_quarter = scattered(n, ra=rng.uniform(0.0, 0.5 * np.pi, n), dec=rng.uniform(0.3, 0.7, n))
     errors = {"satellite": NormalErrors(1.0, 1.0), "reference": NormalErrors(sigma, sigma)}
     design = fixed_design(setup_of(one_quarter, **errors), Prefixes())
     variance = (sigma**2 + 1.0) * MAS**2
