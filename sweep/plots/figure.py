@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.measured_claims import claims_of
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, require_quantity
 from sweep.contract import SweepError, shown, suggest
-from sweep.planning.accumulator import DONE, EXCLUDED
+from sweep.planning.point_status import Status
 from sweep.plots.law import draw_law, draw_law_residuals
 from sweep.plots.layout import arrange
 from sweep.plots.lines import draw_lines
@@ -171,7 +171,7 @@ def _title(figure: Figure, whole: xr.Dataset, drawn: xr.Dataset) -> None:
     axes = [str(n) for n, c in drawn.coords.items() if not c.dims and not str(n).endswith("_unit")]
     shared = ", ".join(value_text(drawn, name, drawn[name].item()) for name in axes)
     status = drawn["status"].values
-    missing = int(np.sum((status != DONE) & (status != EXCLUDED)))
+    missing = int(np.sum((status != Status.DONE) & (status != Status.EXCLUDED)))
     words = f"INCOMPLETE: {missing} of {status.size} points are not done" if missing else ""
     figure.suptitle("\n".join(filter(None, (str(whole.attrs.get("title", "")), shared, words))), fontsize="medium")
 

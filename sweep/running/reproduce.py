@@ -10,9 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from sweep.contract import Experiment, SweepError, shown, suggest
 from sweep.executing.worker import run_block
-from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator, failing
+from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
+from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.running.results import assemble
 from sweep.running.trust import foreign_code, require_trust
@@ -79,13 +80,13 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     alone = replace(study, axes={}, zipped=(), excluded=(), fixed=fixed | own, published=None, claims=())
     result = compute(Plan(Grid(alone)))
     stored = open_dataset(store).isel(_indices(study, place))
-    status = int(stored["status"])
+    status = Status(int(stored["status"]))
     other_code = differences_of_code(read_attributes(store), study)
     differences = None
-    if status == DONE:
+    if status == Status.DONE:
         pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
         differences = {name: pair for name, pair in pairs.items() if not _same_bits(*pair)}
-    return Reproduction(describe(study, place), result, STATUS_WORDS[status], differences, other_code)
+    return Reproduction(describe(study, place), result, status.word, differences, other_code)
 
 
 def compute(plan: Plan) -> xr.Dataset:
@@ -100,7 +101,7 @@ def compute(plan: Plan) -> xr.Dataset:
                 rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
                 for point, row in zip(work.points, rows, strict=True):
                     pending.add(plan.work((point,), block) for block in accumulator.add(point, work.block, row))
-    for problem in failing(accumulator, np.flatnonzero(accumulator.status == DONE).tolist()).values():
+    for problem in failing(accumulator, np.flatnonzero(accumulator.status == Status.DONE).tolist()).values():
         raise problem
     return assemble(plan, accumulator)
 

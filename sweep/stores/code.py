@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from sweep.code_identity import code_differences, code_of
 from sweep.contract import SweepError
-from sweep.planning.accumulator import DONE, Accumulator
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.point_status import Status
 from sweep.stores.location import Where, located
 from sweep.stores.opened import OpenStore
 from sweep.stores.root import find_root
@@ -81,7 +82,7 @@ def codes_of_points(
     starts = [record.first_row for record in records]
     n_cat = plan.grid.study.sampling.n_cat
     for point in plan.grid.points():
-        if accumulator.status[point.index] == DONE:
+        if accumulator.status[point.index] == Status.DONE:
             cost = plan.cost(point.parameters)
             parts = range(plan.parts(cost, int(accumulator.realisations[point.index]) // n_cat))
             keys = (ledger_key(point.digest, block) for block in plan.blocks(cost, parts))
