@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.checks import check
 from core.expected_errors import has_errors
 from core.link import GLIDE_UNKNOWNS, UNKNOWNS
@@ -14,8 +14,6 @@ from core.simulate import BlockSums, simulate
 from core.unused import unused
 from core.warn import warn
 from sweep.contract import Experiment, Point, small_sample_factor
-
-Array = NDArray[np.float64]
 
 SUMS: Mapping[str, tuple[int, ...]] = {
     "error": (6,),

@@ -6,10 +6,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import MAS
 from core.frames import triad
 
-Array = NDArray[np.float64]
 Weighting = Literal["inverse-variance", "equal"]
 
 UNKNOWNS = ("epsilon_x", "epsilon_y", "epsilon_z", "omega_x", "omega_y", "omega_z")

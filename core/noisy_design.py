@@ -1,15 +1,13 @@
 """The link while the reference has errors too: its design differs from one realisation to the next."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.link import POLE_LIMIT, hold, pole_error, solve_normal
 from core.noise import Tile
 from core.normal_equations import NormalSums, Seen
 from core.prepared import Setup
 from core.zonal import DrawnField
-
-Array = NDArray[np.float64]
 
 ELEMENTS = 8192
 """Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core."""

@@ -8,9 +8,8 @@ four observables gives all blocks that proper motions do not enter; those of A21
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from core.arrays import Array
 
 RA, DEC, PMRA, PMDEC = range(4)
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
 from core.frames import along, exact_differences, stored_differences, triad
@@ -16,7 +16,6 @@ from core.shared_arrays import Prefixes, parts
 from core.systematics import Systematics
 from core.zonal import ZonalErrors
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Arithmetic = Literal["exact", "stored"]
 Method = Literal["catalogue", "projected"]

@@ -10,13 +10,11 @@ them, which is left out here: `neglected` bounds how much that is.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.fixed_design import FixedDesign
 from core.link import LinkError
 from core.shared_arrays import parts
-
-Array = NDArray[np.float64]
 
 LARGEST_NEGLECT = 0.01
 """Of sigma, for the bound of `neglected`.  What it bounds has been 13 to 75 times smaller where it was tried: under the

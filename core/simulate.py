@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
 from core.fixed_design import FixedDesign, FixedSums, fixed_design
@@ -16,8 +16,6 @@ from core.noisy_design import FullPath, FullSums
 from core.prepared import Draw, Scenario, Setup, prepare
 from core.projected import Drawn, Projected
 from core.shared_arrays import Prefixes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

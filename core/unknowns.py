@@ -10,13 +10,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.frames import Triad, triad
 from core.harmonics import Kind, Term, fill_toroidal, terms, turned
 from core.link import require_off_poles
-
-Array = NDArray[np.float64]
 
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")

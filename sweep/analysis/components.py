@@ -4,12 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from sweep.analysis.quantity import ERROR_SUFFIXES
+from sweep.contract import Array
 from sweep.planning.point_status import Status
-
-Array = NDArray[np.float64]
 
 COVARIANCE, CORRELATION, CONDITION = "covariance", "correlation", "condition_number"
 

@@ -19,10 +19,8 @@ from sweep.analysis.quantity import (
     standard_error,
 )
 from sweep.analysis.selection import place_in_words
-from sweep.contract import FEW, FEWEST_SAMPLES, SweepError
+from sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

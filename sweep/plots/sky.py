@@ -6,13 +6,11 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import DEGREE, GALACTIC_AXES
 from core.frames import position
 from sweep.plots.style import COLOURS, MARKERS, label
-
-Array = NDArray[np.float64]
 
 MINUS = "\N{MINUS SIGN}"
 CENTRE_DEG = 180.0

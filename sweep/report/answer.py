@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from sweep.analysis.quantity import main_quantity, prediction_name, quantities, standard_error, unknown_parts
 from sweep.analysis.selection import place_in_words
-from sweep.contract import SweepError
+from sweep.contract import Array, SweepError
 from sweep.formatting import with_error
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
-
-Array = NDArray[np.float64]
 
 ERRORS_ALLOWED = 3.0
 """A value agrees with its prediction if it is so many of its errors from it."""

@@ -7,14 +7,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import Output, Parameter
+from sweep.contract import Array, Output, Parameter
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.point_status import Status
 from sweep.studies.study import Published, printed_rounding
-
-Array = NDArray[np.float64]
 
 
 def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import FEWEST_SAMPLES, SweepError, small_sample_factor
+from sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
 from sweep.executing.choose import Resources
 from sweep.executing.execute import Pool, available_cores
 from sweep.planning.accumulator import Survey
@@ -25,7 +25,6 @@ MAX_WORKERS = 4096
 MEDIAN_OVER_MEAN = np.pi / 2.0
 """Variance of a median over that of a mean, of many normal numbers (of five: 1.43)."""
 Grown = Literal["n_sim", "n_cat"]
-Array = NDArray[np.float64]
 
 
 @dataclass

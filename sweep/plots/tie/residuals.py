@@ -8,13 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import DEGREE
 from sweep.contract import SweepError
 from sweep.plots.sky import CENTRE_DEG, add_sky
 from sweep.plots.style import COLOURS, unit_text
 from sweep.plots.tie.names import readable
-
-Array = NDArray[np.float64]
 
 MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
