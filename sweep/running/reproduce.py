@@ -18,8 +18,8 @@ from sweep.planning.work_queue import Pending
 from sweep.running.results import assemble
 from sweep.running.trust import foreign_code, require_trust
 from sweep.stores.code import differences_of_code
-from sweep.stores.location import Where, located
-from sweep.stores.store import open_dataset, read_attributes
+from sweep.stores.location import Where
+from sweep.stores.opened import OpenStore
 from sweep.studies.axes import parse_places, parse_value
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.study import Study
@@ -48,9 +48,12 @@ def study_of(store: Where, *, trust: bool = False) -> Study:
     Raises SweepError if there is none or it cannot be made again, and where its code needs the user's ``trust`` (see
     `sweep.running.trust`).
     """
-    attributes = read_attributes(store)
-    require_trust(located(store), attributes, trust)
-    return study_of_attributes(attributes, str(store))
+    return _study_of(OpenStore(store), trust)
+
+
+def _study_of(store: OpenStore, trust: bool) -> Study:
+    require_trust(store.location, store.attributes, trust)
+    return study_of_attributes(store.attributes, str(store.location))
 
 
 def study_to_look_at(store: Where) -> Study:
@@ -58,7 +61,7 @@ def study_to_look_at(store: Where) -> Study:
 
     Raises SweepError for another experiment, and where the study names functions in files.
     """
-    attributes = read_attributes(store)
+    attributes = OpenStore(store).attributes
     if code := foreign_code(attributes):
         raise SweepError(
             f"only stores of the link alone can be drawn so; this one names {', '.join(code)}, and looking at a store "
@@ -73,15 +76,16 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
 
     Raises SweepError where that is not one point of the store, as `study_of`, and whatever the experiment raises.
     """
-    study = study_of(store, trust=trust)
+    opened = OpenStore(store)
+    study = _study_of(opened, trust)
     place = place_of(study, at, str(store))
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
     fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}
     alone = replace(study, axes={}, zipped=(), excluded=(), fixed=fixed | own, published=None, claims=())
     result = compute(Plan(Grid(alone)))
-    stored = open_dataset(store).isel(_indices(study, place))
+    stored = opened.dataset().isel(_indices(study, place))
     status = Status(int(stored["status"]))
-    other_code = differences_of_code(read_attributes(store), study)
+    other_code = differences_of_code(opened.attributes, study)
     differences = None
     if status == Status.DONE:
         pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}

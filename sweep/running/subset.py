@@ -9,18 +9,17 @@ import xarray as xr
 from sweep.contract import Named, SweepError, Value
 from sweep.planning.grid import Grid
 from sweep.planning.point_status import Status
-from sweep.stores.location import Where
-from sweep.stores.store import open_dataset
+from sweep.stores.opened import OpenStore
 from sweep.tablefile import content_digest
 
 
-def part_of_larger(store: Where, grid: Grid) -> xr.Dataset | None:
+def part_of_larger(store: OpenStore, grid: Grid) -> xr.Dataset | None:
     """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, an axis
     more, more realisations or catalogues.  None where something is missing there, or there is nothing more.
     """
     study = grid.study
     try:
-        dataset = open_dataset(store)
+        dataset = store.dataset()
     except SweepError:
         return None
     if study.excluded or "sample" in dataset.dims or not _enough_realisations(dataset.attrs, grid):

@@ -13,8 +13,8 @@ from sweep.executing.execute import NO_LIMITS
 from sweep.executing.pools import POOLS
 from sweep.executing.worker_plugin import run_on_worker
 from sweep.running.run import Silent, run_study
-from sweep.stores.store import existing_store
 from sweep.studies.reader import study_from_dict
+from tests.sweep.opening import existing_store
 
 THREADS = Resources(workers=2, pool="threads")
 
