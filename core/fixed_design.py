@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Array
-from core.link import condition_number, design_matrix, hold, normal_inverse, require_off_poles
+from core.design import design_matrix
+from core.link import condition_number, hold, normal_inverse, require_off_poles
 from core.noise import Tile
 from core.prepared import Setup
 from core.shared_arrays import Prefixes, origin, parts

@@ -8,6 +8,7 @@ import numpy as np
 
 from core.arrays import Array
 from core.catalogue import Catalogue
+from core.design import ORIENTATION, SPIN
 from core.errors import ErrorModel
 from core.frames import along, exact_differences, stored_differences, triad
 from core.link import KINDS, Weighting, combined_error, measured
@@ -92,7 +93,7 @@ class Setup:
     def held(self) -> slice:
         """The unknowns that nothing measured determines, which stay at their true values."""
         positions, motions = self.measured
-        return slice(3 if positions else 0, 3 if motions else len(self.truth))
+        return slice(SPIN.start if positions else ORIENTATION.start, SPIN.start if motions else len(self.truth))
 
 
 @dataclass(frozen=True)
