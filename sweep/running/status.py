@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from sweep.contract import Named, SweepError
 from sweep.executing.execute import available_cores
-from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS, Accumulator
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import TARGET, Plan
+from sweep.planning.point_status import Status, count_status
 from sweep.running.axis_progress import by_axis
 from sweep.running.run import plan_study
 from sweep.stores.location import Where
@@ -46,10 +47,10 @@ def status_report(store: Where) -> dict[str, Any]:
     return {
         "title": attributes["title"],
         **note,
-        "complete": bool(np.all((status == DONE) | (status == EXCLUDED))),
+        "complete": bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED))),
         "running": str(holder(opened.location) or "no"),
         "last written": attributes.get("finished", "never"),
-        "points": {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)},
+        "points": {code.word: n for code, n in count_status(status).items()},
         "blocks in the ledger": len(ledger.ledger.rows),
         "realisations done": int(realisations.sum()),
         "axes": by_axis(axes, status, realisations, wanted),

@@ -11,10 +11,11 @@ from astropy import units
 from core.calibration import IN_CODE, PublishedSigma, curve_of, draw_skies, fit, published_model, spin_variance
 from core.catalogue import Catalogue
 from core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
+from core.design import design_matrix
 from core.errors import CatalogueErrors, NoErrors, NormalErrors
 from core.experiment import evaluate, link, scenario, summarise
 from core.fixed_design import fixed_design
-from core.link import condition_number, design_matrix, solve
+from core.link import condition_number, solve
 from core.prepared import Draw, prepare
 from core.projected import neglected
 from core.shared_arrays import Prefixes

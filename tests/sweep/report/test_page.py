@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.planning.point_status import Status
 from sweep.report.answer import answers, completeness
 from sweep.report.cite import citations
 from sweep.report.explorer import explorer
@@ -42,7 +42,7 @@ def grid(value, status=None, **others):
         {"title": "A title", "complete": 1, "study": "the study's text"},
     )
     dataset["share"].attrs |= {"headline": 1, "long_name": "share of heads"}
-    status = np.full(shape, DONE, dtype=np.int8) if status is None else np.array(status, dtype=np.int8)
+    status = np.full(shape, Status.DONE, dtype=np.int8) if status is None else np.array(status, dtype=np.int8)
     return dataset.assign(status=(("kind", "size"), status))
 
 
@@ -88,7 +88,7 @@ def test_an_axis_that_does_not_matter_is_not_said_to():
 
 
 def test_what_is_missing_is_said_and_does_not_count():
-    status = [[DONE, FAILED, MISSING], [DONE, DONE, EXCLUDED]]
+    status = [[Status.DONE, Status.FAILED, Status.MISSING], [Status.DONE, Status.DONE, Status.EXCLUDED]]
     dataset = grid([[8.0, np.nan, np.nan], [7.0, 5.0, np.nan]], status)
     assert "Over 3 points it goes from 5 mas, at kind=two, size=2, to 8 mas, at kind=one, size=1." in sentences(dataset)
     assert completeness(dataset) == [
@@ -262,7 +262,7 @@ def test_built_in_studies_ask_a_question():
 
 def test_a_large_table_is_cut_and_says_so():
     size = MOST_ROWS + 7
-    status = ("size", np.full(size, DONE, dtype=np.int8))
+    status = ("size", np.full(size, Status.DONE, dtype=np.int8))
     share = ("size", np.arange(1.0, size + 1), {"units": "", "headline": 1})
     attributes = {"title": "Large", "complete": 1, "study": ""}
     large = xr.Dataset({"share": share, "status": status}, {"size": np.arange(float(size))}, attributes)
