@@ -10,13 +10,11 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.frames import Triad, triad
 from core.harmonics import Kind, Term, fill_toroidal, terms, turned
 from core.link import require_off_poles
-
-Array = NDArray[np.float64]
 
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
@@ -93,7 +91,7 @@ class Orientation:
     def derivatives(self, objects: Objects) -> Array:
         """Return q, -p, -pmdec eta and pmra eta with eta = (cos ra, sin ra, 0)/cos dec; shape (3, 4 or 2, N)."""
         p, q, _ = objects.triad
-        found = np.zeros((3, len(self.rows), len(objects.ra)))
+        found = np.zeros((len(self.labels), len(self.rows), *np.shape(objects.ra)))
         found[:, 0], found[:, 1] = q, -p
         if self.corrections:
             require_off_poles(objects.dec, q[2])

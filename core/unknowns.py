@@ -1,12 +1,12 @@
 """Unknowns that are solved for together, and the line that names them: ``orientation,spin,glide,vsh_motion:3``."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.blocks import (
     MOTION,
     PARAMETERS,
@@ -22,8 +22,6 @@ from core.blocks import (
     SpinByBin,
 )
 from core.harmonics import Kind
-
-Array = NDArray[np.float64]
 
 HIGHEST_DEGREE = 50
 
@@ -80,7 +78,7 @@ class Unknowns:
 
         ``years`` (N,) is the epoch of each source minus that of the unknowns: a rate moves positions by as much.
         """
-        shift = np.zeros(len(objects.ra)) if years is None else years
+        shift = np.zeros(1) if years is None else years
         moved = bool(np.any(shift != 0.0))
         acting = {row for block in self.blocks for row in block.rows}
         if moved:
@@ -88,7 +86,7 @@ class Unknowns:
         rows = tuple(sorted(acting))
         if len(self.blocks) == 1 and rows == self.blocks[0].rows:
             return rows, self.blocks[0].derivatives(objects)
-        found = np.zeros((len(self), len(rows), len(objects.ra)))
+        found = np.zeros((len(self), len(rows), *np.shape(objects.ra)))
         start = 0
         for block in self.blocks:
             values = block.derivatives(objects)
@@ -114,13 +112,38 @@ def _moved(block: Block) -> list[int]:
     return [row - MOTION[0] + POSITION[0] for row in block.rows]
 
 
-_POSITION_GLIDE = Glide(
-    name="position_glide",
-    labels=("position_glide_x", "position_glide_y", "position_glide_z"),
-    rows=POSITION,
-    rate=False,
-)
-KNOWN = ("orientation", "position_glide", "spin", "glide", "parallax", "vsh_position:L", "vsh_motion:L")
+@dataclass(frozen=True)
+class Asked:
+    """How a block is asked for: its name, the degrees behind it, the names beside it, bins, columns and corrections."""
+
+    name: str
+    degrees: str
+    beside: Sequence[str]
+    bins: tuple[str, Sequence[float]] | None
+    columns: Mapping[str, Array]
+    corrections: bool
+
+    @property
+    def written(self) -> str:
+        """As the line has it."""
+        return f"{self.name}:{self.degrees}" if self.degrees else self.name
+
+
+KNOWN: dict[str, Callable[[Asked], Block]] = {
+    "orientation": lambda asked: Orientation(asked.corrections),
+    "position_glide": lambda asked: Glide(
+        name="position_glide",
+        labels=("position_glide_x", "position_glide_y", "position_glide_z"),
+        rows=POSITION,
+        rate=False,
+    ),
+    "spin": lambda asked: Rotation() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
+    "glide": lambda asked: Glide(),
+    "parallax": lambda asked: ParallaxZeroPoint(),
+    "vsh_position:L": lambda asked: _harmonics(asked, "orientation", "position_glide", POSITION),
+    "vsh_motion:L": lambda asked: _harmonics(asked, "spin", "glide", MOTION),
+}
+"""The blocks that a line may name, and what makes them; those with ``:L`` have degrees.  A further one is an entry."""
 
 
 def parse_unknowns(
@@ -173,41 +196,25 @@ def _blocks(
     if repeated := sorted({name for name in plain if plain.count(name) > 1}):
         raise ValueError(f"unknowns {', '.join(repeated)} twice")
     for name in names:
-        yield _block(name, plain, bins, columns, corrections)
+        kind, _, degrees = name.partition(":")
+        yield _block(Asked(kind, degrees, plain, bins, columns, corrections))
 
 
-def _block(
-    name: str,
-    beside: Sequence[str],
-    bins: tuple[str, Sequence[float]] | None,
-    columns: Mapping[str, Array],
-    corrections: bool,
-) -> Block:
-    kind, _, degrees = name.partition(":")
-    if kind == "vsh_position":
-        return _harmonics(name, degrees, beside, "orientation", "position_glide", POSITION)
-    if kind == "vsh_motion":
-        return _harmonics(name, degrees, beside, "spin", "glide", MOTION)
-    if degrees:
-        raise ValueError(f"unknowns {name!r}: only vsh_position and vsh_motion have a degree")
-    if kind == "spin" and bins is not None:
-        return _spin_by_bin(*bins, columns)
-    plain: dict[str, Block] = {
-        "orientation": Orientation(corrections),
-        "position_glide": _POSITION_GLIDE,
-        "spin": Rotation(),
-        "glide": Glide(),
-        "parallax": ParallaxZeroPoint(),
-    }
-    if kind not in plain:
-        raise ValueError(f"unknowns {name!r} are not known; known are {', '.join(KNOWN)}")
-    return plain[kind]
+def _block(asked: Asked) -> Block:
+    make = KNOWN.get(asked.name)
+    if make is None and f"{asked.name}:L" in KNOWN:
+        return KNOWN[f"{asked.name}:L"](asked)
+    if asked.degrees:
+        with_degrees = " and ".join(name.removesuffix(":L") for name in KNOWN if name.endswith(":L"))
+        raise ValueError(f"unknowns {asked.written!r}: only {with_degrees} have a degree")
+    if make is None:
+        raise ValueError(f"unknowns {asked.written!r} are not known; known are {', '.join(KNOWN)}")
+    return make(asked)
 
 
-def _harmonics(
-    name: str, degrees: str, beside: Sequence[str], rotation: str, glide: str, rows: tuple[int, ...]
-) -> Harmonics:
-    low, dash, high = degrees.partition("-")
+def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -> Harmonics:
+    name = asked.written
+    low, dash, high = asked.degrees.partition("-")
     try:
         first, last = (int(low), int(high)) if dash else (1, int(low))
     except ValueError:
@@ -216,12 +223,12 @@ def _harmonics(
         ) from None
     if not 1 <= first <= last <= HIGHEST_DEGREE:
         raise ValueError(f"unknowns {name!r}: degrees are from 1 to {HIGHEST_DEGREE}, the lower one first")
-    covered = {("t", 1): rotation in beside, ("s", 1): glide in beside}
+    covered = {("t", 1): rotation in asked.beside, ("s", 1): glide in asked.beside}
     kinds: tuple[Kind, Kind] = ("t", "s")
     parts = tuple((k, d) for d in range(first, last + 1) for k in kinds if not covered.get((k, d)))
     if not parts:
         raise ValueError(f"unknowns {name!r}: {rotation} and {glide} are these already")
-    return Harmonics(name.partition(":")[0], rows, rows == MOTION, parts)
+    return Harmonics(asked.name, rows, rows == MOTION, parts)
 
 
 def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Array]) -> SpinByBin:

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
-from sweep.planning.accumulator import DONE
+from sweep.planning.point_status import Status
 
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
@@ -49,7 +49,7 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return a sentence for every part of the error of a variable that is not known at points that are done."""
-    done = dataset["status"] == DONE
+    done = dataset["status"] == Status.DONE
     words = {"mc_error": "its Monte-Carlo error", "catalogue_error": "the choice of catalogues"}
     return [
         f"{variable}: {words[suffix]} is not in the error, as {FEWEST_SAMPLES} catalogues are needed to know it"

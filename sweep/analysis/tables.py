@@ -11,7 +11,7 @@ import xarray as xr
 
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name
 from sweep.formatting import is_missing, plain, rounded, to_json, with_error
-from sweep.planning.accumulator import EXCLUDED, STATUS_WORDS
+from sweep.planning.point_status import Status
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,7 +47,8 @@ def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
         values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)
         columns[str(name)] = (variable.attrs.get("units", ""), values.tolist())
     status = columns["status"][1]
-    columns["status"] = ("", [STATUS_WORDS[code] for code in status])
+    words = [code.word for code in Status]
+    columns["status"] = ("", [words[code] for code in status])
     return columns
 
 
@@ -121,7 +122,7 @@ def warnings_of(dataset: xr.Dataset) -> list[str]:
 
 def rows_left_out(dataset: xr.Dataset) -> int:
     """Return how many points `as_text` leaves out."""
-    return max(0, int((dataset["status"] != EXCLUDED).sum()) - MOST_ROWS)
+    return max(0, int((dataset["status"] != Status.EXCLUDED).sum()) - MOST_ROWS)
 
 
 def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:

@@ -10,6 +10,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option
+from sweep.formatting import split_assignment
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -276,14 +277,14 @@ def _by_table(option: str, form: str, items: Sequence[str], tables: Sequence[str
 
 
 def _named(option: str, form: str, item: str) -> tuple[str, str]:
-    name, equals, value = item.partition("=")
-    if not name or not equals or not value:
+    name, value = split_assignment(item)
+    if not name or not value:
         raise click.BadParameter(f"{item!r} is not {form}", param_hint=option)
     return name, value
 
 
 def _jitter(item: str) -> tuple[str, tuple[float, float]]:
-    kind, _, numbers = item.partition("=")
+    kind, numbers = split_assignment(item)
     values = _numbers("--jitter", numbers.replace(":", ","))
     if len(values) not in (1, 2):
         raise click.BadParameter(f"{item!r} is not KIND=MAS or KIND=MAS:MAS_YR", param_hint="--jitter")

@@ -7,13 +7,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import Output, Parameter
-from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator
+from sweep.contract import Array, Output, Parameter
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.point_status import Status
 from sweep.studies.study import Published, printed_rounding
-
-Array = NDArray[np.float64]
 
 
 def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
@@ -24,7 +23,7 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
     grid = plan.grid
     study = grid.study
     experiment = study.experiment
-    done = accumulator.status == DONE
+    done = accumulator.status == Status.DONE
     variables: dict[str, Any] = {}
     results: Mapping[str, Array] = {}
     if done.any():
@@ -42,7 +41,7 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
         grid, accumulator.realisations.copy(), Output("n_sim_done", "", "realisations done, over all catalogues")
     )
     variables["status"] = _variable(grid, accumulator.status.copy(), Output("status", "", "state of the point"))
-    variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
+    variables["status"][2].update(flag_values=list(map(int, Status)), flag_meanings=" ".join(s.word for s in Status))
     variables |= _published(grid)
     return xr.Dataset(variables, coords=_coordinates(grid))
 
@@ -59,7 +58,7 @@ def assemble_samples(
     kept = np.full((len(grid), sampling.n_cat, sampling.n_sim, experiment.samples_width), np.nan)
     flat_status = status.reshape(-1)
     for point in grid.points():
-        if flat_status[point.index] != DONE:
+        if flat_status[point.index] != Status.DONE:
             continue
         start: dict[int, int] = {}
         for block in plan.blocks(plan.cost(point.parameters)):
