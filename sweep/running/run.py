@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.executing.choose import NO_WISHES, Resources, choose_executor
+from sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
 from sweep.executing.execute import Executor, Place
 from sweep.executing.worker import TaskResult
 from sweep.interrupt import watched
@@ -75,7 +75,7 @@ def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
 def run_study(
     study: Study,
     store: Where,
-    resources: Resources = NO_WISHES,
+    resources: Resources = ANY_RESOURCES,
     progress: Progress | None = None,
     retry: bool = False,
     break_lock: bool = False,
@@ -117,7 +117,7 @@ def run_study(
                 progress.say(f"no point in {store} has failed")
         accumulator = _accumulator(plan, opened, again)
         pending = accumulator.survey.pending
-        where = choose_executor(study, pending.cost, resources if pending.blocks else NO_WISHES, progress.say)
+        where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
         place, run = stack.enter_context(where)
         if opened is None:
             opened = Store(create_store(store, study, told | {RECORD: recorded(study, plan.costs())}), study)
@@ -180,7 +180,7 @@ def _record_code(store: Store, study: Study, progress: Progress) -> None:
         if not records[-1].code:
             return  # what linksweep brings is known by its version
         if store.next_row:
-            progress.say(f"{store.location} does not say which code made it; it is taken to be that of now")
+            progress.say(f"{store.location} does not say which code made it; it is taken to be today's")
     elif store.next_row:
         for sentence in differences_of_code(store.attributes, study):
             progress.say(f"other code goes on with {store.location}: {sentence}")

@@ -136,7 +136,7 @@ def test_a_store_without_a_record_is_adopted_and_says_so(folder, sweep, monkeypa
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
     code, _, err = sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)
     assert code == 0
-    assert "does not say which code made it; it is taken to be that of now" in err
+    assert "does not say which code made it; it is taken to be today's" in err
     change(folder, "helper")
     (folder / "helper.py").write_text("def value(rate):\n    return 5.0\n")
     assert sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)[0] == 2
