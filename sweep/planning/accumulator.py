@@ -188,7 +188,7 @@ class Accumulator:
 
 
 def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Exception]:
-    """Return the points, of those given, whose results cannot be computed from their sums or are not finite, and why."""
+    """Return those of the points whose results cannot be computed from their sums or are not finite, and why."""
     experiment = accumulator.plan.grid.study.experiment
     n = accumulator.realisations[list(indices)].astype(float)
     n_cat = np.full(len(indices), float(accumulator.plan.grid.study.sampling.n_cat))
