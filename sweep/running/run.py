@@ -61,13 +61,13 @@ class Silent:
         """Do nothing."""
 
 
-def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
+def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
-    input.
+    input, and for a store that other code made unless ``accept_code``.
     """
     plan = Plan(make_grid(study))
     opened = _existing(find_store(store, study), study)
-    if opened is not None:
+    if opened is not None and not accept_code:
         check_code(opened, study)
     return plan, _accumulator(plan, opened).survey
 

@@ -109,11 +109,11 @@ def _of_dataset(dataset: xr.Dataset) -> Progress:
     return axes, units, dataset["status"].values, dataset["n_sim_done"].values
 
 
-def plan_report(study: Study, store: Where, workers: int | None = None) -> dict[str, Any]:
+def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
     """Return what a run would do; the time is what the random numbers alone would take, from a short timing of this
     machine, with so many ``workers`` (one a core by default).
     """
-    plan, survey = plan_study(study, store)
+    plan, survey = plan_study(study, store, accept_code)
     grid = plan.grid
     floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
     samples = study.experiment.samples_width * survey.total.realisations if study.sampling.keep_samples else 0

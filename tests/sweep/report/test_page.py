@@ -23,7 +23,7 @@ from sweep.report.cite import citations
 from sweep.report.explorer import explorer
 from sweep.report.figures import pictures
 from sweep.report.page import MARK, check_output, report_of, report_page, write_report
-from sweep.report.section import MOST_ROWS
+from sweep.report.section import MOST_ROWS, section
 from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
@@ -49,6 +49,14 @@ def grid(value, status=None, **others):
 def sentences(dataset):
     (answer,) = answers(dataset)
     return " ".join(answer.sentences)
+
+
+def test_a_section_says_where_unknowns_can_hardly_be_told_apart():
+    dataset = grid(VALUES).assign(condition_number=(("kind", "size"), [[2.0, 3.0, 1e4], [2.0, 5000.0, 1.0]]))
+    assert any(
+        "at 2 points the condition number is up to 1e+04" in note for note in section("s", dataset, 1, 100).notes
+    )
+    assert not any("condition" in note for note in section("s", grid(VALUES), 1, 100).notes)
 
 
 VALUES = [[8.0, 4.0, 2.0], [80.0, 20.0, 10.0]]

@@ -66,6 +66,9 @@ def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, fo
 def test_accepted_code_is_told_for_each_point(folder, sweep):
     named = change(folder, "deeper")
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
+    code, out, err = sweep("plan", "s.toml", "-o", "s.zarr", "--accept-code", cwd=folder)
+    assert code == 0, err
+    assert "3, 2 of them done" in out
     code, _, err = sweep("run", "s.toml", "-o", "s.zarr", "--accept-code", cwd=folder)
     assert code == 0
     assert named in err
