@@ -58,7 +58,7 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     "resources",
     [
         Resources(pool="serial"),
-        Resources(pool="serial", limits=Limits(time_s=600)),
+        pytest.param(Resources(pool="serial", limits=Limits(time_s=600)), marks=pytest.mark.slow),
         Resources(pool="threads", workers=2),
     ],
     ids=["serial", "guarded", "threads"],

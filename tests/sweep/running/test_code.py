@@ -169,6 +169,7 @@ def test_a_python_process_that_runs_twice_sees_the_change(folder):
     assert reproduce(folder / "s.zarr", "rate=2.0").other_code == ["file deeper.py has changed"]
 
 
+@pytest.mark.slow
 def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, sweep):
     from sweep.studies.reader import load_study
 
