@@ -133,7 +133,7 @@ def test_a_store_without_a_record_is_adopted_and_says_so(folder, sweep, monkeypa
     from sweep.studies.reader import load_study
 
     with monkeypatch.context() as patched:  # as 0.1 wrote it
-        patched.setattr(running, "_record_code", lambda *arguments: None)
+        patched.setattr(running, "record_code", lambda *arguments: None)
         running.run_study(load_study(str(folder / "s.toml")), folder / "old.zarr", Resources(pool="serial"))
     assert "code" not in OpenStore(folder / "old.zarr").attributes
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
