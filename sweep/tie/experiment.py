@@ -9,7 +9,7 @@ from core.constants import MAS
 from core.link import LinkError
 from core.tie.clips import clipped
 from core.tie.draws import Draw, Simulation
-from core.tie.normal_sums import Solution, solve
+from core.tie.solution import Solution, solve
 from core.tie.sources import sources_of
 from sweep.contract import Experiment, Point, SweepError
 from sweep.tie.design import Design, design_of

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.forecast import Criterion, Goal, choose, with_new_rows
-from core.tie.normal_sums import inverted, source_sums
+from core.tie.normal_sums import source_sums
 from core.tie.releases import RELEASES, released
+from core.tie.solution import inverted
 from sweep.contract import SweepError
-from sweep.tie.setup import Options, set_up
+from sweep.tie.options import Options
+from sweep.tie.setup import set_up
 
 if TYPE_CHECKING:
     import xarray as xr

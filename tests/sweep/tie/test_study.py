@@ -11,7 +11,8 @@ from core.missions import MISSIONS
 from core.tie.clips import separation
 from core.tie.differences import differences
 from core.tie.draws import Simulation
-from core.tie.normal_sums import Problem, source_sums
+from core.tie.normal_sums import source_sums
+from core.tie.problem import Problem
 from core.unknowns import parse_unknowns
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources

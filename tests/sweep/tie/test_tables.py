@@ -9,11 +9,12 @@ from astropy.table import MaskedColumn, Table
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, kinds
 from sweep.contract import SweepError
+from sweep.tie.column_names import TableOptions
 from sweep.tie.hipparcos import correlations
 from sweep.tie.link_tables import tie
 from sweep.tie.matching import match
 from sweep.tie.planning import forecast
-from sweep.tie.tables import TableOptions, read_table
+from sweep.tie.tables import read_table
 from tests.core.tie.made import random_correlations, stars
 
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
