@@ -1,7 +1,7 @@
 """The commands of the link of real tables: tie and forecast."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +36,13 @@ _TABLE_OPTIONS = [
         metavar="[TABLE:]KEY=COLUMN",
         help="The column with a quantity, of all tables or of satellite, reference or a mission, e.g. "
         "reference:parallax=plx.",
+    ),
+    click.option(
+        "--unit",
+        "units",
+        multiple=True,
+        metavar="[TABLE:]KEY=UNIT",
+        help="The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
     ),
     click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, for a column."),
     click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, for a column."),
@@ -145,6 +152,7 @@ def tie(
     """
     from sweep.tie import text
     from sweep.tie.link_tables import tie as solve
+    from sweep.tie.options import parse_bins
 
     _refuse_existing(output)
     _require_drawing(figures)
@@ -161,7 +169,7 @@ def tie(
         scheduler=given.pop("scheduler"),
         degree=given.pop("degree"),
         sign=given.pop("sign"),
-        bins=None if bins is None else _bins(bins),
+        bins=None if bins is None else parse_bins(bins),
         known_spin=None if known is None else _spin(known),
         **_tables(given),
     )
@@ -221,26 +229,21 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
     missions = dict(_named("--mission", "NAME=TABLE", item) for item in given["missions"])
     if len(missions) < len(given["missions"]):
         raise click.BadParameter("a mission is named twice", param_hint="--mission")
-    columns: dict[str, dict[str, str]] = {name: {} for name in ("satellite", "reference", *missions)}
+    tables = ("satellite", "reference", *missions)
+    columns = _by_table("--column", "KEY=COLUMN", given["column"], tables)
+    units = _by_table("--unit", "KEY=UNIT", given["units"], tables)
     epochs = {"satellite": given["satellite_epoch"], "reference": given["reference_epoch"]}
     for name, year in (_named("--mission-epoch", "NAME=YEAR", item) for item in given["mission_epoch"]):
         if name not in missions:
             raise click.BadParameter(f"no --mission {name}", param_hint="--mission-epoch")
         epochs[name] = _numbers("--mission-epoch", year)[0]
-    if unknown := set(given["without_cos_dec"]) - set(columns):
+    if unknown := set(given["without_cos_dec"]) - set(tables):
         raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint="--without-cos-dec")
-    for item in given["column"]:
-        key, name = split_assignment(item)
-        table, colon, quantity = key.partition(":")
-        if not name or (colon and table not in columns):
-            tables = "|".join(columns)
-            raise click.BadParameter(f"{item!r} is not [{tables}:]KEY=COLUMN", param_hint="--column")
-        for one in [table] if colon else columns:
-            columns[one][quantity if colon else key] = name
 
     def options(table: str) -> "TableOptions":
         return TableOptions(
             columns=columns[table],
+            units=units[table],
             epoch=epochs.get(table),
             positions=given["positions"] if table == "reference" else None,
             zero_errors=given["zero_errors"],
@@ -260,9 +263,22 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _by_table(option: str, form: str, items: Sequence[str], tables: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return what is said of each quantity of each table; what names no table is for all."""
+    found: dict[str, dict[str, str]] = {name: {} for name in tables}
+    for item in items:
+        key, value = _named(option, f"[{'|'.join(tables)}:]{form}", item)
+        table, colon, quantity = key.partition(":")
+        if colon and table not in tables:
+            raise click.BadParameter(f"{item!r} is not [{'|'.join(tables)}:]{form}", param_hint=option)
+        for one in [table] if colon else tables:
+            found[one][quantity if colon else key] = value
+    return found
+
+
 def _named(option: str, form: str, item: str) -> tuple[str, str]:
     name, value = split_assignment(item)
-    if not name:
+    if not name or not value:
         raise click.BadParameter(f"{item!r} is not {form}", param_hint=option)
     return name, value
 
@@ -275,13 +291,6 @@ def _jitter(item: str) -> tuple[str, tuple[float, float]]:
     if kind in ("motion", "three-parameter") and len(values) == 1:
         return kind, (0.0, values[0])
     return kind, (values[0], values[1] if len(values) == 2 else 0.0)
-
-
-def _bins(text: str) -> tuple[str, list[float]]:
-    column, edges = split_assignment(text)
-    if not column:
-        raise click.BadParameter(f"{text!r} is not COLUMN=EDGE,EDGE,...", param_hint="--bins")
-    return column, _numbers("--bins", edges)
 
 
 def _spin(text: str) -> list[float] | str:

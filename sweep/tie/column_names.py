@@ -42,13 +42,15 @@ _ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
 class TableOptions:
     """How a table is read.
 
-    ``columns``: the table's name for a quantity.  ``epoch`` (Julian year) is for a table without a column of epochs.
+    ``columns``: the table's name for a quantity; ``units``: of quantities whose column says none.  ``epoch`` (Julian
+    year) is for a table without a column of epochs.
     ``positions`` without parallax and motion: of a single epoch, displaced by the parallax, or mean ones; by default
-    what the table's metadata say under ``positions``, else of a single epoch.
+    what the table's metadata say under ``positions``, else of a single epoch.  Those without an epoch are mean ones.
     ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
     epoch: float | None = None
     positions: Positions | None = None
     zero_errors: Zeros = "error"

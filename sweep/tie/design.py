@@ -17,7 +17,7 @@ from core.tie.problem import Problem
 from core.tie.releases import RELEASES, released
 from sweep.contract import Point, SweepError
 from sweep.tie.column_names import TableOptions
-from sweep.tie.options import Options
+from sweep.tie.options import Options, parse_bins
 from sweep.tie.parameters import PARAMETERS
 from sweep.tie.setup import ZERO_MOTION, Setup, set_up
 from sweep.tie.solution import Link, solve_link
@@ -82,9 +82,20 @@ def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
     if reference is not None and point["zero_motion"]:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
     named = (
-        *("unknowns", "degree", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors"),
+        *(
+            "unknowns",
+            "degree",
+            "bins",
+            "by",
+            "epoch",
+            "weights",
+            "known_spin",
+            "aberration",
+            "positions",
+            "zero_errors",
+        ),
         *("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch"),
-        *("position_jitter", "motion_jitter", "candidates"),
+        *("position_jitter", "motion_jitter", "candidates", "zero_errors"),
     )
     table = (point["satellite"].path, point["satellite"].digest)
     return (table, reference, point["zero_motion"], tuple((name, point[name]) for name in named))
@@ -107,6 +118,7 @@ def _set_up(key: tuple[Any, ...]) -> Setup:
     options = Options(
         unknowns=given["unknowns"],
         degree=given["degree"],
+        bins=parse_bins(given["bins"]) if given["bins"] else None,
         by=given["by"] or None,
         epoch=given["epoch"],
         weights=given["weights"],

@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from core.tie.elimination import Weights
 from core.unknowns import require_mission_name
 from sweep.contract import SweepError
+from sweep.formatting import split_assignment
 from sweep.tie.column_names import TableOptions
 
 Sign = Literal["reference-satellite", "satellite-reference"]
@@ -69,3 +70,15 @@ class Options:
             elif colon and table not in self.missions:
                 raise SweepError(f"jitter of {key!r}: no mission {table!r}")
         return found
+
+
+def parse_bins(text: str) -> tuple[str, list[float]]:
+    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10; raises SweepError for another."""
+    column, edges = split_assignment(text)
+    try:
+        numbers = [float(part) for part in edges.split(",")]
+    except ValueError:
+        numbers = []
+    if not (column and numbers):
+        raise SweepError(f"bins {text!r}: they are COLUMN=EDGE,EDGE,...")
+    return column, numbers

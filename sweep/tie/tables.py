@@ -80,6 +80,12 @@ def built_in_table(path: Path) -> Path | None:
     return next((file for file in sorted(folder.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
 
 
+def _like_hours(ra: Array) -> bool:
+    """Return whether numbers without a unit may be hours: ten or more within 0 to 24, over more than half of it."""
+    known = ra[np.isfinite(ra)]
+    return len(known) >= 10 and known.min() >= 0.0 and known.max() <= 24.0 and bool(np.ptp(known) > 12.0)
+
+
 class _Reader:
     """Reads the quantities of one table and collects what is wrong with it."""
 
@@ -91,6 +97,8 @@ class _Reader:
                 self.problems.append(f"columns: {key} is no quantity; known are {', '.join(quantities())}")
             elif column not in table.colnames:
                 self.problems.append(f"columns: no column {column!r} for {key}; there are {self._listed()}")
+        if not self.problems:
+            self._set_units()
         if self.problems:
             raise SweepError(self.problems, self.where)
         if not len(table):
@@ -121,14 +129,15 @@ class _Reader:
             if getattr(self.table[name], "ndim", 2) == 1
             and getattr(getattr(self.table[name], "dtype", None), "kind", "O") in "fiu"
         }
+        epoch = self._epoch()
         found = Astrometry(
             values=values,
             errors=errors,
-            epoch=self._epoch(),
+            epoch=epoch,
             correlations=correlations,
             radial_velocity=self._radial_velocity(),
             columns=columns,
-            apparent=np.full(n, self._positions() == "single-epoch"),
+            apparent=(self._positions() == "single-epoch") & np.isfinite(epoch),
         )
         try:
             kinds(found)
@@ -137,6 +146,26 @@ class _Reader:
         if self.problems:
             raise SweepError(self.problems, self.where)
         return found, self._names()
+
+    def _set_units(self) -> None:
+        """Give columns the units that the options say; a column has another only if it says so itself."""
+        from astropy import units
+
+        self.table = self.table.copy(copy_data=False)
+        for quantity, text in self.options.units.items():
+            stem, is_error = quantity.removesuffix("_error"), quantity.endswith("_error")
+            name = (error_column_of if is_error else column_of)(stem, self.table.colnames, self.options)
+            try:
+                unit = units.Unit(text)
+            except ValueError:
+                self.problems.append(f"units: {quantity} in {text!r}, which is no unit")
+                continue
+            if quantity not in quantities() or name is None:
+                self.problems.append(f"units: no column of {quantity}")
+            elif self.table[name].unit not in (None, unit):
+                self.problems.append(f"units: {quantity} in {text}, and column {name!r} says {self.table[name].unit}")
+            else:
+                self.table[name].unit = unit
 
     def _positions(self) -> str:
         said = self.options.positions or self.table.meta.get("positions", "single-epoch")
@@ -179,6 +208,10 @@ class _Reader:
         if getattr(column, "dtype", np.dtype(object)).kind in "USO":
             return self._sexagesimal(name, hours)
         unit = column.unit or (units.rad if name.endswith("rad") else units.deg)
+        if hours and column.unit is None and not name.endswith(("deg", "rad")) and _like_hours(self._numbers(name)):
+            self.problems.append(
+                f"column {name!r} has no unit and runs over 0..24, as hours do; say --unit ra=hourangle (or ra=deg)"
+            )
         try:
             return np.asarray(self._numbers(name) * units.Unit(unit).to("rad"))
         except (units.UnitsError, ValueError, TypeError):

@@ -125,7 +125,7 @@ def test_a_wrong_mission_is_one_message(options, message):
         (["psrpi", "psrpi", "--clip", "median"], "clip 'median'"),
         (["psrpi", "psrpi", "--unknowns", "spinn"], "'spinn' are not known"),
         (["psrpi", "psrpi", "--jitter", "position"], "--jitter"),
-        (["psrpi", "psrpi", "--bins", "mag"], "--bins"),
+        (["psrpi", "psrpi", "--bins", "mag"], "COLUMN=EDGE"),
         (["psrpi", "psrpi", "--known-spin", "0.1,0.2"], "three numbers"),
         (["psrpi", "psrpi", "--column", "ra"], "--column"),
         (["psrpi", "psrpi", "--column", "ra=x"], "no column 'x'"),
