@@ -8,7 +8,7 @@ from sweep.studies.study import Sampling
 
 
 def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problems) -> None:
-    """Tell of wishes for the sampling that contradict each other or the experiment."""
+    """Report settings of the sampling that contradict each other or the experiment."""
     if sampling.keep_samples and experiment.samples is None:
         problems.add(("sampling", "keep_samples"), f"the experiment {experiment.name!r} has no samples to keep")
     if sampling.common_random_numbers and not experiment.shared:

@@ -151,6 +151,7 @@ def test_the_study_to_mutilate_is_good() -> None:
         assert outcome(lambda: load_study(str(path))) == []
 
 
+@pytest.mark.slow
 @fuzz
 @given(document=documents())
 def test_mutilated_documents(document: dict[str, Any]) -> None:
