@@ -1,5 +1,7 @@
 """Millions of quasars by row groups: the numbers of the whole table, the same bits on any workers, in little memory."""
 
+from contextlib import closing
+
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -10,6 +12,7 @@ from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.tie import row_groups
 from sweep.tie.link_tables import tie
+from tests.sweep.outside import Outside
 
 SPIN = (0.03, -0.02, 0.05)
 
@@ -74,14 +77,16 @@ def test_the_bits_are_the_same_on_any_workers(tmp_path, by_groups):
         np.testing.assert_array_equal(here[name].values, there[name].values, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_scheduler_elsewhere_gives_the_same_bits(tmp_path, by_groups):
-    from distributed import LocalCluster
-
     path = quasars(tmp_path / "quasars.parquet")
-    with LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp", host="127.0.0.1"
-    ) as cluster:
-        there = tie(path, "zero-motion", "spin", scheduler=cluster.scheduler_address)
+    (tmp_path / "dask").mkdir()
+    with closing(Outside(tmp_path / "dask")) as outside:
+        with pytest.raises(SweepError, match="has no workers"):
+            tie(path, "zero-motion", "spin", scheduler=outside.address)
+        outside.start_worker("--nworkers", "2")
+        outside.wait_for_workers(2)
+        there = tie(path, "zero-motion", "spin", scheduler=outside.address)
     np.testing.assert_array_equal(there.estimate, tie(path, "zero-motion", "spin").estimate)
 
 
