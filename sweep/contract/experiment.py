@@ -106,6 +106,34 @@ class Experiment:
         if found := problems(self):
             raise SweepError(found, f"experiment {shown(self.name)}")
 
+    @property
+    def deterministic(self) -> bool:
+        """Whether a point is computed once, without random numbers."""
+        return False
+
+    @property
+    def undeclared(self) -> bool:
+        """Whether the first result is still to say what the outputs are."""
+        return False
+
+    @property
+    def keeps_samples(self) -> bool:
+        """Whether realisations are kept because results are made of them, whatever a study says."""
+        return False
+
+    @property
+    def further_width(self) -> int:
+        """Number of floats that are made of the kept realisations of a point."""
+        return 0
+
+    def of_samples(self, samples: Array) -> Array:
+        """Return what is made of the kept realisations of a point, (further_width,)."""
+        return np.empty(0)
+
+    def added(self, total: Array, row: Array) -> Array:
+        """Return the sums of a point (width,) with those of one block more; ``total`` is 0 before the first."""
+        return total + row
+
     def parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError with a suggestion for an unknown name."""
         for parameter in self.parameters:

@@ -18,6 +18,7 @@ from sweep.executing.execute import (
     measured_first,
     serial,
 )
+from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import Study
 
 CERTAINLY_LONG = 5e7
@@ -58,7 +59,8 @@ def choose_executor(
     limits, workers = resources.limits, resources.workers or available_cores()
     if resources.pool == "serial":
         return serial(study, limits)
-    if resources.none_requested and cost < CERTAINLY_LONG:
+    unknown = isinstance(study.experiment, FunctionExperiment)
+    if resources.none_requested and (unknown or cost < CERTAINLY_LONG):
         return measured_first(study, cost, workers, lambda: _local(study, workers, "processes", say, limits), say)
     from sweep.executing.clusters import dask_from_file, dask_scheduler, tls
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -10,20 +11,23 @@ import xarray as xr
 from sweep.contract import SweepError
 from sweep.executing.choose import NO_WISHES, Resources, choose_executor
 from sweep.executing.worker import TaskResult
+from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
 from sweep.planning.accumulator import Accumulator, Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan, Work
 from sweep.planning.work_queue import Pending
+from sweep.running.first_result import Done, as_rows, first_results
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import as_json, check_code, continued, differences_of_code, records_of
 from sweep.stores.fresh import replace_store
-from sweep.stores.location import Where
+from sweep.stores.location import Where, located
 from sweep.stores.lock import locked
+from sweep.stores.root import find_root
 from sweep.stores.store import CODE, Store, check_store, create_or_resume, existing_store
 from sweep.studies.provenance import provenance
-from sweep.studies.record import RECORD, recorded
+from sweep.studies.record import RECORD, as_recorded, recorded
 from sweep.studies.study import Study
 
 
@@ -63,6 +67,7 @@ def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
     input.
     """
+    study = _as_stored(study, store)
     plan = Plan(make_grid(study))
     opened = existing_store(store, study)
     check_code(store, study)
@@ -89,6 +94,7 @@ def run_study(
     everything that was finished in the store.
     """
     progress = progress or Silent()
+    study = study if fresh else _as_stored(study, store)
     plan = Plan(make_grid(study))
     if fresh:
         with locked(store, break_lock=break_lock):
@@ -110,26 +116,40 @@ def run_study(
                 progress.say(f"no point in {store} has failed")
         accumulator = _accumulator(plan, opened, again)
         with choose_executor(study, accumulator.survey.pending.cost, resources, progress.say) as (place, run):
+            first: list[Done] = []
+            if study.experiment.undeclared:
+                progress.start(accumulator.survey, place.words, place.workers)
+                study, first = first_results(study, Pending(plan, accumulator), run)
+                plan = Plan(replace(plan.grid, study=study))
+                if opened is not None:
+                    opened = _begun_anew(opened, plan)
             opened = opened or create_or_resume(
                 store, study, provenance(study) | {RECORD: recorded(study, plan.costs())}
             )
             opened.verify()
             _record_code(opened, study, progress)
+            if first:
+                accumulator = _accumulator(plan, opened, again)
             if unused := len(opened.rows) - accumulator.survey.held.blocks:
                 progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
             pending = Pending(plan, accumulator)
             writer = Writer(plan, accumulator, pending, opened, interruptions.held)
             try:
-                progress.start(accumulator.survey, place.words, place.workers)
+                if not first:
+                    progress.start(accumulator.survey, place.words, place.workers)
                 if place.dashboard:
                     progress.say(f"Dask dashboard: {place.dashboard}")
+                for works, result in first:
+                    kept = _rows(study, works, result)
+                    progress.advance(works, kept, writer.take(works, kept))
                 results = run(pending.take)
                 if accumulator.survey.pending.blocks:
                     writer.write()  # so that there is a labelled, if empty, dataset from the start
                 with writer:
                     for given, result in results:
                         works = pending.settle(given, result.seconds)
-                        progress.advance(works, result, writer.take(works, result))
+                        kept = _rows(study, works, result)
+                        progress.advance(works, kept, writer.take(works, kept))
                 dataset = writer.write(final=True)
                 progress.written()
                 return dataset, writer.failures()
@@ -140,6 +160,31 @@ def run_study(
                 with suppress(SweepError):
                     writer.flush()
                 raise
+
+
+def _rows(study: Study, works: Sequence[Work], result: TaskResult) -> TaskResult:
+    experiment = study.experiment
+    return as_rows(experiment, works, result) if isinstance(experiment, FunctionExperiment) else result
+
+
+def _as_stored(study: Study, store: Where) -> Study:
+    """Return a study of a plain function with the layout of results that its store holds."""
+    if not study.experiment.undeclared:
+        return study
+    root = find_root(located(store))
+    return study if root is None else as_recorded(study, root["attributes"])
+
+
+def _begun_anew(store: Store, plan: Plan) -> Store:
+    """Return a store without results, made when nothing was known of them, as one of a plan that knows."""
+    failures = dict(store.failures)
+    study = plan.grid.study
+    attributes = provenance(study) | {RECORD: recorded(study, plan.costs())}
+    replace_store(store.location, study, attributes)
+    made = create_or_resume(store.location, study, attributes)
+    for digest, record in failures.items():
+        made.fail(digest, record)
+    return made
 
 
 def _record_code(store: Store, study: Study, progress: Progress) -> None:
@@ -168,4 +213,4 @@ def _forgive(store: Store | None, plan: Plan) -> frozenset[bytes]:
 def _accumulator(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Accumulator:
     if store is None:
         return Accumulator(plan, {}, np.empty((0, 0)))
-    return Accumulator(plan, store.rows, store.sums(), store.failures, only)
+    return Accumulator(plan, store.rows, store.sums(), store.failures, only, store.samples)
