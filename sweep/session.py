@@ -16,7 +16,7 @@ from pathlib import Path
 from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
-from sweep.contract import SweepError, shown
+from sweep.contract import Experiment, SweepError, shown
 from sweep.functions.signature import name_of
 from sweep.sources import INSTALLED, read_sources
 
@@ -29,15 +29,18 @@ _known: dict[str, "SessionFunction"] = {}
 class SessionFunction:
     """A function of this session, or of the one that has sent it."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any] | Experiment) -> None:
         """Find out what it consists of."""
         found = _Parts()
-        found.add("function", name_of(function), function)
+        inner = vars(function) if isinstance(function, Experiment) else {name_of(function): function}
+        for name, value in inner.items():
+            found.add("function" if callable(value) else "value", name, value)
         self.function = function
         self.parts, self.modules = found.parts, found.modules
         text = repr(sorted(self.parts.items()))
         self.digest = hashlib.sha256(text.encode()).hexdigest()[:12]
-        self.reference = f"{SESSION}:{name_of(function)}-{self.digest}"
+        name = function.name if isinstance(function, Experiment) else name_of(function)
+        self.reference = f"{SESSION}:{name}-{self.digest}"
 
     @property
     def path(self) -> str:
@@ -56,7 +59,7 @@ class SessionFunction:
             payload = cloudpickle.dumps(self.function)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
-                f"the function {name_of(self.function)} cannot be sent to worker processes "
+                f"the function {self.reference.rpartition(':')[2].rpartition('-')[0]} cannot be sent to worker processes "
                 f"({type(error).__name__}: {error}); use pool='threads' or pool='serial', or move it into a module"
             ) from error
         finally:
@@ -70,7 +73,7 @@ class SessionFunction:
         self.function = pickle.loads(state["function"])
 
 
-def keep(function: Callable[..., Any]) -> str:
+def keep(function: Callable[..., Any] | Experiment) -> str:
     """Let a function be found in this process; return its reference."""
     found = SessionFunction(function)
     _known[found.reference] = found
@@ -98,7 +101,7 @@ def session_function(reference: str) -> SessionFunction | None:
     return _known[reference]
 
 
-def importable(function: Callable[..., Any]) -> str | None:
+def importable(function: Callable[..., Any] | Experiment) -> str | None:
     """Return the reference by which a function can be imported anywhere, None for one of this session."""
     module = sys.modules.get(getattr(function, "__module__", None) or "")
     name = getattr(function, "__qualname__", "")

@@ -164,7 +164,8 @@ def _try(
     try:
         with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
             if isinstance(experiment, FunctionExperiment):
-                result.values.update(zip(rows, _values(experiment, points, unit, task), strict=True))
+                values = function_values(experiment, points, unit.stream, unit.block, task.seed)
+                result.values.update(zip(rows, values, strict=True))
                 return True
             sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
     except TimeLimitError:
@@ -183,12 +184,16 @@ def _try(
     return True
 
 
-def _values(experiment: FunctionExperiment, points: Sequence[Point], unit: PointBlock, task: Task) -> list[Flat]:
-    """Return the results of a plain function at some points of a unit."""
+def function_values(
+    experiment: FunctionExperiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
+) -> list[Flat]:
+    """Return the results of a plain function at points: of one evaluation each, or of a block of realisations.
+
+    Raises ResultError for what is no result, and whatever the function raises.
+    """
     if experiment.vectorised:
         return experiment.many(points)
-    streams = (rng for rng, _ in _streams(unit.stream, unit.block, task.seed))
-    return experiment.block(points, unit.block.n_sim, streams)
+    return experiment.block(points, block.n_sim, (rng for rng, _ in _streams(stream, block, seed)))
 
 
 def failure_of(error: BaseException) -> Failure:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -194,7 +194,7 @@ def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
     return None if layout is None else layout_of_json(layout)
 
 
-def is_plain_function(found: object) -> bool:
+def is_plain_function(found: object) -> TypeGuard[Callable[..., Any]]:
     """Return whether something may be swept as a function: it can be called and is no experiment."""
     return callable(found) and not isinstance(found, Experiment)
 
@@ -244,16 +244,16 @@ def _not_additive(*_arguments: Any, **_named: Any) -> Any:
 def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
     """Return the outputs of a layout; those without dimensions are the headline where none is declared so."""
     by_name = {output.name: output for output in declared}
-    chosen = any(output.headline for output in declared)
+    headline = {output.name for output in declared if output.headline}
+    headline = headline or {field.name for field in layout.fields if not field.dims}
+    headline = headline or {field.name for field in layout.fields}
     return tuple(
         replace(
             by_name.get(field.name, Output(field.name)),
             unit=field.unit,
             meaning=field.meaning or field.name.replace("_", " "),
             dims=field.dims,
-            headline=by_name[field.name].headline
-            if chosen and field.name in by_name
-            else not chosen and not field.dims,
+            headline=field.name in headline,
             coords=None,
         )
         for field in layout.fields

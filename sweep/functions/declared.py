@@ -51,6 +51,7 @@ def experiment(
         SweepError: with all that is wrong in the declaration and in the signature.
 
     Example:
+        >>> import numpy as np
         >>> @experiment(outputs=[Output("range", unit="m")])
         ... def throw(speed: float = 10.0, angle: float = 45.0):
         ...     return {"range": speed**2 * np.sin(2.0 * np.radians(angle)) / 9.81}
@@ -125,8 +126,8 @@ def _problems_of_output(output: Output, signature: Signature, parameters: Sequen
         yield "the platform gives this name in every dataset; take another"
     elif output.name in parameters:
         yield "is the name of a parameter too"
-    if text := unit_problem(output.unit):
-        yield text
+    if wrong_unit := unit_problem(output.unit):
+        yield wrong_unit
     dims = (output.dims,) if isinstance(output.dims, str) else tuple(output.dims)
     if not all(isinstance(dim, str) for dim in dims) or len(set(dims)) < len(dims):
         yield f"dims = {shown(output.dims)}: must be different names"

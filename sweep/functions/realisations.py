@@ -123,16 +123,15 @@ class Realisations:
         return np.concatenate(found)
 
     def outputs(self, layout: Layout) -> tuple[Output, ...]:
-        """Return the statistics of all outputs, each followed by its error; those without dimensions are the headline
-        where no output is declared to be.
-        """
-        chosen = any(output.headline for output in self.declared)
+        """Return the statistics of all outputs, each followed by its error."""
+        headline = {output.name for output in self.declared if output.headline}
+        headline = headline or {field.name for field in layout.fields if not field.dims}
+        headline = headline or {field.name for field in layout.fields}
         made = []
         for field in layout.fields:
             declared = self.by_name.get(field.name, Output(field.name))
             meaning = field.meaning or field.name.replace("_", " ")
             for name in statistics_of(self.by_name.get(field.name)):
-                headline = declared.headline if chosen else not field.dims
                 unit = "" if name == "count" else field.unit
                 whole = replace(declared, dims=field.dims, coords=None, statistics=(), nan=True)
                 made.append(
@@ -141,7 +140,7 @@ class Realisations:
                         name=f"{field.name}_{name}",
                         unit=unit,
                         meaning=f"{_in_words(name)} of {meaning}",
-                        headline=headline,
+                        headline=field.name in headline,
                         symbol="",
                     )
                 )

@@ -255,7 +255,7 @@ def _value(value: Any) -> _Value:
         unit, meaning = (str(value.attrs.get(key, "")) for key in ("units", "long_name"))
         return inner._replace(dims=dims, coordinates=tuple(coordinates), unit=unit, meaning=meaning)
     if isinstance(value, np.ma.MaskedArray):
-        if n := int(np.ma.count_masked(value)):
+        if n := int(np.ma.getmaskarray(value).sum()):
             raise ResultError(f"has {n} masked values; fill them, with NaN where the output declares nan=True")
         value = value.data
     unit = ""
@@ -363,14 +363,15 @@ def text_digest(text: str) -> bytes:
         raise ResultError(f"is {text!a}, which has a lone surrogate: no file can hold it") from error
 
 
-def _time(value: datetime.date) -> np.datetime64:
-    if getattr(value, "tzinfo", None) is not None:
+def _time(value: datetime.date) -> Any:
+    zone = getattr(value, "tzinfo", None)
+    if zone is not None:
         raise ResultError(
-            f"is a time with the zone {value.tzinfo}; results are in UTC without one: "  # type: ignore[attr-defined]
+            f"is a time with the zone {zone}; results are in UTC without one: "
             "return it .astimezone(timezone.utc).replace(tzinfo=None)"
         )
     exact = value.to_datetime64() if hasattr(value, "to_datetime64") else np.datetime64(value)
-    return _times(np.array(exact))[()]  # type: ignore[no-any-return]
+    return _times(np.array(exact))[()]
 
 
 def _times(array: NDArray[Any]) -> NDArray[Any]:

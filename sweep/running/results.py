@@ -115,12 +115,11 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
                 [str(v) for v in study.axes[name]] if text else study.axes[name], object if text else None
             )
             coordinates[name] = (dimension, values, _attributes(parameter))
-    for coordinate in (
-        experiment.layout.coordinates if isinstance(experiment, FunctionExperiment) and experiment.layout else ()
-    ):
-        units = {} if coordinate.type == "datetime" else {"units": coordinate.unit}
-        meaning = {**units, "long_name": coordinate.name.replace("_", " ")}
-        coordinates[coordinate.name] = (coordinate.name, coordinate.array(), meaning)
+    layout = experiment.layout if isinstance(experiment, FunctionExperiment) else None
+    for coordinate in layout.coordinates if layout is not None else ():
+        unit = {} if coordinate.type == "datetime" else {"units": coordinate.unit}
+        about = {**unit, "long_name": coordinate.name.replace("_", " ")}
+        coordinates[coordinate.name] = (coordinate.name, coordinate.array(), about)
     for dimension, labels in experiment.coordinates.items():
         if dimension in coordinates:
             continue

@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import Study
 from sweep.tablefile import content_digest
 
@@ -19,6 +20,10 @@ ERROR_CONVENTION = 2
 """How the errors in a dataset were made (docs/errors.md): 2 since catalogues are what is independent; no attribute
 before that.
 """
+
+
+FUNCTION = "function"
+"""The attribute of results of a plain function: its name."""
 
 
 def provenance(study: Study) -> dict[str, Any]:
@@ -31,6 +36,7 @@ def provenance(study: Study) -> dict[str, Any]:
         "study_overrides": " ".join(study.overrides),
         "study_digest": study.digest(),
         "experiment": study.experiment_reference,
+        **({FUNCTION: study.experiment.name} if isinstance(study.experiment, FunctionExperiment) else {}),
         **({} if study.experiment.deterministic else {"seed": study.sampling.seed}),
         **study.numbers(),
         **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),

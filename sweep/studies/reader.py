@@ -62,14 +62,14 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
     for axis in axes:
         overridden[override(document, axis, problems, as_axis=True)] = f"--axis {_option(axis)}"
     overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes])
-    return _Reader(document, text, path, problems, overrides, overridden).study()
+    return _Reader(document, text, path, problems, overrides, overridden, where=function).study()
 
 
-def study_from_dict(document: Mapping[str, Any], name: str = "study") -> Study:
-    """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError as
-    `load_study`.
+def study_from_dict(document: Mapping[str, Any], name: str = "study", where: str | None = None) -> Study:
+    """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError, which says
+    ``where``, as `load_study`.
     """
-    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}).study()
+    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}, where=where).study()
 
 
 def study_of_attributes(
@@ -111,17 +111,19 @@ class _Reader:
         overrides: tuple[str, ...],
         overridden: Mapping[Place, str],
         experiment: Callable[[str], Experiment] | None = None,
+        where: str | None = None,
     ) -> None:
         self.find_experiment = experiment
         self.document, self.text, self.path = document, text, path
-        self.problems = Problems(text, path, problems, overridden)
+        self.where = where or str(path)
+        self.problems = Problems(text, Path(self.where), problems, overridden)
         self.overrides, self.overridden = overrides, overridden
 
     def study(self) -> Study:
         form = self._form()
         experiment = None if form is None else self._experiment(form)
         if form is None or experiment is None:
-            raise SweepError(self.problems.found, str(self.path))
+            raise SweepError(self.problems.found, self.where)
         if experiment.deterministic:
             form = self._without_sampling_of_parameters(form, experiment)
         experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.problems.add)
@@ -151,7 +153,7 @@ class _Reader:
             zipped=zipped,
             excluded=excluded,
             published=published,
-            source=str(self.path),
+            source=self.where,
             claims=claims,
             text=self.text,
             overrides=self.overrides,

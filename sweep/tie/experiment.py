@@ -244,5 +244,6 @@ tie = Experiment(
     unused=unused,
     warn=warn,
     cost=cost,
+    cost_unit="random numbers",
     nan_sums=tuple(name for name in SUMS if name != "kept"),
 )
