@@ -22,6 +22,4 @@ def one_at_a_time(environment: dict, start_response) -> Iterable[bytes]:
 
 
 if __name__ == "__main__":
-    run_simple(
-        "127.0.0.1", int(sys.argv[1]), one_at_a_time, threaded=True, request_handler=MotoRequestHandler
-    )
+    run_simple("127.0.0.1", int(sys.argv[1]), one_at_a_time, threaded=True, request_handler=MotoRequestHandler)

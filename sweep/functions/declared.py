@@ -1,7 +1,7 @@
 """`linksweep.experiment`: what a plain function declares beside its signature."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from sweep.contract import Output, ResultError, SweepError, shown
@@ -60,7 +60,7 @@ def experiment(
     """
 
     def declare(function: AnyFunction) -> AnyFunction:
-        given = [Output(one) if isinstance(one, str) else one for one in _sequence(outputs)]
+        given = [_output(one) for one in _sequence(outputs)]
         cited = (citation,) if isinstance(citation, str) else tuple(citation)
         declaration = Declaration(tuple(given), vectorised, tuple(_sequence(packages)), cited)
         if found := problems(function, declaration):
@@ -74,6 +74,12 @@ def experiment(
 
 def _sequence(given: Any) -> Sequence[Any]:
     return (given,) if isinstance(given, str | Output) else tuple(given)
+
+
+def _output(given: Any) -> Any:
+    """Return an output, of a name alone too, with its dimensions as a tuple."""
+    output = Output(given) if isinstance(given, str) else given
+    return replace(output, dims=tuple(output.dims)) if isinstance(getattr(output, "dims", None), list) else output
 
 
 def declaration_of(function: Callable[..., Any]) -> Declaration:
@@ -157,8 +163,8 @@ def _problems_of_coordinates(outputs: Sequence[Output], parameters: Sequence[str
                 continue
             if known.setdefault(dim, coordinate) != coordinate:
                 yield f"output {output.name!r}: the coordinate {dim!r} has other values than of another output"
-            if coordinate.unit and (text := unit_problem(coordinate.unit)):
-                yield f"output {output.name!r}: the coordinate {dim!r}: {text}"
+            if coordinate.unit and (wrong := unit_problem(coordinate.unit)):
+                yield f"output {output.name!r}: the coordinate {dim!r}: {wrong}"
         for dim in (output.dims,) if isinstance(output.dims, str) else output.dims:
             if dim in parameters:
                 yield f"output {output.name!r}: the dimension {dim!r} is the name of a parameter too"

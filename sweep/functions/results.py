@@ -6,7 +6,7 @@ import math
 import struct
 import sys
 from collections.abc import Mapping
-from functools import cached_property, lru_cache
+from functools import cached_property
 from hashlib import blake2b
 from typing import Any, NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import NotFiniteError, Output, ResultError, shown, suggest
+from sweep.contract.units import same_unit
 from sweep.functions.layout import Coordinate, Field, Layout, Type, problems_of_names
 
 TEXT_BYTES = 16
@@ -67,9 +68,14 @@ class Declared:
         return {dim: coordinate_of(dim, given) for dim, given in pairs}
 
     @cached_property
-    def plain(self) -> bool:
-        """Whether scalars need nothing of what is declared."""
-        return not any(output.dims or output.unit or output.meaning for output in self.outputs)
+    def without_dimensions(self) -> bool:
+        """Whether no declared output is an array."""
+        return not any(output.dims for output in self.outputs)
+
+    @cached_property
+    def layouts(self) -> dict[Any, tuple[Layout, struct.Struct] | None]:
+        """The layouts of results of scalars that were met, by names and types."""
+        return {}
 
 
 def flatten(result: Any, declared: Declared) -> Flat:
@@ -77,7 +83,7 @@ def flatten(result: Any, declared: Declared) -> Flat:
 
     Raises ResultError that names every output that is none or not what is declared, and NotFiniteError.
     """
-    if type(result) is dict and declared.plain and (quick := _scalars(result, declared)) is not None:
+    if type(result) is dict and declared.without_dimensions and (quick := _scalars(result, declared)) is not None:
         return quick
     named = named_results(result, declared)
     problems = [
@@ -113,7 +119,7 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
 
     Raises ResultError as `flatten`, and for arrays of another length.
     """
-    columns: dict[str, Any] = {}
+    columns: dict[str, NDArray[Any]] = {}
     problems = []
     for name, given in named_results(result, declared).items():
         try:
@@ -121,17 +127,22 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
             if value.dims is not None:
                 raise ResultError("is an xarray object; a function that is called for many at once returns arrays")
             output = declared.by_name.get(name)
-            if value.unit and (output is None or not _same_unit(output.unit, value.unit)):
+            if value.unit and (output is None or not same_unit(output.unit, value.unit)):
                 raise ResultError(f"is in {value.unit}; declare that as the unit of its output")
             array = np.broadcast_to(value.array, (n,)) if value.array.ndim == 0 else value.array
             if len(array) != n:
                 raise ResultError(f"has {len(array)} values, expected one for each of {n} {noun}")
-            columns[name] = array if array.ndim > 1 or value.type == "datetime" else array.tolist()
+            columns[name] = array
         except ResultError as error:
             problems.append(f"{name!r} {error}")
     if problems:
         raise ResultError(f"{declared.function}: {'; '.join(problems)}")
-    return [flatten(dict(zip(columns, row, strict=True)), declared) for row in zip(*columns.values(), strict=True)]
+    layout = flatten({name: array[0] for name, array in columns.items()}, declared).layout
+    values = {field.name: _Value(field.type, columns[field.name]) for field in layout.fields}
+    _check_finite(values, declared)
+    texts: dict[bytes, str] = {}
+    parts = [np.frombuffer(_bytes(value, texts), dtype=np.uint8).reshape(n, -1) for value in values.values()]
+    return [Flat(layout, row.tobytes(), texts) for row in np.concatenate(parts, axis=1)]
 
 
 def coordinate_of(dim: str, given: Any) -> Coordinate:
@@ -153,48 +164,58 @@ def _coordinate(dim: str, value: _Value, unit: str) -> Coordinate:
     return Coordinate(dim, value.type, tuple(plain.tolist()), "" if value.type == "datetime" else unit)
 
 
-FAST: dict[type, tuple[Type, str]] = {float: ("float", "d"), int: ("int", "q"), bool: ("bool", "q"), str: ("text", "")}
+FAST: dict[type, tuple[Type, str]] = {
+    float: ("float", "d"),
+    np.float64: ("float", "d"),
+    int: ("int", "q"),
+    np.int64: ("int", "q"),
+    bool: ("bool", "q"),
+    np.bool_: ("bool", "q"),
+    str: ("text", f"{TEXT_BYTES}s"),
+}
+"""How scalars of these types are packed."""
 
 
 def _scalars(result: dict[Any, Any], declared: Declared) -> Flat | None:
     """Return the row of plain scalars, the quick way; None where anything is not so plain."""
-    names = declared.by_name
-    if names and not names.keys() <= result.keys():
+    key = tuple(zip(result, map(type, result.values()), strict=True))
+    if key not in declared.layouts:
+        declared.layouts[key] = _scalar_layout(key, declared)
+    if (found := declared.layouts[key]) is None:
         return None
+    layout, packing = found
     texts: dict[bytes, str] = {}
     packed: list[Any] = []
-    types = []
-    for name, value in result.items():
-        kind = type(value)
-        if kind is float or kind is np.float64:
-            if not math.isfinite(value):
-                return None
-            kind = float
-        elif kind is str:
+    for value, field in zip(result.values(), layout.fields, strict=True):
+        if field.type == "float" and not math.isfinite(value):
+            return None
+        if field.type == "text":
             try:
-                digest = text_digest(value)
+                packed.append(text_digest(value))
             except ResultError:
                 return None
-            texts[digest] = value
-            value = digest
-        elif kind not in FAST or type(name) is not str or not -(2**63) <= value < 2**63:
-            return None
-        types.append((name, kind))
-        packed.append(value)
-    if not types:
+            texts[packed[-1]] = value
+        else:
+            packed.append(value)
+    try:
+        return Flat(layout, packing.pack(*packed), texts)
+    except struct.error:  # an integer of more than 64 bits
         return None
-    found = _scalar_layout(tuple(types), declared.parameters)
-    return None if found is None else Flat(found[0], found[1].pack(*packed), texts)
 
 
-@lru_cache(maxsize=256)
-def _scalar_layout(types: tuple[tuple[str, type], ...], parameters: tuple[str, ...]) -> Any:
-    if not all(isinstance(name, str) for name, _ in types):
+def _scalar_layout(types: tuple[tuple[Any, type], ...], declared: Declared) -> tuple[Layout, struct.Struct] | None:
+    names = [name for name, _ in types]
+    if not types or not all(type(name) is str for name in names) or not all(kind in FAST for _, kind in types):
         return None
-    layout = Layout(tuple(Field(name, FAST[kind][0]) for name, kind in types))
-    if problems_of_names(layout, parameters):
+    if not declared.by_name.keys() <= set(names):
         return None
-    return layout, struct.Struct("<" + "".join(FAST[kind][1] or f"{TEXT_BYTES}s" for _, kind in types))
+    told = [declared.by_name.get(name, Output(name)) for name in names]
+    kinds = [FAST[kind] for _, kind in types]
+    fields = (Field(o.name, kind[0], (), o.unit, o.meaning) for o, kind in zip(told, kinds, strict=True))
+    layout = Layout(tuple(fields))
+    if problems_of_names(layout, declared.parameters):
+        return None
+    return layout, struct.Struct("<" + "".join(code for _, code in kinds))
 
 
 def named_results(result: Any, declared: Declared) -> dict[str, Any]:
@@ -397,21 +418,9 @@ def _as_declared(name: str, value: _Value, declared: Declared) -> _Value:
     value = value._replace(dims=found)
     if output is None:
         return value
-    if output.unit and value.unit and not _same_unit(output.unit, value.unit):
+    if output.unit and value.unit and not same_unit(output.unit, value.unit):
         raise ResultError(f"is in {value.unit}, expected {output.unit}")
     return value._replace(unit=output.unit or value.unit, meaning=output.meaning or value.meaning)
-
-
-@lru_cache(maxsize=256)
-def _same_unit(one: str, other: str) -> bool:
-    if one == other:
-        return True
-    from astropy.units import Unit
-
-    try:
-        return bool(Unit(one) == Unit(other))
-    except ValueError:
-        return False
 
 
 def _coordinates(values: Mapping[str, _Value], declared: Declared) -> tuple[dict[str, Coordinate], list[str]]:
