@@ -11,6 +11,7 @@ import inspect
 import pickle
 import sys
 import textwrap
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import CodeType, FunctionType, MethodType, ModuleType
@@ -22,6 +23,11 @@ from sweep.sources import INSTALLED, read_sources
 
 SESSION = "session"
 """In place of a module in the reference of such a function: ``session:NAME-DIGEST``."""
+
+CHANGING = frozenset(
+    ["append", "add", "extend", "update", "insert", "setdefault", "pop", "popitem", "clear", "discard", "remove", "write", "put", "acquire", "__setitem__"]
+)
+"""Methods that change their object."""
 
 _known: dict[str, "SessionFunction"] = {}
 
@@ -148,14 +154,17 @@ class _Parts:
         if not self._is_local(function.__module__):
             return
         self._keep("function", name, _source(function) or "\n".join(_code(function.__code__)))
+        changed = _changed(function.__code__)
         cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
         for free, cell in cells:
+            if free in changed:
+                continue
             try:
                 self.add("value", free, cell.cell_contents)
             except ValueError:  # not filled yet
                 continue
         for used in _names(function.__code__):
-            if used in function.__globals__:
+            if used in function.__globals__ and used not in changed:
                 self.add("value", used, function.__globals__[used])
 
     def _module(self, module: ModuleType) -> None:
@@ -207,6 +216,25 @@ def _names(code: CodeType) -> list[str]:
     own = [i.argval for i in dis.get_instructions(code) if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")]
     inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in _names(constant)]
     return list(dict.fromkeys([*own, *inner]))
+
+
+def _changed(code: CodeType) -> set[str]:
+    """Return the names of what a function changes itself, such as a list that it appends to: that is its state, and
+    differs from call to call, while its code does not.
+    """
+    found: set[str] = set()
+    loaded: deque[str] = deque(maxlen=3)
+    for instruction in dis.get_instructions(code):
+        name, argument = instruction.opname, instruction.argval
+        if name in ("STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL"):
+            found.add(argument)
+        elif name in ("STORE_SUBSCR", "DELETE_SUBSCR"):
+            found.update(loaded)
+        elif name in ("LOAD_METHOD", "LOAD_ATTR", "STORE_ATTR") and loaded and loaded[-1]:
+            if name == "STORE_ATTR" or argument in CHANGING:
+                found.add(loaded[-1])
+        loaded.append(argument if name in ("LOAD_GLOBAL", "LOAD_DEREF", "LOAD_NAME") else "")
+    return found.union(*(_changed(constant) for constant in code.co_consts if isinstance(constant, CodeType))) - {""}
 
 
 def _pickled(value: Any) -> str:

@@ -86,7 +86,7 @@ class Result:
 
 
 def test_what_holds_results():
-    pair = namedtuple("pair", "y z")  # noqa: PYI024
+    pair = namedtuple("pair", "y z")
     for result in ({"y": 1.0, "z": "a"}, Result(1.0, "a"), pair(1.0, "a")):
         found, layout = back(result)
         assert (float(found["y"]), found["z"]) == (1.0, ["a"])
@@ -250,7 +250,13 @@ def test_rows_are_brought_into_the_order_and_types_of_the_first():
 
 
 def test_points_of_a_vectorised_result_are_those_of_single_calls():
-    together = {"a": np.arange(3.0), "n": np.arange(3), "v": np.arange(6.0).reshape(3, 2), "s": ["x", "y", "x"], "c": 1.0}
+    together = {
+        "a": np.arange(3.0),
+        "n": np.arange(3),
+        "v": np.arange(6.0).reshape(3, 2),
+        "s": ["x", "y", "x"],
+        "c": 1.0,
+    }
     for i, flat in enumerate(split_points(together, 3, PLAIN, "points")):
         single = flatten({k: v if k == "c" else v[i] for k, v in together.items()}, PLAIN)
         assert (flat.layout, flat.row) == (single.layout, single.row)
