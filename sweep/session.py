@@ -25,7 +25,23 @@ SESSION = "session"
 """In place of a module in the reference of such a function: ``session:NAME-DIGEST``."""
 
 CHANGING = frozenset(
-    ["append", "add", "extend", "update", "insert", "setdefault", "pop", "popitem", "clear", "discard", "remove", "write", "put", "acquire", "__setitem__"]
+    [
+        "append",
+        "add",
+        "extend",
+        "update",
+        "insert",
+        "setdefault",
+        "pop",
+        "popitem",
+        "clear",
+        "discard",
+        "remove",
+        "write",
+        "put",
+        "acquire",
+        "__setitem__",
+    ]
 )
 """Methods that change their object."""
 
@@ -65,7 +81,7 @@ class SessionFunction:
             payload = cloudpickle.dumps(self.function)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
-                f"the function {self.reference.rpartition(':')[2].rpartition('-')[0]} cannot be sent to worker processes "
+                f"the function {self.reference.rpartition(':')[2].rpartition('-')[0]} cannot be sent to workers "
                 f"({type(error).__name__}: {error}); use pool='threads' or pool='serial', or move it into a module"
             ) from error
         finally:
@@ -191,7 +207,7 @@ class _Parts:
 
 
 def _source(value: Any) -> str | None:
-    """Return the syntax tree of a function or class as text, without comments; None for a lambda, and without source."""
+    """Return the syntax tree of a function or class as text; None for a lambda or without source."""
     if getattr(value, "__name__", "") == "<lambda>":
         return None
     try:
@@ -230,9 +246,8 @@ def _changed(code: CodeType) -> set[str]:
             found.add(argument)
         elif name in ("STORE_SUBSCR", "DELETE_SUBSCR"):
             found.update(loaded)
-        elif name in ("LOAD_METHOD", "LOAD_ATTR", "STORE_ATTR") and loaded and loaded[-1]:
-            if name == "STORE_ATTR" or argument in CHANGING:
-                found.add(loaded[-1])
+        elif loaded and (name == "STORE_ATTR" or (name in ("LOAD_METHOD", "LOAD_ATTR") and argument in CHANGING)):
+            found.add(loaded[-1])
         loaded.append(argument if name in ("LOAD_GLOBAL", "LOAD_DEREF", "LOAD_NAME") else "")
     return found.union(*(_changed(constant) for constant in code.co_consts if isinstance(constant, CodeType))) - {""}
 

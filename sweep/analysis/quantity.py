@@ -9,7 +9,7 @@ import xarray as xr
 
 from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
 from sweep.planning.accumulator import DONE
-from sweep.studies.provenance import FUNCTION
+from sweep.studies.provenance import FUNCTION, outer_draw_of
 
 COUNTS = ("status", "n_sim_done", "code")
 """Integers of every dataset that are no results."""
@@ -54,12 +54,18 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return a sentence for every part of the error of a variable that is not known at points that are done."""
     done = dataset["status"] == DONE
-    words = {"mc_error": "its Monte-Carlo error", "catalogue_error": "the choice of catalogues"}
+    draw = outer_draw_of(dataset.attrs)
+    words = {"mc_error": "its Monte-Carlo error", "catalogue_error": f"the choice of {draw}s"}
+    noun = "realisations" if FUNCTION in dataset.attrs else f"{draw}s"
     return [
-        f"{variable}: {words[suffix]} is not in the error, as {FEWEST_SAMPLES} catalogues are needed to know it"
+        f"{variable}: {words[suffix]} is not in the error, as {_needed(dataset)} {noun} are needed to know it"
         for suffix in ERROR_SUFFIXES
         if f"{variable}_{suffix}" in dataset and bool((dataset[f"{variable}_{suffix}"].isnull() & done).any())
     ]
+
+
+def _needed(dataset: xr.Dataset) -> str:
+    return "more" if FUNCTION in dataset.attrs else str(FEWEST_SAMPLES)
 
 
 def has_old_errors(dataset: xr.Dataset) -> bool:

@@ -77,8 +77,8 @@ class Experiment:
     realisations that it adds up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names
     parameters that do not change the random numbers that a block draws, only what is made of them.  ``packages`` are
     distributions whose versions decide the numbers.  ``cost_unit`` says in words what ``cost`` counts, ``outer_draw``
-    what the draws are called that several realisations share, ``citation`` what to cite beside linksweep.  A new ``version`` says that the same parameters now give other
-    numbers: stores of another version are not continued.
+    what the draws are called that several realisations share, ``citation`` what to cite beside linksweep.  A new
+    ``version`` says that the same parameters now give other numbers: stores of another version are not continued.
 
     Raises SweepError with all that is wrong in the declaration.
     """

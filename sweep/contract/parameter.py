@@ -78,8 +78,8 @@ class Parameter:
     choices of a "str"; ``defined`` are those of one study, and the experiment gets them as they stand there.  Pictures
     show the ``symbol`` where there is one, as Matplotlib sets it.
 
-    In the signature of a plain function, ``Annotated[float, Parameter("contact rate", unit="1/d", above=0)]``, the first
-    argument is the meaning; name, kind and default are those of the signature.
+    In the signature of a plain function, ``Annotated[float, Parameter("contact rate", unit="1/d", above=0)]``, the
+    first argument is the meaning; name, kind and default are those of the signature.
     """
 
     name: str
@@ -107,7 +107,7 @@ class Parameter:
             return dict(self.default) if self.kind == "map" else list(self.default)
         return self.default.item() if isinstance(self.default, np.generic) else self.default
 
-    def parse(self, raw: object) -> Value:
+    def parse(self, raw: object) -> Value:  # noqa: PLR0911, PLR0912 (one for each kind)
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if self.kind == "str":
             known = (*self.choices, *(named.name for named in self.defined))

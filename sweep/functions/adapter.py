@@ -218,7 +218,12 @@ def _made(function: Callable[..., Any]) -> FunctionExperiment:
         raise SweepError(found, f"function {name_of(function)}")
     signature = signature_of(function)
     made = _undeclared(signature.name, signature.parameters, declaration.outputs, signature.rng)
-    return replace(made, function=PlainFunction(function, signature, declaration), packages=tuple(declaration.packages))
+    return replace(
+        made,
+        function=PlainFunction(function, signature, declaration),
+        packages=tuple(declaration.packages),
+        citation=declaration.citation,
+    )
 
 
 def _undeclared(

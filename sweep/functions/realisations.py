@@ -79,8 +79,8 @@ class Realisations:
             flats = [flatten(call(**point, **{RNG: rng}), declared) for _ in range(n_sim)]
         if strange := [field for field in flats[0].layout.fields if field.type not in NUMBERS]:
             raise ResultError(
-                f"{declared.function}: {strange[0].name!r} is of type {strange[0].type}; statistics are made of numbers "
-                "and truth values"
+                f"{declared.function}: {strange[0].name!r} is of type {strange[0].type}; statistics are made of "
+                "numbers and truth values"
             )
         layout, values = _values(flats, declared)
         moments, kept = [], []

@@ -132,7 +132,7 @@ def _plain(default: Any) -> Any:
     return default.item() if isinstance(default, np.generic) else default
 
 
-def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
+def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:  # noqa: PLR0911
     """Return the kind of parameter that an annotation means, None for none, and its choices."""
     origin = get_origin(annotation)
     if origin is Literal:

@@ -103,7 +103,7 @@ def quantiles(levels: Sequence[float], realisations: Array) -> Array:
     """Return quantiles of realisations (n, size) and their errors, (levels, 2, size).
 
     The number of realisations below the true quantile is binomial; half the distance between the order statistics that
-    are one standard deviation of it away on both sides is the error.  It is NaN where these are beyond the realisations.
+    are one standard deviation of it away on both sides is the error, NaN where these are beyond the realisations.
     """
     n = len(realisations)
     found = np.full((len(levels), 2, realisations.shape[1]), np.nan)

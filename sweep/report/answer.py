@@ -14,6 +14,7 @@ from sweep.analysis.selection import place_in_words
 from sweep.contract import SweepError
 from sweep.formatting import with_error
 from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, STATUS_WORDS
+from sweep.studies.provenance import outer_draw_of
 
 Array = NDArray[np.float64]
 
@@ -129,7 +130,9 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     if sentence := _what_changes_it(dims, values):
         yield sentence
     stated = [suffix for suffix in ERROR_WORDS if f"{variable}_{suffix}" in part]
-    parts = [ERROR_WORDS[suffix] for suffix in stated if bool(part[f"{variable}_{suffix}"].notnull().any())]
+    draw = outer_draw_of(part.attrs)
+    known_ones = [suffix for suffix in stated if bool(part[f"{variable}_{suffix}"].notnull().any())]
+    parts = [ERROR_WORDS[suffix].replace("catalogue", draw) for suffix in known_ones]
     if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
         yield sentence
     for sentence in unknown_parts(part, variable):

@@ -41,9 +41,9 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
         values = typed_array(results.get(output.name), done, shape, texts)
         variables[output.name] = _variable(grid, values, output)
     if not experiment.deterministic:
-        variables["n_sim_done"] = _variable(
-            grid, accumulator.realisations.copy(), Output("n_sim_done", "", "realisations done, over all catalogues")
-        )
+        over = "" if isinstance(experiment, FunctionExperiment) else f", over all {experiment.outer_draw}s"
+        meaning = f"realisations done{over}"
+        variables["n_sim_done"] = _variable(grid, accumulator.realisations.copy(), Output("n_sim_done", "", meaning))
     variables["status"] = _variable(grid, accumulator.status.copy(), Output("status", "", "state of the point"))
     variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
     variables |= _published(grid)

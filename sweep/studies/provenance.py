@@ -5,6 +5,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,6 +22,12 @@ ERROR_CONVENTION = 2
 before that.
 """
 
+
+OUTER_DRAW, CITATION = "outer_draw", "citation"
+"""Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON."""
+
+OF_THE_LINK = ("core.", "sweep.tie.")
+"""Modules of experiments that come with linksweep and share catalogues."""
 
 FUNCTION = "function"
 """The attribute of results of a plain function: its name."""
@@ -42,6 +49,7 @@ def provenance(study: Study) -> dict[str, Any]:
         **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
         "error_convention": ERROR_CONVENTION,
         **(_common(study) if study.sampling.common_random_numbers else {}),
+        **_words(study),
         "study_document": json.dumps(study.document),
         "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
         "host": host(),
@@ -62,6 +70,25 @@ def provenance(study: Study) -> dict[str, Any]:
     if commit := git_commit():
         attributes["git_commit"] = commit
     return attributes
+
+
+def is_of_the_link(attributes: Mapping[Any, Any]) -> bool:
+    """Return whether results with these attributes are of an experiment that comes with linksweep."""
+    return str(attributes.get("experiment", OF_THE_LINK[0])).startswith(OF_THE_LINK)
+
+
+def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
+    """Return what results with these attributes call draws that several realisations share."""
+    return str(attributes.get(OUTER_DRAW, "catalogue" if is_of_the_link(attributes) else "outer draw"))
+
+
+def _words(study: Study) -> dict[str, str]:
+    """Return the words of an experiment of a user's that are not those of all."""
+    experiment = study.experiment
+    if is_of_the_link({"experiment": study.experiment_reference}):
+        return {}
+    own = {OUTER_DRAW: experiment.outer_draw} if experiment.outer_draw != "outer draw" else {}
+    return own | ({CITATION: json.dumps(experiment.citation)} if experiment.citation else {})
 
 
 def _common(study: Study) -> dict[str, Any]:

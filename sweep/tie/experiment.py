@@ -245,5 +245,6 @@ tie = Experiment(
     warn=warn,
     cost=cost,
     cost_unit="random numbers",
+    outer_draw="catalogue",
     nan_sums=tuple(name for name in SUMS if name != "kept"),
 )

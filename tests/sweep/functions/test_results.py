@@ -184,7 +184,7 @@ def test_what_is_declared_is_held_to():
     t = np.array([0.0, 1.0, 2.0])
     outputs = (Output("n", dims="time", coords={"time": (t, "d")}, unit="kg"), Output("m", dims="time"))
     declared = Declared("f", "f", outputs, ())
-    found, layout = back({"n": [1, 2, 3], "m": [1.0, 2.0, 3.0], "rest": "x"}, declared)
+    _, layout = back({"n": [1, 2, 3], "m": [1.0, 2.0, 3.0], "rest": "x"}, declared)
     assert layout.coordinates[0].values == (0.0, 1.0, 2.0)
     assert layout.coordinates[0].unit == "d"
     assert [field.unit for field in layout.fields] == ["kg", "", ""]
