@@ -18,11 +18,15 @@ Done = tuple[list[Work], TaskResult]
 
 
 def first_results(study: Study, pending: Pending, run: Executor) -> tuple[Study, list[Done]]:
-    """Return a study of a plain function with the layout of the first result, and all work done to get one.
+    """Return a study with the layout of the first result, and all work done to get one; as it is where its outputs are
+    declared.
 
     One task is given out at a time.  Where every point fails nothing is known of the results, and the study stays as it
     is.
     """
+    experiment = study.experiment
+    if not isinstance(experiment, FunctionExperiment) or not experiment.undeclared:
+        return study, []
     done: list[Done] = []
     out = False
 
@@ -32,8 +36,6 @@ def first_results(study: Study, pending: Pending, run: Executor) -> tuple[Study,
         out = bool(tasks)
         return tasks
 
-    experiment = study.experiment
-    assert isinstance(experiment, FunctionExperiment), "the only experiment that can be undeclared"
     for given, result in run(take):
         out = False
         done.append((pending.settle(given, result.seconds), result))

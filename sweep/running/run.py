@@ -17,7 +17,7 @@ from sweep.planning.accumulator import Accumulator, Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan, Work
 from sweep.planning.work_queue import Pending
-from sweep.running.first_result import Done, as_rows, first_results
+from sweep.running.first_result import as_rows, first_results
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import as_json, check_code, continued, differences_of_code, records_of
@@ -116,17 +116,10 @@ def run_study(
                 progress.say(f"no point in {store} has failed")
         accumulator = _accumulator(plan, opened, again)
         with choose_executor(study, accumulator.survey.pending.cost, resources, progress.say) as (place, run):
-            first: list[Done] = []
-            if study.experiment.undeclared:
-                progress.start(accumulator.survey, place.words, place.workers)
-                study, first = first_results(study, Pending(plan, accumulator), run)
-                plan = Plan(replace(plan.grid, study=study))
-                if opened is not None:
-                    opened = _begun_anew(opened, plan)
-            opened = opened or create_or_resume(
-                store, study, provenance(study) | {RECORD: recorded(study, plan.costs())}
-            )
-            opened.verify()
+            progress.start(accumulator.survey, place.words, place.workers)
+            study, first = first_results(study, Pending(plan, accumulator), run)
+            plan = Plan(replace(plan.grid, study=study))
+            opened = _opened(store, opened, plan)
             _record_code(opened, study, progress)
             if first:
                 accumulator = _accumulator(plan, opened, again)
@@ -135,21 +128,16 @@ def run_study(
             pending = Pending(plan, accumulator)
             writer = Writer(plan, accumulator, pending, opened, interruptions.held)
             try:
-                if not first:
-                    progress.start(accumulator.survey, place.words, place.workers)
                 if place.dashboard:
                     progress.say(f"Dask dashboard: {place.dashboard}")
                 for works, result in first:
-                    kept = _rows(study, works, result)
-                    progress.advance(works, kept, writer.take(works, kept))
+                    _take(writer, progress, works, result)
                 results = run(pending.take)
                 if accumulator.survey.pending.blocks:
                     writer.write()  # so that there is a labelled, if empty, dataset from the start
                 with writer:
                     for given, result in results:
-                        works = pending.settle(given, result.seconds)
-                        kept = _rows(study, works, result)
-                        progress.advance(works, kept, writer.take(works, kept))
+                        _take(writer, progress, pending.settle(given, result.seconds), result)
                 dataset = writer.write(final=True)
                 progress.written()
                 return dataset, writer.failures()
@@ -162,9 +150,12 @@ def run_study(
                 raise
 
 
-def _rows(study: Study, works: Sequence[Work], result: TaskResult) -> TaskResult:
-    experiment = study.experiment
-    return as_rows(experiment, works, result) if isinstance(experiment, FunctionExperiment) else result
+def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: TaskResult) -> None:
+    """Put a task's result into the ledger."""
+    experiment = writer.plan.grid.study.experiment
+    if isinstance(experiment, FunctionExperiment):
+        result = as_rows(experiment, works, result)
+    progress.advance(works, result, writer.take(works, result))
 
 
 def _as_stored(study: Study, store: Where) -> Study:
@@ -175,16 +166,23 @@ def _as_stored(study: Study, store: Where) -> Study:
     return study if root is None else as_recorded(study, root["attributes"])
 
 
-def _begun_anew(store: Store, plan: Plan) -> Store:
-    """Return a store without results, made when nothing was known of them, as one of a plan that knows."""
-    failures = dict(store.failures)
+def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
+    """Return the store of a plan: the one that is there, or a new one.
+
+    One without results that was made when nothing was known of them is begun anew where that is known now; its failures
+    stay.
+    """
     study = plan.grid.study
     attributes = provenance(study) | {RECORD: recorded(study, plan.costs())}
-    replace_store(store.location, study, attributes)
-    made = create_or_resume(store.location, study, attributes)
-    for digest, record in failures.items():
-        made.fail(digest, record)
-    return made
+    if store is not None and store.study.experiment.undeclared and not study.experiment.undeclared:
+        failures = dict(store.failures)
+        replace_store(place, study, attributes)
+        store = create_or_resume(place, study, attributes)
+        for digest, record in failures.items():
+            store.fail(digest, record)
+    opened = store or create_or_resume(place, study, attributes)
+    opened.verify()
+    return opened
 
 
 def _record_code(store: Store, study: Study, progress: Progress) -> None:

@@ -268,3 +268,58 @@ def test_code_of_a_session_is_known_by_what_it_refers_to(tmp_path):
     assert run(make(2.0), tmp_path / "s.zarr", axes={"a": [1.0, 2.0]}).f.values.tolist() == [2.0, 4.0]
     with pytest.raises(SweepError, match="value factor has changed"):
         run(make(3.0), tmp_path / "s.zarr", axes={"a": [1.0, 2.0, 3.0]})
+
+
+def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_path, sweep):
+    (tmp_path / "f.py").write_text(
+        "import pathlib\ndef f(k: int):\n    return len(pathlib.Path('ok').read_text()) + k\n"
+    )
+    command = ("run", "f.py:f", "--axis", "k=1,2,3", "-o", "s.zarr")
+    code, _, err = sweep(*command, cwd=tmp_path)
+    assert code == 1
+    assert "3 points failed: 3 x FileNotFoundError" in err
+    assert sweep(*command, cwd=tmp_path)[0] == 1
+    (tmp_path / "ok").write_text("1234")
+    code, _, err = sweep("retry", "s.zarr", cwd=tmp_path)
+    assert code == 0, err
+    assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [5, 6, 7]
+
+
+WORDS = (
+    "catalogue",
+    "random number",
+    "metz",
+    "geffert",
+    "astrometr",
+    "celestial",
+    "satellite",
+    "mas / yr",
+    "extragalactic",
+)
+
+
+def test_nothing_of_astrometry_is_shown_of_another_experiment(tmp_path, sweep):
+    """The terminal at a run, and the report, but for what the interactive library brings."""
+    (tmp_path / "sir.py").write_text(
+        "from linksweep import Output, experiment\n"
+        "@experiment(outputs=[Output('peak', headline=True)], citation='Kermack & McKendrick (1927)')\n"
+        "def sir(beta: float = 0.3, gamma: float = 0.1):\n    return {'peak': 1.0 - gamma / beta, 'phase': 'wave'}\n"
+        "def noisy(beta: float = 0.3, *, rng):\n    return {'peak': rng.normal(beta)}\n"
+    )
+    for name, setting in (("sir", "gamma=0.05"), ("noisy", "n_sim=50")):
+        said = []
+        for command in (
+            ("run", f"sir.py:{name}", "--axis", "beta=0.1:0.5:0.1", "--set", setting, "-o", f"{name}.zarr"),
+            ("plan", f"sir.py:{name}", "--axis", "beta=0.1:0.5:0.1", "--set", setting, "-o", f"{name}.zarr"),
+            ("status", f"{name}.zarr"),
+            ("show", f"{name}.zarr"),
+            ("report", f"{name}.zarr", "-o", f"{name}.html"),
+        ):
+            code, out, err = sweep(*command, cwd=tmp_path)
+            assert code == 0, err
+            said += [out, err]
+        page = (tmp_path / f"{name}.html").read_text()
+        body = page[page.index("<main>") : page.index("</main>")]
+        for text in (*said, body):
+            assert not [word for word in WORDS if word in text.lower()]
+        assert ("Kermack &amp; McKendrick (1927)" in body) == (name == "sir")
