@@ -109,11 +109,7 @@ def run_study(
         return part, {}
     with watched() as interruptions, locked(store, break_lock=break_lock):
         opened = existing_store(store, study)
-        again = None
-        if retry:
-            again = _forgive(opened, plan)
-            if not again:
-                progress.say(f"no point in {store} has failed")
+        again = _forgive(opened, plan, progress) if retry else None
         accumulator = _accumulator(plan, opened, again)
         with choose_executor(study, accumulator.survey.pending.cost, resources, progress.say) as (place, run):
             progress.start(accumulator.survey, place.words, place.workers)
@@ -121,8 +117,7 @@ def run_study(
             plan = Plan(replace(plan.grid, study=study))
             opened = _opened(store, opened, plan)
             _record_code(opened, study, progress)
-            if first:
-                accumulator = _accumulator(plan, opened, again)
+            accumulator = _accumulator(plan, opened, again) if first else accumulator
             if unused := len(opened.rows) - accumulator.survey.held.blocks:
                 progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
             pending = Pending(plan, accumulator)
@@ -199,12 +194,14 @@ def _record_code(store: Store, study: Study, progress: Progress) -> None:
     store.record_code(as_json(records))
 
 
-def _forgive(store: Store | None, plan: Plan) -> frozenset[bytes]:
-    """Forget the failures of a plan's points, and return their digests."""
-    if store is None:
-        return frozenset()
-    failed = frozenset(store.failures.keys() & {point.digest for point in plan.grid.points()})
-    store.clear_failures(failed)
+def _forgive(store: Store | None, plan: Plan, progress: Progress) -> frozenset[bytes]:
+    """Forget the failures of a plan's points, and return their digests; say so where there are none."""
+    failed: frozenset[bytes] = frozenset()
+    if store is not None:
+        failed = frozenset(store.failures.keys() & {point.digest for point in plan.grid.points()})
+        store.clear_failures(failed)
+    if not failed:
+        progress.say(f"no point in {store.location if store else 'the store'} has failed")
     return failed
 
 

@@ -298,7 +298,7 @@ WORDS = (
 )
 
 
-def test_nothing_of_astrometry_is_shown_of_another_experiment(tmp_path, sweep):
+def test_what_is_shown_has_the_words_of_the_experiment_alone(tmp_path, sweep):
     """The terminal at a run, and the report, but for what the interactive library brings."""
     (tmp_path / "sir.py").write_text(
         "from linksweep import Output, experiment\n"
