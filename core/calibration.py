@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
+from core.arrays import Array
 from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue, Sky, galaxies, radio_stars, resample
 from core.constants import MAS
 from core.frames import triad
@@ -22,7 +22,6 @@ from core.link import Weighting
 from core.missions import AMEX_PM, GAIA_PM, Curve, Exponentials
 from core.quasars import COUNT, V_MAX, quasars
 
-Array = NDArray[np.float64]
 Model = Literal["amex", "gaia"]
 Kind = Literal["quasars", "galaxies", "radio-stars"]
 

@@ -7,11 +7,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import DEGREE, GALACTIC_AXES, MAS
 from core.frames import position
 from core.radio_stars import RADIO_STARS
 
-Array = NDArray[np.float64]
 PmDistribution = Literal["uniform", "constant", "rayleigh"]
 
 GALAXY_MEAN_MAG, GALAXY_SCATTER_MAG, GALAXY_FAINT_LIMIT_MAG = 12.5, 0.5, 13.5

@@ -12,15 +12,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array, Flags, Indices
 from core.galaxy_classes import Chance, Rules, chance_pairs, classify
 from core.galaxy_merge import GalaxyCatalogue, merge_galaxies
 from core.sky_pairs import Pairs, Positions, count_near, displacement, occurrences, one_to_one, pairs_within, sky_tree
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,12 @@ from math import hypot
 
 import numpy as np
 
+from core.arrays import Array
 from core.catalogue import Catalogue
 from core.constants import MAS
 from core.errors import SIDES, Errors
 from core.errors.floor import floor_of
-from core.scenario import Array, catalogue_kind, error_kind, error_model, own_objects, zonal_errors
+from core.scenario import catalogue_kind, error_kind, error_model, own_objects, zonal_errors
 from sweep.contract import Point
 
 

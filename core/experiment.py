@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.checks import check
+from core.design import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from core.expected_errors import has_errors
-from core.link import GLIDE_UNKNOWNS, UNKNOWNS
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from core.scenario import catalogue_size, scenario, zonal_errors
 from core.simulate import BlockSums, simulate
@@ -15,24 +15,24 @@ from core.unused import unused
 from core.warn import warn
 from sweep.contract import Experiment, Point, small_sample_factor
 
-Array = NDArray[np.float64]
+MEANS = {"sigma_orientation": ORIENTATION, "sigma_spin": SPIN}
+"""The blocks of unknowns of which the mean variance is a result."""
 
 SUMS: Mapping[str, tuple[int, ...]] = {
-    "error": (6,),
-    "error_products": (6, 6),
+    "error": (len(LABELS),),
+    "error_products": (len(LABELS), len(LABELS)),
     "chi2": (),
-    "predicted_variance": (6,),
-    "predicted_variance_squared": (8,),
-    "predicted_bias": (6,),
-    "predicted_bias_squares": (6,),
+    "predicted_variance": (len(LABELS),),
+    "predicted_variance_squared": (len(LABELS) + len(MEANS),),
+    "predicted_bias": (len(LABELS),),
+    "predicted_bias_squares": (len(LABELS),),
     "condition_number": (),
-    "glide_error": (3,),
-    "glide_squares": (3,),
+    "glide_error": (len(GLIDE_LABELS),),
+    "glide_squares": (len(GLIDE_LABELS),),
     "n_obj": (),
-    "batch_mean_squares": (6,),
+    "batch_mean_squares": (len(LABELS),),
     "batches": (),
 }
-
 
 HARMONICS = 20.0
 
@@ -49,9 +49,9 @@ def evaluate(
 def samples(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Return what `evaluate` returns and the estimates that it adds up, shape (points, n_sim, 6)."""
+    """Return what `evaluate` returns and the estimates that it adds up, shape (points, n_sim, K)."""
     blocks = simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng, keep_estimates=True)
-    estimates = [block.estimates[:, :6] for block in blocks if block.estimates is not None]
+    estimates = [block.estimates[:, ALWAYS] for block in blocks if block.estimates is not None]
     return _by_name(blocks, n_sim) | {"estimate": np.array(estimates)}
 
 
@@ -68,21 +68,23 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     second_moment = sums["error_products"] / each[..., None]
     variance = np.where(undetermined, np.nan, np.einsum("...ii->...i", second_moment))
     predicted = np.where(undetermined, np.nan, sums["predicted_variance"] / each)
-    means = np.stack([predicted[:, part].mean(axis=1) for part in (slice(0, 3), slice(3, 6))], axis=1)
+    means = np.stack([predicted[:, part].mean(axis=1) for part in MEANS.values()], axis=1)
     catalogue_error = _catalogue_error(
         np.concatenate([predicted, means], axis=1), sums["predicted_variance_squared"] / each, n_cat
     )
     total = predicted + sums["predicted_bias_squares"] / each
     covariance = second_moment - bias[..., :, None] * bias[..., None, :]
     n_obj = sums["n_obj"] / n
-    kinds = 2.0 - undetermined[:, [0, 3]].sum(axis=1)  # of observables that are measured: positions, proper motions
+    # observables that are measured: positions, proper motions
+    kinds = 2.0 - undetermined[:, [ORIENTATION.start, SPIN.start]].sum(axis=1)
+    solved = ORIENTATION.stop * kinds + np.where(np.isnan(sums["glide_error"][:, 0]), 0.0, len(GLIDE_LABELS))
     results = {
         "n_obj": n_obj,
         "sigma": np.sqrt(variance),
         "sigma_mc_error": np.sqrt(variance / (2.0 * each)),
         "sigma_predicted": np.sqrt(predicted),
         "sigma_rms_predicted": np.sqrt(total),
-        "sigma_catalogue_error": catalogue_error[:, :6],
+        "sigma_catalogue_error": catalogue_error[:, ALWAYS],
         "bias": bias,
         "bias_predicted": np.where(undetermined, np.nan, sums["predicted_bias"] / each),
         "bias_mc_error": _bias_error(sums, bias, variance, n, n_cat),
@@ -90,17 +92,17 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         "correlation": _correlation(covariance),
         "condition_number": sums["condition_number"] / n,
         "chi2": sums["chi2"] / n,
-        "dof": 2.0 * kinds * n_obj - (3.0 * kinds + np.where(np.isnan(sums["glide_error"][:, 0]), 0.0, 3.0)),
+        "dof": 2.0 * kinds * n_obj - solved,
         "glide_sigma": np.sqrt(sums["glide_squares"] / each),
         "glide_bias": sums["glide_error"] / each,
     }
-    for which, name in enumerate(("sigma_orientation", "sigma_spin")):
-        mean_variance = variance[:, 3 * which : 3 * which + 3].mean(axis=1)
+    for which, (name, part) in enumerate(MEANS.items()):
+        mean_variance = variance[:, part].mean(axis=1)
         results[name] = np.sqrt(mean_variance)
-        results[f"{name}_mc_error"] = np.sqrt(mean_variance / (2.0 * 3.0 * n))
+        results[f"{name}_mc_error"] = np.sqrt(mean_variance / (2.0 * (part.stop - part.start) * n))
         results[f"{name}_predicted"] = np.sqrt(means[:, which])
-        results[f"{name}_rms_predicted"] = np.sqrt(total[:, 3 * which : 3 * which + 3].mean(axis=1))
-        results[f"{name}_catalogue_error"] = catalogue_error[:, 6 + which]
+        results[f"{name}_rms_predicted"] = np.sqrt(total[:, part].mean(axis=1))
+        results[f"{name}_catalogue_error"] = catalogue_error[:, ALWAYS.stop + which]
     return results
 
 
@@ -111,7 +113,7 @@ def cost(point: Point) -> float:
     """
     reference, satellite = has_errors(point, "reference"), has_errors(point, "satellite")
     if point["method"] == "projected":
-        unknowns = 9 if point["solve_glide"] else 6
+        unknowns = len(link_unknowns(bool(point["solve_glide"])))
         columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
         return float(min(columns, 4 * catalogue_size(point)) if reference or satellite else 0)
     zonal = zonal_errors(point)
@@ -129,22 +131,24 @@ def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
     """Return the sums of one block in the shapes of `SUMS`; errors of a glide that was not solved for, and of what
     nothing measured determines, are NaN.
     """
-    glide = block.error[6:] if len(block.error) > 6 else np.full(3, np.nan)
-    squares = np.where(np.isnan(glide), np.nan, np.diag(block.error_products)[6:]) if len(block.error) > 6 else glide
+    glide = squares = np.full(len(GLIDE_LABELS), np.nan)
+    if len(block.error) > len(LABELS):
+        glide = block.error[GLIDE]
+        squares = np.where(np.isnan(glide), np.nan, np.diag(block.error_products)[GLIDE])
     squared = block.predicted_variance_squared
     return {
-        "error": block.error[:6],
-        "error_products": block.error_products[:6, :6],
+        "error": block.error[ALWAYS],
+        "error_products": block.error_products[ALWAYS, ALWAYS],
         "chi2": np.array(block.chi2),
-        "predicted_variance": block.predicted_variance[:6],
-        "predicted_variance_squared": np.concatenate([squared[:6], squared[-2:]]),
-        "predicted_bias": block.predicted_bias[:6],
-        "predicted_bias_squares": block.predicted_bias_squares[:6],
+        "predicted_variance": block.predicted_variance[ALWAYS],
+        "predicted_variance_squared": np.concatenate([squared[ALWAYS], squared[-len(MEANS) :]]),
+        "predicted_bias": block.predicted_bias[ALWAYS],
+        "predicted_bias_squares": block.predicted_bias_squares[ALWAYS],
         "condition_number": np.array(block.condition_number),
         "glide_error": glide,
         "glide_squares": squares,
         "n_obj": np.array(block.n_obj),
-        "batch_mean_squares": np.square(block.error[:6]) / n_sim,
+        "batch_mean_squares": np.square(block.error[ALWAYS]) / n_sim,
         "batches": np.array(1.0),
     }
 
@@ -194,7 +198,7 @@ link = Experiment(
     parameters=PARAMETERS,
     sums=SUMS,
     outputs=OUTPUTS,
-    coordinates={"component": UNKNOWNS, "component_other": UNKNOWNS, "glide_component": GLIDE_UNKNOWNS},
+    coordinates={"component": LABELS, "component_other": LABELS, "glide_component": GLIDE_LABELS},
     component_units={"component": UNITS, "component_other": UNITS},
     evaluate=evaluate,
     summarise=summarise,

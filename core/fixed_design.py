@@ -10,15 +10,14 @@ the columns [a, m] or [a, sigma^2 a, m], which nested catalogues with the same e
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.link import condition_number, design_matrix, hold, normal_inverse, require_off_poles
+from core.arrays import Array
+from core.design import design_matrix
+from core.link import condition_number, hold, normal_inverse, require_off_poles
 from core.noise import Tile
 from core.prepared import Setup
 from core.shared_arrays import Prefixes, origin, parts
 from core.zonal import DrawnField
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import GALACTIC_AXES
-
-Array = NDArray[np.float64]
 
 
 class Triad(NamedTuple):

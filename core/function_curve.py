@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from sweep.contract import Function
-
-Array = NDArray[np.float64]
 
 
 class CurveError(ValueError):

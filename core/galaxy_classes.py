@@ -6,15 +6,11 @@ Source: Metz & Geffert 2004, Sect. 3; the rules stand for its inspection by eye.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from core.arrays import Array, Flags, Indices
 from core.constants import ARCSEC
 from core.sky_pairs import chord, uniform_pairs
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 CERTAIN, UNCERTAIN, SUPPLEMENT = 0, 1, 2
 

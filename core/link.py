@@ -1,4 +1,4 @@
-"""The link: design matrix, weights and the weighted least-squares solution for orientation and spin."""
+"""The link: weights and weighted least-squares solutions, of one realisation and of many; the poles."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,17 +6,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import MAS
-from core.frames import triad
 
-Array = NDArray[np.float64]
 Weighting = Literal["inverse-variance", "equal"]
-
-UNKNOWNS = ("epsilon_x", "epsilon_y", "epsilon_z", "omega_x", "omega_y", "omega_z")
-"""Order of the unknowns: orientation (rad), spin (rad/yr)."""
-
-GLIDE_UNKNOWNS = ("glide_x", "glide_y", "glide_z")
-"""Further unknowns on request: the glide (rad/yr), reference - satellite like everything else."""
 
 POLE_LIMIT = 1e-8
 """cos(dec) below which ra is degenerate for a link (2 mas from the pole): differences of ra are no longer small
@@ -35,33 +28,6 @@ class LinkError(ValueError):
     """The link cannot be solved; the message names the object or the cause."""
 
 
-def design_matrix(
-    ra: Array, dec: Array, pmra: Array, pmdec: Array, corrections: bool = True, glide: bool = False
-) -> Array:
-    """Return the derivatives of the observables by the unknowns, shape (4, ..., 6): observable, object, unknown.
-
-    Positions (rad) and proper motions (rad/yr, pmra = mu_alpha*) are those of the reference catalogue, of one shape
-    ``(...)``.  Rows: ``d alpha* = q.eps``, ``d dec = -p.eps``, ``d pmra = -pmdec eta.eps + q.omega`` and
-    ``d pmdec = pmra eta.eps - p.omega`` with ``eta = (cos ra, sin ra, 0)/cos dec``: the triad turns by eta.eps about
-    the line of sight, which is what the paper's A21 says for mu_alpha* (see `paper_design_matrix`).
-    ``corrections=False`` drops these terms; ``glide=True`` adds three unknowns g with ``d pmra = p.g`` and
-    ``d pmdec = q.g``.
-    Raises LinkError for a source at a pole, where ra is undefined.
-    """
-    p, q, _ = triad(ra, dec)
-    require_off_poles(dec, q[2])
-    design = np.zeros((9 if glide else 6, 4, *np.shape(ra)))  # an unknown's derivatives side by side: faster
-    design[:3, 0] = design[3:6, 2] = q
-    design[:3, 1] = design[3:6, 3] = -p
-    if glide:
-        design[6:, 2], design[6:, 3] = p, q
-    if corrections:
-        eta_x, eta_y = p[1] / q[2], -p[0] / q[2]
-        design[0, 2], design[1, 2] = -pmdec * eta_x, -pmdec * eta_y
-        design[0, 3], design[1, 3] = pmra * eta_x, pmra * eta_y
-    return np.moveaxis(design, 0, -1)
-
-
 def require_off_poles(dec: Array, cos_dec: Array) -> None:
     """Raise LinkError for the first object (last axis of ``dec``, rad) at a pole, where ra is undefined."""
     at_pole = cos_dec < POLE_LIMIT
@@ -76,21 +42,6 @@ def pole_error(item: int, dec: float) -> LinkError:
         f"object {item} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec)} deg): "
         "ra is undefined there"
     )
-
-
-def paper_design_matrix(ra: Array, dec: Array, mu_alpha: Array, mu_delta: Array) -> Array:
-    """Return the paper's matrix for mu_alpha = d(alpha)/dt *without* cos dec; shape (4, N, 6).
-
-    Its third observable is ``(mu_alpha,ref - mu_alpha,sat) cos(dec_ref)``, not a difference of mu_alpha*.
-    Source: Metz & Geffert 2004, Eqs. 11-13.  A21 as printed is right; Eq. 9 has ``cos^2 dec`` for ``1/cos^2 dec``.
-    """
-    design = design_matrix(ra, dec, mu_alpha, mu_delta, corrections=False)
-    sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
-    design[2, :, 0] = -cos_ra / cos_dec * mu_delta + sin_dec * sin_ra * mu_alpha
-    design[2, :, 1] = -sin_ra / cos_dec * mu_delta - sin_dec * cos_ra * mu_alpha
-    design[3, :, 0] = cos_ra * mu_alpha
-    design[3, :, 1] = sin_ra * mu_alpha
-    return design
 
 
 def measured(sigma: Array) -> tuple[bool, bool]:
@@ -122,7 +73,7 @@ def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
 
 @dataclass(frozen=True)
 class LinkSolution:
-    """A solved link; K unknowns in rad and rad/yr, in the order of `UNKNOWNS`.
+    """A solved link; K unknowns in rad and rad/yr, in the order of the design matrix.
 
     ``estimate`` and ``formal_error`` (K,), ``covariance`` and ``correlation`` (K, K), ``residuals`` (4, N), and the
     numbers chi2 (sum of (residual/sigma)^2), dof, rank and condition number of the weighted design matrix with its

@@ -10,13 +10,11 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
 from core.zonal import DrawnField, Field, ZonalErrors
-
-Array = NDArray[np.float64]
 
 ROWS = 512
 """Realisations drawn at a time."""

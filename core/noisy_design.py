@@ -1,15 +1,14 @@
 """The link while the reference has errors too: its design differs from one realisation to the next."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
+from core.design import GLIDE, ORIENTATION, SPIN
 from core.link import POLE_LIMIT, hold, pole_error, solve_normal
 from core.noise import Tile
 from core.normal_equations import NormalSums, Seen
 from core.prepared import Setup
 from core.zonal import DrawnField
-
-Array = NDArray[np.float64]
 
 ELEMENTS = 8192
 """Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core."""
@@ -133,11 +132,11 @@ class FullSums:
             turn += np.multiply(seen.s, truth[1], out=work)  # eta.epsilon cos dec
             pmra += np.multiply(seen.pmdec_turn, turn, out=work)
             pmdec -= np.multiply(seen.pmra_turn, turn, out=work)
-        self._add_field(ra, dec, seen, -truth[:3])
-        self._add_field(pmra, pmdec, seen, -truth[3:6])
+        self._add_field(ra, dec, seen, -truth[ORIENTATION])
+        self._add_field(pmra, pmdec, seen, -truth[SPIN])
         if scenario.solve_glide:  # g adds p.g and q.g
             along_p = np.zeros_like(pmra)
-            self._add_field(pmdec, along_p, seen, -truth[6:])
+            self._add_field(pmdec, along_p, seen, -truth[GLIDE])
             pmra -= along_p
 
     def _add_field(self, along_q: Array, along_p: Array, seen: Seen, vector: Array) -> None:

@@ -8,11 +8,13 @@ four observables gives all blocks that proper motions do not enter; those of A21
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from core.arrays import Array
+from core.design import GLIDE, ORIENTATION, SPIN, link_unknowns
 
 RA, DEC, PMRA, PMDEC = range(4)
+Z = 2
+"""The last component of a block that is a vector."""
 
 
 class Seen(NamedTuple):
@@ -32,13 +34,14 @@ class NormalSums:
     """A^T W A and A^T W y of ``rows`` realisations; at most ``objects`` objects are added at a time."""
 
     def __init__(self, objects: int, rows: int, corrections: bool, glide: bool) -> None:
-        unknowns = 9 if glide else 6
+        unknowns = len(link_unknowns(glide))
         self.corrections, self.glide = corrections, glide
         self.total_weight = np.zeros(4)
         self.products = np.empty((12 if glide else 7, objects, rows))
         self.product_sums = np.zeros((len(self.products), 4, rows))
         self.scratch = np.empty((4, objects, rows))
-        self.turns = np.zeros((3, unknowns, rows))  # upper rows of A^T W A, those of epsilon, as far as A21 adds to it
+        # upper rows of A^T W A, those of epsilon, as far as A21 adds to it
+        self.turns = np.zeros((ORIENTATION.stop, unknowns, rows))
         self.right = np.zeros((unknowns, rows))
 
     def add(self, seen: Seen, weights: Array, weighted: Array) -> None:
@@ -46,10 +49,10 @@ class NormalSums:
         self.total_weight += weights[..., 0].sum(axis=0)
         products = self._products(seen)
         self.product_sums += weights[..., 0].T @ products
-        self._add_right(self.right[:3], seen, weighted[:, RA], weighted[:, DEC])
-        self._add_right(self.right[3:6], seen, weighted[:, PMRA], weighted[:, PMDEC])
+        self._add_right(self.right[ORIENTATION], seen, weighted[:, RA], weighted[:, DEC])
+        self._add_right(self.right[SPIN], seen, weighted[:, PMRA], weighted[:, PMDEC])
         if self.glide:
-            self._add_right(self.right[6:], seen, weighted[:, PMDEC], -weighted[:, PMRA])
+            self._add_right(self.right[GLIDE], seen, weighted[:, PMDEC], -weighted[:, PMRA])
         if self.corrections:
             self._add_turns(seen, products, weights, weighted)
 
@@ -57,12 +60,12 @@ class NormalSums:
         """Return A^T W A, shape (K, K, rows), and A^T W y, shape (K, rows)."""
         unknowns = len(self.right)
         normal = np.zeros((unknowns, *self.right.shape))
-        normal[:3, :3] = self._squares(RA, DEC)
-        normal[3:6, 3:6] = self._squares(PMRA, PMDEC)
+        normal[ORIENTATION, ORIENTATION] = self._squares(RA, DEC)
+        normal[SPIN, SPIN] = self._squares(PMRA, PMDEC)
         if self.glide:
-            normal[6:, 6:] = self._squares(PMDEC, PMRA)
-            normal[3:6, 6:] = self._crossed(PMRA) - np.swapaxes(self._crossed(PMDEC), 0, 1)
-        normal[:3] += self.turns
+            normal[GLIDE, GLIDE] = self._squares(PMDEC, PMRA)
+            normal[SPIN, GLIDE] = self._crossed(PMRA) - np.swapaxes(self._crossed(PMDEC), 0, 1)
+        normal[ORIENTATION] += self.turns
         for k in range(1, unknowns):
             normal[k, :k] = normal[:k, k]
         return normal, self.right
@@ -133,16 +136,16 @@ class NormalSums:
         right[0] += _dot(term, c)
         right[1] += _dot(term, s)
 
-        _add_turned(turns[:, 3:6], np.multiply(wu, sin_dec, out=term), wv, cc, cs)
+        _add_turned(turns[:, SPIN], np.multiply(wu, sin_dec, out=term), wv, cc, cs)
         np.multiply(weights[:, PMRA], seen.pmdec, out=work)
-        turns[0, 5] -= _dot(work, c)
-        turns[1, 5] -= _dot(work, s)
+        turns[0, SPIN][Z] -= _dot(work, c)
+        turns[1, SPIN][Z] -= _dot(work, s)
         if self.glide:
             wv *= sin_dec
-            _add_turned(turns[:, 6:], np.negative(wv, out=term), wu, cc, cs)
+            _add_turned(turns[:, GLIDE], np.negative(wv, out=term), wu, cc, cs)
             np.multiply(weights[:, PMDEC], seen.pmra, out=work)
-            turns[0, 8] += _dot(work, c)
-            turns[1, 8] += _dot(work, s)
+            turns[0, GLIDE][Z] += _dot(work, c)
+            turns[1, GLIDE][Z] += _dot(work, s)
 
 
 def _add_turned(block: Array, a: Array, b: Array, cc: Array, cs: Array) -> None:

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue
+from core.design import ORIENTATION, SPIN
 from core.errors import ErrorModel
 from core.frames import along, exact_differences, stored_differences, triad
 from core.link import KINDS, Weighting, combined_error, measured
@@ -16,7 +17,6 @@ from core.shared_arrays import Prefixes, parts
 from core.systematics import Systematics
 from core.zonal import ZonalErrors
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Arithmetic = Literal["exact", "stored"]
 Method = Literal["catalogue", "projected"]
@@ -93,7 +93,7 @@ class Setup:
     def held(self) -> slice:
         """The unknowns that nothing measured determines, which stay at their true values."""
         positions, motions = self.measured
-        return slice(3 if positions else 0, 3 if motions else len(self.truth))
+        return slice(SPIN.start if positions else ORIENTATION.start, SPIN.start if motions else len(self.truth))
 
 
 @dataclass(frozen=True)

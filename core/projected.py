@@ -10,13 +10,12 @@ them, which is left out here: `neglected` bounds how much that is.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
+from core.design import ORIENTATION, link_unknowns
 from core.fixed_design import FixedDesign
 from core.link import LinkError
 from core.shared_arrays import parts
-
-Array = NDArray[np.float64]
 
 LARGEST_NEGLECT = 0.01
 """Of sigma, for the bound of `neglected`.  What it bounds has been 13 to 75 times smaller where it was tried: under the
@@ -86,17 +85,18 @@ def neglected(design: FixedDesign) -> Array:
     predicted = design.predicted_variance()
     # E x^2 of orientation, spin and glide
     size = 2.0 * np.square(np.abs(setup.truth) + np.abs(design.bias)) + 6.0 * predicted
-    squares, mean = np.zeros(unknowns // 3), np.zeros(unknowns)
+    blocks = len(link_unknowns(setup.scenario.solve_glide).blocks)
+    squares, mean = np.zeros(blocks), np.zeros(unknowns)
     for part in parts(len(design.columns)):
-        squares += _squared_changes(design, part, size.reshape(-1, 3).sum(axis=1))
-        mean[:3] += _mean_change(design, part)
-    rows = np.square(design.inverse).reshape(unknowns, -1, 3).sum(axis=2)
+        squares += _squared_changes(design, part, size.reshape(blocks, -1).sum(axis=1))
+        mean[ORIENTATION] += _mean_change(design, part)
+    rows = np.square(design.inverse).reshape(unknowns, blocks, -1).sum(axis=2)
     bound = rows @ squares * len(squares) + np.square(design.inverse @ mean)
     return np.asarray(np.sqrt(np.divide(bound, predicted, out=np.zeros_like(bound), where=predicted > 0.0)))
 
 
 def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:
-    """Return bounds of E|D^T W e - A^T W D x|^2, added up over objects, for orientation, spin and glide; (K/3,)."""
+    """Return bounds of E|D^T W e - A^T W D x|^2, added up over objects, for orientation, spin and glide; (blocks,)."""
     setup, catalogue = design.setup, design.setup.catalogue
     counted = setup.counted[:, None]
     square_sec = np.cos(catalogue.dec[part]) ** -2.0

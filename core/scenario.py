@@ -1,7 +1,6 @@
 """From a point's parameters to the physics of it: catalogue, errors, truth and solution."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from core.catalogue import Catalogue
 from core.catalogues import CATALOGUES, CatalogueKind
@@ -12,8 +11,6 @@ from core.prepared import Scenario, TrueVector, Vector
 from core.systematics import Pattern, Systematics, parse_pattern, rms
 from core.zonal import ZonalErrors
 from sweep.contract import Point
-
-Array = NDArray[np.float64]
 
 GALACTIC_GLIDE_UAS_YR = 4.0
 """Towards the Galactic centre.  Source: Kovalevsky 2003, as Metz & Geffert 2004, Sect. 5.1; measured since: 5.05

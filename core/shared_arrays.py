@@ -8,9 +8,8 @@ the same memory, by which sums over objects know each other too.
 from collections.abc import Callable, Hashable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from core.arrays import Array
 
 PART = 2048
 """Objects that are prepared at a time, so that intermediate arrays stay in cache."""

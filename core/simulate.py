@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
+from core.design import ORIENTATION, SPIN
 from core.fixed_design import FixedDesign, FixedSums, fixed_design
 from core.link import LinkError
 from core.noise import chunks, tiles
@@ -16,8 +17,6 @@ from core.noisy_design import FullPath, FullSums
 from core.prepared import Draw, Scenario, Setup, prepare
 from core.projected import Drawn, Projected
 from core.shared_arrays import Prefixes
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ class _Point:
         error[held] = np.nan
         if estimates is not None:
             estimates[:, held] = np.nan
-        means = (self.predicted[:3].mean(), self.predicted[3:6].mean())
+        means = [self.predicted[block].mean() for block in (ORIENTATION, SPIN)]
         return BlockSums(
             error=error,
             error_products=self.products / MAS**2,

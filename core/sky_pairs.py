@@ -8,15 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from core.arrays import Array, Flags, Indices
 from core.constants import ARCSEC, DEGREE
 from core.frames import position, triad
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 MAX_RADIUS = 1.0 * DEGREE
 

@@ -4,13 +4,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.frames import along, triad
 from core.harmonics import Term, terms, toroidal, turned
 from core.unknowns import HIGHEST_DEGREE
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Pattern = tuple[tuple[Term, float], ...]
 

@@ -6,10 +6,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue, OwnErrors
 from core.constants import DEGREE, MAS
-
-Array = NDArray[np.float64]
 
 UNITS: Mapping[str, str] = {
     "ra": "deg",

@@ -4,19 +4,17 @@ The derivatives are those of the five parameters (alpha*, dec, parallax, pmra, p
 satellite.  A list of blocks is written as one line: ``orientation,spin,glide,vsh_motion:3``.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.frames import Triad, triad
 from core.harmonics import Kind, Term, fill_toroidal, terms, turned
 from core.link import require_off_poles
-
-Array = NDArray[np.float64]
 
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
@@ -94,7 +92,7 @@ class Orientation:
     def derivatives(self, objects: Objects) -> Array:
         """Return q, -p, -pmdec eta and pmra eta with eta = (cos ra, sin ra, 0)/cos dec; shape (3, 4 or 2, N)."""
         p, q, _ = objects.triad
-        found = np.zeros((3, len(self.rows), len(objects.ra)))
+        found = np.zeros((len(self.labels), len(self.rows), *np.shape(objects.ra)))
         found[:, 0], found[:, 1] = q, -p
         if self.corrections:
             require_off_poles(objects.dec, q[2])
@@ -258,7 +256,7 @@ class Unknowns:
 
         ``years`` (N,) is the epoch of each source minus that of the unknowns: a rate moves positions by as much.
         """
-        shift = np.zeros(len(objects.ra)) if years is None else years
+        shift = np.zeros(1) if years is None else years
         moved = bool(np.any(shift != 0.0))
         acting = {row for block in self.blocks for row in block.rows}
         if moved and any(block.rate for block in self.blocks):
@@ -266,7 +264,7 @@ class Unknowns:
         rows = tuple(sorted(acting))
         if len(self.blocks) == 1 and rows == self.blocks[0].rows:
             return rows, self.blocks[0].derivatives(objects)
-        found = np.zeros((len(self), len(rows), len(objects.ra)))
+        found = np.zeros((len(self), len(rows), *np.shape(objects.ra)))
         start = 0
         for block in self.blocks:
             values = block.derivatives(objects)
@@ -287,13 +285,38 @@ class Unknowns:
         return matrix
 
 
-_POSITION_GLIDE = Glide(
-    name="position_glide",
-    labels=("position_glide_x", "position_glide_y", "position_glide_z"),
-    rows=POSITION,
-    rate=False,
-)
-KNOWN = ("orientation", "position_glide", "spin", "glide", "parallax", "vsh_position:L", "vsh_motion:L")
+@dataclass(frozen=True)
+class Asked:
+    """How a block is asked for: its name, the degrees behind it, the names beside it, bins, columns and corrections."""
+
+    name: str
+    degrees: str
+    beside: Sequence[str]
+    bins: tuple[str, Sequence[float]] | None
+    columns: Mapping[str, Array]
+    corrections: bool
+
+    @property
+    def written(self) -> str:
+        """As the line has it."""
+        return f"{self.name}:{self.degrees}" if self.degrees else self.name
+
+
+KNOWN: dict[str, Callable[[Asked], Block]] = {
+    "orientation": lambda asked: Orientation(asked.corrections),
+    "position_glide": lambda asked: Glide(
+        name="position_glide",
+        labels=("position_glide_x", "position_glide_y", "position_glide_z"),
+        rows=POSITION,
+        rate=False,
+    ),
+    "spin": lambda asked: Rotation() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
+    "glide": lambda asked: Glide(),
+    "parallax": lambda asked: ParallaxZeroPoint(),
+    "vsh_position:L": lambda asked: _harmonics(asked, "orientation", "position_glide", POSITION),
+    "vsh_motion:L": lambda asked: _harmonics(asked, "spin", "glide", MOTION),
+}
+"""The blocks that a line may name, and what makes them; those with ``:L`` have degrees.  A further one is an entry."""
 
 
 def parse_unknowns(
@@ -317,41 +340,29 @@ def parse_unknowns(
         raise ValueError(f"unknowns {', '.join(repeated)} twice")
     if bins is not None and "spin" not in plain:
         raise ValueError("bins divide the spin, which is not among the unknowns")
-    return Unknowns(tuple(_block(name, plain, bins, columns or {}, corrections) for name in names))
+    return Unknowns(
+        tuple(
+            _block(Asked(kind, name.partition(":")[2], plain, bins, columns or {}, corrections))
+            for kind, name in zip(plain, names, strict=True)
+        )
+    )
 
 
-def _block(
-    name: str,
-    beside: Sequence[str],
-    bins: tuple[str, Sequence[float]] | None,
-    columns: Mapping[str, Array],
-    corrections: bool,
-) -> Block:
-    kind, _, degrees = name.partition(":")
-    if kind == "vsh_position":
-        return _harmonics(name, degrees, beside, "orientation", "position_glide", POSITION)
-    if kind == "vsh_motion":
-        return _harmonics(name, degrees, beside, "spin", "glide", MOTION)
-    if degrees:
-        raise ValueError(f"unknowns {name!r}: only vsh_position and vsh_motion have a degree")
-    if kind == "spin" and bins is not None:
-        return _spin_by_bin(*bins, columns)
-    plain: dict[str, Block] = {
-        "orientation": Orientation(corrections),
-        "position_glide": _POSITION_GLIDE,
-        "spin": Rotation(),
-        "glide": Glide(),
-        "parallax": ParallaxZeroPoint(),
-    }
-    if kind not in plain:
-        raise ValueError(f"unknowns {name!r} are not known; known are {', '.join(KNOWN)}")
-    return plain[kind]
+def _block(asked: Asked) -> Block:
+    make = KNOWN.get(asked.name)
+    if make is None and f"{asked.name}:L" in KNOWN:
+        return KNOWN[f"{asked.name}:L"](asked)
+    if asked.degrees:
+        with_degrees = " and ".join(name.removesuffix(":L") for name in KNOWN if name.endswith(":L"))
+        raise ValueError(f"unknowns {asked.written!r}: only {with_degrees} have a degree")
+    if make is None:
+        raise ValueError(f"unknowns {asked.written!r} are not known; known are {', '.join(KNOWN)}")
+    return make(asked)
 
 
-def _harmonics(
-    name: str, degrees: str, beside: Sequence[str], rotation: str, glide: str, rows: tuple[int, ...]
-) -> Harmonics:
-    low, dash, high = degrees.partition("-")
+def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -> Harmonics:
+    name = asked.written
+    low, dash, high = asked.degrees.partition("-")
     try:
         first, last = (int(low), int(high)) if dash else (1, int(low))
     except ValueError:
@@ -360,12 +371,12 @@ def _harmonics(
         ) from None
     if not 1 <= first <= last <= HIGHEST_DEGREE:
         raise ValueError(f"unknowns {name!r}: degrees are from 1 to {HIGHEST_DEGREE}, the lower one first")
-    covered = {("t", 1): rotation in beside, ("s", 1): glide in beside}
+    covered = {("t", 1): rotation in asked.beside, ("s", 1): glide in asked.beside}
     kinds: tuple[Kind, Kind] = ("t", "s")
     parts = tuple((k, d) for d in range(first, last + 1) for k in kinds if not covered.get((k, d)))
     if not parts:
         raise ValueError(f"unknowns {name!r}: {rotation} and {glide} are these already")
-    return Harmonics(name.partition(":")[0], rows, rows == MOTION, parts)
+    return Harmonics(asked.name, rows, rows == MOTION, parts)
 
 
 def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Array]) -> SpinByBin:

@@ -5,22 +5,29 @@ import numpy as np
 from core.errors import SIDES
 from core.expected_errors import errors_at_limit, errors_of_objects
 from core.scenario import catalogue_kind, error_kind, own_objects
-from sweep.contract import Point
+from sweep.contract import Point, SweepError
 
 KINDS = {"positions": ("proper motions", "orientation"), "proper motions": ("positions", "spin")}
 """Of observables: what else there is, and the unknowns that need them."""
+
+EPOCH, SAME_EPOCH_YR = "ref_epoch", 0.01
+"""The column that gives the epoch of a row, and how much epochs may differ without a word."""
 
 LARGE_SHARE = 0.1
 """Of the weight of all objects: one that holds more is named."""
 
 
 def warn(point: Point) -> list[str]:
-    """Return sentences about magnitudes outside of a curve's range, about what is not measured, and about objects that
-    decide nearly alone.
+    """Return sentences about magnitudes outside of a curve's range, about what is not measured, about positions of
+    different epochs, and about objects that decide nearly alone.
     """
     kind = catalogue_kind(point)
     found = [error_kind(point, side).warning(point, kind) for side in SIDES]
-    return [sentence for sentence in (*found, _not_measured(point), _heaviest(point)) if sentence is not None]
+    return [
+        sentence
+        for sentence in (*found, _not_measured(point), _epochs(point), _heaviest(point))
+        if sentence is not None
+    ]
 
 
 def _not_measured(point: Point) -> str | None:
@@ -36,6 +43,24 @@ def _not_measured(point: Point) -> str | None:
     return (
         f"{missing} have no errors on either side while {present} have: they are taken as not measured, and the "
         f"{unknowns} is not determined (NaN)"
+    )
+
+
+def _epochs(point: Point) -> str | None:
+    """Say that the rows of a file are of different epochs, which the simulation does not know."""
+    table = point["file"]
+    if table is None or EPOCH not in table.names():
+        return None
+    try:
+        epochs = table.numbers(EPOCH, "yr")
+    except SweepError:  # not all rows have one
+        return None
+    first, last = float(epochs.min()), float(epochs.max())
+    if last - first <= SAME_EPOCH_YR:
+        return None
+    return (
+        f"file: {EPOCH} is between {first:.10g} and {last:.10g}, and the simulation takes all rows as of one epoch; "
+        "`sweep tie` links rows of different epochs"
     )
 
 

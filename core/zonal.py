@@ -12,11 +12,9 @@ from functools import cached_property
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.harmonics import toroidal, turned
-
-Array = NDArray[np.float64]
 
 REACH = 5.0
 """Degrees up to this over the width: the power beyond is exp(-12.5) of all, and goes to those below."""

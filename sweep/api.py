@@ -3,13 +3,14 @@
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
 from sweep.contract import Experiment, SweepError
 from sweep.executing.choose import Resources
 from sweep.executing.execute import GUARD, NO_LIMITS, Limits
+from sweep.executing.pools import PoolName
 from sweep.executing.upstream import is_reading_main
 from sweep.running.run import Progress, Silent, run_study
 from sweep.running.run_summary import failed_points
@@ -36,7 +37,7 @@ def run(
     sampling: Mapping[str, Any] | None = None,
     title: str | None = None,
     workers: int | None = None,
-    pool: Literal["processes", "threads", "serial"] | None = None,
+    pool: PoolName | None = None,
     scheduler: str | None = None,
     cluster: str | Path | None = None,
     limits: Limits = NO_LIMITS,

@@ -22,8 +22,8 @@ def with_error(value: Any, error: float) -> str:
         >>> with_error(0.66, 0.0)
         '0.66'
     """
-    if not error > 0.0:
-        return rounded(value, error)
+    if not 0.0 < error < math.inf:
+        return rounded(value)
     return f"{rounded(value, error)} ± {rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
 
 
@@ -57,6 +57,11 @@ def plain(value: Any) -> str:
 def is_missing(value: Any) -> bool:
     """Return whether a value is a NaN."""
     return isinstance(value, float) and math.isnan(value)
+
+
+def finite_or(value: Any, missing: Any) -> Any:
+    """Return a value, or ``missing`` in place of a float that is not finite."""
+    return missing if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def counted(n: int, noun: str) -> str:
@@ -102,6 +107,5 @@ def _jsonable(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, list | tuple | set):
         return [_jsonable(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
+    value = finite_or(value, None)
     return value if isinstance(value, str | int | float | bool | None) else str(value)

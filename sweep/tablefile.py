@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sweep.contract import Named, SweepError
+from sweep.contract import Array, Named, SweepError
 from sweep.table_columns import column_values, in_time, rows_listed
 from sweep.table_reader import read_table, readme_of
-
-Array = NDArray[np.float64]
 
 NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
 """Columns that name a row, in any case of letters, best first."""

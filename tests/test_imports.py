@@ -43,7 +43,9 @@ KNOWS_THE_CONTRACT = {
     *("core.catalogues", "core.errors"),
 }
 # The search is a command beside the platform.
-SEARCH_MAY_USE = {"sweep.contract", "sweep.table_reader", "sweep.table_columns", "sweep.formatting"}
+SEARCH_MAY_USE = {
+    *("sweep.contract", "sweep.table_reader", "sweep.table_columns", "sweep.formatting", "sweep.plots.sky"),
+}
 KNOWS_THE_SEARCH = {"sweep.cli.match"}
 CORE_MAY_USE = {
     *("numpy", "scipy", "pygaia", "erfa"),

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue
 from core.catalogues.kind import CatalogueKind
 from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, Uncorrelated, four_rows, scale_of
 from core.missions import Mission
 from core.user_mission import mission_of
 from sweep.contract import Named, Point
-
-Array = NDArray[np.float64]
 
 PROBES = 100
 """Magnitudes at which a user's function is asked before anything runs."""

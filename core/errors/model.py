@@ -4,14 +4,13 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue
 from core.catalogues.kind import CatalogueKind
 from core.constants import MAS
 from sweep.contract import Point
 
-Array = NDArray[np.float64]
 Objects = Callable[[], Catalogue | None]
 
 SIDES = ("reference", "satellite")

@@ -4,13 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue
 from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, Uncorrelated
 from sweep.contract import Point
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.catalogue import Catalogue, OwnErrors
 from core.catalogues.kind import CatalogueKind
 from core.errors.model import ErrorKind, ErrorModel, Objects, scale_of
 from sweep.contract import Point
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.missions.mission import Floor, Mission, MissionUnavailableError
 
-Array = NDArray[np.float64]
 Release = Literal["dr3", "dr4", "dr5"]
 
 DR3_YEARS = 34 / 12

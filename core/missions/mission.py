@@ -5,11 +5,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.missions.curves import Curve
-
-Array = NDArray[np.float64]
 
 
 class MissionUnavailableError(ImportError):

@@ -2,15 +2,15 @@
 
 import csv
 import io
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sweep.analysis.compare import summary
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.verdicts import PROBABILITY, Comparison
+from sweep.formatting import finite_or, rounded, to_json, with_error
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -66,14 +66,13 @@ def as_csv(comparisons: Sequence[Comparison]) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([field.name for field in fields(Comparison)])
     for c in comparisons:
-        writer.writerow([place_in_words(v) if k == "where" else _cell(v, "") for k, v in asdict(c).items()])
+        writer.writerow([place_in_words(v) if k == "where" else finite_or(v, "") for k, v in asdict(c).items()])
     return out.getvalue()
 
 
 def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:
     """Return the comparisons, their number by verdict and remarks; a number that is not there is null."""
-    rows = [{key: _cell(value, None) for key, value in asdict(c).items()} for c in comparisons]
-    return json.dumps({"comparisons": rows, "summary": summary(comparisons), "remarks": list(remarks)}, indent=1)
+    return to_json({"comparisons": comparisons, "summary": summary(comparisons), "remarks": remarks})
 
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
@@ -82,13 +81,12 @@ def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     if not math.isfinite(c.value):
         return "", published, "", "", ""
     finest = c.mc_error if c.mc_error > 0.0 else 0.1 * c.rounding
-    digits = 1 + _decimals(finest) if finest > 0.0 else None
-    value = _fixed(c.value, digits) + (f" ± {_fixed(c.mc_error, digits)}" if c.mc_error > 0.0 else "")
+    value = with_error(c.value, finest) if c.mc_error > 0.0 else rounded(c.value, finest)
     if c.difference == 0.0:
         return value, published, "none", "", _allowance(c)
     percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
     sign = "+" if c.difference > 0.0 else ""
-    return value, published, sign + _fixed(c.difference, digits), percent, _allowance(c)
+    return value, published, sign + rounded(c.difference, finest), percent, _allowance(c)
 
 
 def power_in_words(c: Comparison) -> str:
@@ -100,18 +98,8 @@ def power_in_words(c: Comparison) -> str:
     return f"{100.0 * c.power:.2g} %" if c.published else f"{c.detectable:.2g}"
 
 
-def _cell(value: Any, missing: str | None) -> Any:
-    return missing if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _allowance(c: Comparison) -> str:
     return f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
-
-
-def _fixed(number: float, digits: int | None) -> str:
-    if number.is_integer() and digits is None:
-        return f"{number:.0f}"
-    return f"{number:.4g}" if digits is None else f"{number:.{digits}f}"
 
 
 def _decimals(unit: float) -> int:

@@ -4,12 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from sweep.analysis.quantity import ERROR_SUFFIXES
-from sweep.planning.accumulator import DONE
-
-Array = NDArray[np.float64]
+from sweep.contract import Array
+from sweep.planning.point_status import Status
 
 COVARIANCE, CORRELATION, CONDITION = "covariance", "correlation", "condition_number"
 
@@ -61,7 +59,7 @@ def _done(dataset: xr.Dataset) -> Iterator[xr.Dataset]:
     if not {COVARIANCE, CONDITION}.intersection(kept):
         return
     part, status = dataset[kept], dataset["status"]
-    for index in np.argwhere(status.values == DONE):
+    for index in np.argwhere(status.values == Status.DONE):
         yield part.isel(dict(zip(status.dims, map(int, index), strict=True)))
 
 

@@ -9,13 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from sweep.analysis.conditions import Limit, parse_limit
 from sweep.analysis.lines import Lines, lines
-from sweep.contract import SweepError, small_sample_factor
-
-Array = NDArray[np.float64]
+from sweep.contract import Array, SweepError, small_sample_factor
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
 """When a condition is met along a line: at no point or at all, from or up to one crossing, between several.  Left out

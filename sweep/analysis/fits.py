@@ -4,14 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.stats import chi2 as chi2_distribution
 from scipy.stats import f as f_distribution
 
-from sweep.contract import small_sample_factor
-
-Array = NDArray[np.float64]
+from sweep.contract import Array, small_sample_factor
 
 FIRST_ORDER = 5.0
 """What points do not have in common must be so many times what errors to first order leave out, to judge a law by."""

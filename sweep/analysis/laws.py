@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from sweep.analysis.fits import PowerLaw, p_value, power_law
 from sweep.analysis.levelling import Levelling, levelling
@@ -17,9 +16,7 @@ from sweep.analysis.lines import Lines, lines, require_done
 from sweep.analysis.measured_claims import claims_of
 from sweep.analysis.quantity import error_of_sum, require_quantity
 from sweep.analysis.selection import indices, place_in_words
-from sweep.contract import FEW, SweepError
-
-Array = NDArray[np.float64]
+from sweep.contract import FEW, Array, SweepError
 
 LEVELLING_POINTS = 4
 """Fewest points for the levelling law, which has three parameters."""

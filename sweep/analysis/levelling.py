@@ -5,14 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.linalg import LinAlgError
-from numpy.typing import NDArray
 from scipy.optimize import approx_fprime, least_squares
 from scipy.special import exprel
 
 from sweep.analysis.fits import are_known, chi2_about, largest_error, relative_covariance, weigh
-from sweep.contract import small_sample_factor
-
-Array = NDArray[np.float64]
+from sweep.contract import Array, small_sample_factor
 
 STARTS = (0.5, 2.0, 6.0)
 """First guesses of how many times the falling part drops by e within the points; the best fit is kept."""

@@ -19,11 +19,9 @@ from sweep.analysis.quantity import (
     standard_error,
 )
 from sweep.analysis.selection import place_in_words
-from sweep.contract import FEW, FEWEST_SAMPLES, SweepError
-from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS
+from sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
+from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.studies.provenance import outer_draw_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ def lines(
         x=ordered[over].values.astype(float),
         value=_rows(template, others, dimension),
         error=_rows(xr.full_like(template, np.nan) if error is None else error, others, dimension),
-        used=_rows(status, others, dimension) != EXCLUDED,
+        used=_rows(status, others, dimension) != Status.EXCLUDED,
         covariance=None if covariance is None else _rows(covariance, others, dimension, f"{dimension}_other"),
         dims=tuple(others),
         grid=_grid(dataset, others),
@@ -117,11 +115,9 @@ def lines(
 def require_done(dataset: xr.Dataset) -> None:
     """Raise SweepError unless all points of a dataset are done or excluded by the study."""
     status = dataset["status"].values
-    counts = {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)}
-    undone = [f"{n} {word}" for word, n in counts.items() if n and STATUS_WORDS.index(word) not in (DONE, EXCLUDED)]
-    if undone:
+    if undone := unfinished_in_words(count_status(status)):
         raise SweepError(
-            f"is incomplete: {' and '.join(undone)} of {status.size} points here; `sweep run` the study to go on, "
+            f"is incomplete: {undone} of {status.size} points here; `sweep run` the study to go on, "
             "or choose a complete part"
         )
 

@@ -21,7 +21,7 @@ from sweep.analysis.quantity import (
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.verdicts import Measured
 from sweep.contract import SweepError
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED
+from sweep.planning.point_status import Status
 from sweep.studies.study import Claim, Ratio, Reading, Slope
 
 Index = Mapping[str, int]
@@ -136,7 +136,7 @@ class Points:
     def at(self, index: Index) -> Measured:
         """Return what there is at a point."""
         where, status = self.places(index), int(self.status[dict(index)])
-        if status != DONE:
+        if status != Status.DONE:
             return Measured(where, missing=_why({status}, "the point"))
         return Measured(where, float(self.value[dict(index)]), float(self.error[dict(index)]))
 
@@ -157,10 +157,10 @@ class Points:
         """Return the slope along a line of points; those that the study excludes do not belong to it."""
         where, dimension = self.places(line), str(self.dataset[over].dims[0])
         status = self.status[dict(line)].values
-        used = status != EXCLUDED
-        if np.any(status[used] != DONE):
-            some = f"{np.count_nonzero(status[used] != DONE)} of {np.count_nonzero(used)} points"
-            return Measured(where, missing=_why(set(status[used & (status != DONE)].tolist()), some))
+        used = status != Status.EXCLUDED
+        if np.any(status[used] != Status.DONE):
+            some = f"{np.count_nonzero(status[used] != Status.DONE)} of {np.count_nonzero(used)} points"
+            return Measured(where, missing=_why(set(status[used & (status != Status.DONE)].tolist()), some))
         x, y = (np.asarray(v, dtype=float)[used] for v in (self.dataset[over].values, self.value[dict(line)].values))
         if len(x) < 2:
             return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(x)}")
@@ -187,6 +187,6 @@ def _component(dataset: xr.Dataset, variable: str, component: str | None) -> dic
 
 
 def _why(codes: set[int], subject: str) -> str:
-    if FAILED in codes:
+    if Status.FAILED in codes:
         return f"failed: {subject}"
-    return f"excluded by the study: {subject}" if EXCLUDED in codes else f"not done yet: {subject}"
+    return f"excluded by the study: {subject}" if Status.EXCLUDED in codes else f"not done yet: {subject}"

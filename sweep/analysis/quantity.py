@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
-from sweep.planning.accumulator import DONE
+from sweep.planning.point_status import Status
 from sweep.studies.provenance import FUNCTION, outer_draw_of
 
 COUNTS = ("status", "n_sim_done", "code")
@@ -53,7 +53,7 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return a sentence for every part of the error of a variable that is not known at points that are done."""
-    done = dataset["status"] == DONE
+    done = dataset["status"] == Status.DONE
     draw = outer_draw_of(dataset.attrs)
     words = {"mc_error": "its Monte-Carlo error", "catalogue_error": f"the choice of {draw}s"}
     noun = "realisations" if FUNCTION in dataset.attrs else f"{draw}s"

@@ -12,7 +12,7 @@ import xarray as xr
 
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name
 from sweep.formatting import is_missing, plain, rounded, to_json, with_error
-from sweep.planning.accumulator import EXCLUDED, STATUS_WORDS
+from sweep.planning.point_status import Status
 from sweep.studies.provenance import FUNCTION
 
 if TYPE_CHECKING:
@@ -53,7 +53,8 @@ def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
         values = variable.values.reshape(-1, *variable.shape[len(dimensions) :])
         columns[name] = (variable.attrs.get("units", ""), _listed(values))
     status = columns["status"][1]
-    columns["status"] = ("", [STATUS_WORDS[code] for code in status])
+    words = [code.word for code in Status]
+    columns["status"] = ("", [words[code] for code in status])
     return columns
 
 
@@ -157,7 +158,7 @@ def warnings_of(dataset: xr.Dataset) -> list[str]:
 
 def rows_left_out(dataset: xr.Dataset) -> int:
     """Return how many points `as_text` leaves out."""
-    return max(0, int((dataset["status"] != EXCLUDED).sum()) - MOST_ROWS)
+    return max(0, int((dataset["status"] != Status.EXCLUDED).sum()) - MOST_ROWS)
 
 
 def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sweep.cli import shell_completion
+from sweep.executing.pools import DEFAULT_POOL, POOLS
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
+    from sweep.executing.pools import PoolName
     from sweep.stores.location import Location
     from sweep.studies.study import Study
 
@@ -104,9 +106,9 @@ def resource_options(command: Command) -> Command:
         click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one a core]"),
         click.option(
             "--pool",
-            type=click.Choice(["processes", "threads", "serial"]),
-            help="Local workers are processes, threads of this process, or none.  "
-            "[default: processes; serial if small]",
+            type=click.Choice(list(POOLS)),
+            help=f"What to run on here: {', '.join(pool.words for pool in POOLS.values())}.  "
+            f"[default: {DEFAULT_POOL}; serial if small]",
         ),
         click.option(
             "--scheduler", metavar="ADDRESS", help="Use the Dask scheduler at this address, e.g. tcp://host:8786."
@@ -156,7 +158,7 @@ def _bytes(_context: click.Context, _parameter: click.Parameter, value: str | No
 
 def _resources(
     workers: int | None,
-    pool: Any,
+    pool: "PoolName | None",
     scheduler: str | None,
     tls_ca: Path | None,
     tls_cert: Path | None,
@@ -176,8 +178,8 @@ def _resources(
             raise click.UsageError(
                 f"--workers, --pool and --memory-limit are for local workers; they do not go with {option}"
             )
-    if pool == "serial" and workers is not None:
-        raise click.UsageError("--pool serial has no workers")
+    if workers is not None and pool is not None and not POOLS[pool].has_workers:
+        raise click.UsageError(f"--pool {pool} has no workers")
     files = (tls_ca, tls_cert, tls_key)
     if any(files) and (scheduler is None or not scheduler.startswith("tls://") or None in files):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://...")

@@ -24,11 +24,13 @@ def print_whole(renderable: Any) -> None:
     Console(width=width, highlight=False).print(renderable, soft_wrap=False)
 
 
-def print_plan(study: "Study", store: "Location", workers: int | None, as_json: bool) -> None:
+def print_plan(
+    study: "Study", store: "Location", workers: int | None, as_json: bool, accept_code: bool = False
+) -> None:
     """Print what a run would do."""
     from sweep.running.status import plan_report
 
-    report = plan_report(study, store, workers)
+    report = plan_report(study, store, workers, accept_code)
     if as_json:
         click.echo(to_json(report))
     else:

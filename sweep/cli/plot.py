@@ -7,20 +7,12 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import naming, part_of, place_option
-
-KINDS = ("lines", "law", "map", "scatter", "scaling", "sky", "accuracy")
-TIE_KINDS = (
-    *("solution", "residuals", "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum", "bins"),
-    "epochs",
-)
-"""Of the results of `sweep tie` and `sweep forecast`."""
+from sweep.plots.kinds import STANDALONE, all_kinds
 
 
 @main.command()
 @click.argument("source", required=False)
-@click.option(
-    "--kind", type=click.Choice([*KINDS, *TIE_KINDS]), help="What to draw.  [default: what suits the results]"
-)
+@click.option("--kind", type=click.Choice(all_kinds()), help="What to draw.  [default: what suits the results]")
 @click.option(
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
@@ -63,7 +55,7 @@ def plot(
         raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
     if models and kind != "accuracy":
         raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=...")
-    if kind in ("sky", "accuracy") and (variables or over):
+    if kind in STANDALONE and (variables or over):
         raise click.UsageError(f"--variable and --over do not go with --kind {kind}")
     path = out or Path(Path(source or "accuracy").stem + ".png")
     style.require_format(path)

@@ -63,7 +63,7 @@ def run(
     """
     loaded, path = load(study, settings, axes, store, trust)
     if dry_run:
-        print_plan(loaded, path, resources.workers, as_json)
+        print_plan(loaded, path, resources.workers, as_json, accept_code)
         return
     dataset, failures = run_with_progress(
         loaded, path, resources, watching, break_lock=break_lock, accept_code=accept_code, fresh=fresh
@@ -77,6 +77,7 @@ def run(
 @study_argument
 @study_options
 @click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one a core]")
+@accept_code_option
 @trust_option
 @json_option
 def plan(
@@ -85,6 +86,7 @@ def plan(
     axes: tuple[str, ...],
     store: "Location | None",
     workers: int | None,
+    accept_code: bool,
     trust: bool,
     as_json: bool,
 ) -> None:
@@ -94,7 +96,7 @@ def plan(
     sweep plan grid --set n_cat=100
     """
     loaded, path = load(study, settings, axes, store, trust)
-    print_plan(loaded, path, workers, as_json)
+    print_plan(loaded, path, workers, as_json, accept_code)
 
 
 def run_with_progress(

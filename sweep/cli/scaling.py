@@ -8,6 +8,7 @@ import click
 from sweep.cli.group import main
 from sweep.cli.options import json_option, trust_option
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
+from sweep.executing.pools import DEFAULT_POOL, POOLS
 
 
 def _counts(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, ...]:
@@ -22,8 +23,8 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
 @click.option("--workers", default="1,2", show_default=True, callback=_counts, help="Numbers of workers, from 1 up.")
 @click.option(
     "--pool",
-    type=click.Choice(["processes", "threads"]),
-    default="processes",
+    type=click.Choice([name for name, pool in POOLS.items() if pool.has_workers]),
+    default=DEFAULT_POOL,
     show_default=True,
     help="Workers are processes, or threads of this one.",
 )

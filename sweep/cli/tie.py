@@ -10,6 +10,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option
+from sweep.formatting import split_assignment
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -204,9 +205,9 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
 
     columns: dict[str, dict[str, str]] = {"satellite": {}, "reference": {}}
     for item in given["column"]:
-        key, equals, name = item.partition("=")
+        key, name = split_assignment(item)
         table, colon, quantity = key.partition(":")
-        if not equals or not name or (colon and table not in columns):
+        if not name or (colon and table not in columns):
             raise click.BadParameter(f"{item!r} is not [satellite:|reference:]KEY=COLUMN", param_hint="--column")
         for one in [table] if colon else columns:
             columns[one][quantity if colon else key] = name
@@ -232,7 +233,7 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _jitter(item: str) -> tuple[str, tuple[float, float]]:
-    kind, _, numbers = item.partition("=")
+    kind, numbers = split_assignment(item)
     values = _numbers("--jitter", numbers.replace(":", ","))
     if len(values) not in (1, 2):
         raise click.BadParameter(f"{item!r} is not KIND=MAS or KIND=MAS:MAS_YR", param_hint="--jitter")
@@ -242,8 +243,8 @@ def _jitter(item: str) -> tuple[str, tuple[float, float]]:
 
 
 def _bins(text: str) -> tuple[str, list[float]]:
-    column, equals, edges = text.partition("=")
-    if not equals or not column:
+    column, edges = split_assignment(text)
+    if not column:
         raise click.BadParameter(f"{text!r} is not COLUMN=EDGE,EDGE,...", param_hint="--bins")
     return column, _numbers("--bins", edges)
 

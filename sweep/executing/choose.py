@@ -2,22 +2,19 @@
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from threading import Thread
-from typing import Literal
 
+from sweep.contract import SweepError, shown, suggest
 from sweep.executing.execute import (
     NO_LIMITS,
     Executor,
     Limits,
     Place,
-    Pool,
     Say,
     available_cores,
     measured_first,
-    serial,
 )
+from sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import Study
 
@@ -33,11 +30,16 @@ class Resources:
     """
 
     workers: int | None = None
-    pool: Pool | None = None
+    pool: PoolName | None = None
     scheduler: str | None = None
     tls: tuple[Path, Path, Path] | None = None
     cluster: Path | None = None
     limits: Limits = NO_LIMITS
+
+    def __post_init__(self) -> None:
+        """Raise SweepError for a pool that is not known."""
+        if self.pool is not None and self.pool not in POOLS:
+            raise SweepError(f"no pool {shown(self.pool)}{suggest(self.pool, list(POOLS))}")
 
     @property
     def none_requested(self) -> bool:
@@ -57,26 +59,16 @@ def choose_executor(
     show that they are needed, only once the time that the first points take does.
     """
     limits, workers = resources.limits, resources.workers or available_cores()
-    if resources.pool == "serial":
-        return serial(study, limits)
-    unknown = isinstance(study.experiment, FunctionExperiment)
-    if resources.none_requested and (unknown or cost < CERTAINLY_LONG):
-        return measured_first(study, cost, workers, lambda: _local(study, workers, "processes", say, limits), say)
+    if resources.scheduler is None and resources.cluster is None:
+        unknown = isinstance(study.experiment, FunctionExperiment)
+        pool = POOLS[resources.pool or DEFAULT_POOL]
+        if resources.none_requested and (unknown or cost < CERTAINLY_LONG):
+            return measured_first(study, cost, workers, lambda: pool.open(study, workers, say, limits), say)
+        return pool.open(study, workers, say, limits)
     from sweep.executing.clusters import dask_from_file, dask_scheduler, tls
 
     if resources.scheduler is not None:
         security = tls(*resources.tls) if resources.tls else None
         return dask_scheduler(study, resources.scheduler, security, say, limits)
-    if resources.cluster is not None:
-        return dask_from_file(study, resources.cluster, say, limits)
-    return _local(study, workers, resources.pool or "processes", say, limits)
-
-
-def _local(
-    study: Study, workers: int, pool: Literal["threads", "processes"], say: Say, limits: Limits
-) -> AbstractContextManager[tuple[Place, Executor]]:
-    from sweep.executing.clusters import dask_local
-
-    # xarray takes a third of a second to look at its first array, workers to start nearly as long: both at once
-    Thread(target=import_module, args=["dask.array"], daemon=True).start()
-    return dask_local(study, workers, pool, say, limits)
+    assert resources.cluster is not None
+    return dask_from_file(study, resources.cluster, say, limits)

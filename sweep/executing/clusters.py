@@ -3,9 +3,11 @@
 import importlib.metadata
 import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from threading import Thread
+from typing import Any
 
 from distributed import Client, LocalCluster
 from distributed.comm.addressing import get_address_host_port
@@ -25,19 +27,33 @@ ADAPT_WITHIN = "500ms"
 """An adaptive cluster has as many workers as the tasks in flight would keep busy for so long: they are short."""
 
 
+def worker_processes(
+    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS
+) -> AbstractContextManager[tuple[Place, Executor]]:
+    """Give an executor on a Dask cluster of worker processes of one thread each."""
+    options: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+    if limits.memory is not None:
+        options["memory_limit"] = limits.memory
+    noun = "worker process" if workers == 1 else "worker processes"
+    return _local(study, workers, options, f"{workers} local {noun}", say, limits)
+
+
+def worker_threads(
+    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS
+) -> AbstractContextManager[tuple[Place, Executor]]:
+    """Give an executor on threads of this process; with limits each task runs in a child process."""
+    options = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
+    noun = "thread" if workers == 1 else "threads"
+    return _local(study, workers, options, f"{workers} local {noun}", say, limits, guarded=bool(limits))
+
+
 @contextmanager
-def dask_local(
-    study: Study, workers: int, pool: Literal["threads", "processes"], say: Say, limits: Limits = NO_LIMITS
+def _local(
+    study: Study, workers: int, options: dict[str, Any], words: str, say: Say, limits: Limits, guarded: bool = False
 ) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on a Dask cluster of this machine, in worker processes or in threads of this process."""
-    options: dict[str, Any]
-    if pool == "processes":
-        options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
-        if limits.memory is not None:
-            options["memory_limit"] = limits.memory
-    else:
-        options = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
-    noun = {"processes": ("worker process", "worker processes"), "threads": ("thread", "threads")}[pool][workers > 1]
+    """Give an executor on a Dask cluster of this machine."""
+    # xarray takes a third of a second to look at its first array, workers to start nearly as long: both at once
+    Thread(target=import_module, args=["dask.array"], daemon=True).start()
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
         try:
@@ -46,8 +62,6 @@ def dask_local(
             message = f"worker processes cannot be started: {error} Note that {GUARD}"
             raise SweepError(message) from None  # Dask's own traceback is of sixty lines, none of them the script's
         client = stack.enter_context(cluster.get_client())
-        words = f"{workers} local {noun}"
-        guarded = pool == "threads" and bool(limits)
         yield _place(client, words, workers), _executor(client, study, words, say, limits, guarded)
 
 

@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Literal
 
 from threadpoolctl import threadpool_limits
 
@@ -18,7 +17,6 @@ from sweep.studies.study import Study
 Take = Callable[[int], list[list[Work]]]
 """Gives up to so many tasks' work that can be done now; after a result has been taken there may be more."""
 
-Pool = Literal["serial", "threads", "processes"]
 Results = Iterator[tuple[list[Work], TaskResult]]
 """The work of each task and its result, which has no rows for the last blocks where they were not come to."""
 

@@ -9,7 +9,8 @@ from sweep.analysis.verdicts import Comparison
 from sweep.contract import SweepError
 from sweep.running.run import plan_study
 from sweep.stores.location import Where, located, reading
-from sweep.stores.store import open_dataset, read_attributes
+from sweep.stores.opened import OpenStore
+from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study
 from sweep.studies.source import built_in_studies
 from sweep.studies.study import Study
@@ -66,6 +67,6 @@ def _is_finished(study: Study, store: Where) -> bool:
     with reading(location):
         if location.is_free():
             return False
-    attributes = read_attributes(store)
+    attributes = OpenStore(store).attributes
     same = attributes.get("study_digest") == study.digest() and attributes.get("study") == study.text
     return same and bool(attributes.get("complete"))

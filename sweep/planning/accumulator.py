@@ -10,9 +10,7 @@ import numpy as np
 from sweep.contract import Array, Value, check_finite
 from sweep.planning.grid import GridPoint
 from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, ledger_key
-
-MISSING, DONE, FAILED, EXCLUDED = 0, 1, 2, 3
-STATUS_WORDS = ("missing", "done", "failed", "excluded")
+from sweep.planning.point_status import Status
 
 LARGEST_STEP = 16
 """A point that is not precise enough gets at most so many times the realisations that it has, then is asked again."""
@@ -69,7 +67,7 @@ class Accumulator:
         experiment = grid.study.experiment
         self.total = np.zeros((len(grid), experiment.sums_width + experiment.further_width))
         self.realisations = np.zeros(len(grid), dtype=np.int64)
-        self.status = np.full(len(grid), EXCLUDED, dtype=np.int8)
+        self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self._rounds: dict[int, _Round] = {}
         self.survey = self._survey(sums)
 
@@ -80,7 +78,7 @@ class Accumulator:
         if not self._rows and not self._failed:  # as fast as a grid of a million points needs
             costs: Counter[float] = Counter()
             for index, parameters in self.plan.grid.parameters():
-                self.status[index] = MISSING
+                self.status[index] = Status.MISSING
                 cost = self.plan.cost(parameters)
                 costs[cost] += 1
                 if common:
@@ -90,7 +88,7 @@ class Accumulator:
             self.plan.check_size(total.blocks)
             return Survey(total, all_held, replace(total, cost=_cost_together(groups)) if common else total)
         for point in self.plan.grid.points():
-            self.status[point.index] = FAILED if point.digest in self._failed else MISSING
+            self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
             held, left = self._resume(point, sums)
             total += held + left
             all_held += held
@@ -126,7 +124,7 @@ class Accumulator:
             yield from (b for b in self._blocks(point) if ledger_key(point.digest, b) not in self._rows)
 
     def _is_wanted(self, point: GridPoint) -> bool:
-        return self.status[point.index] == MISSING and (self._only is None or point.digest in self._only)
+        return self.status[point.index] == Status.MISSING and (self._only is None or point.digest in self._only)
 
     def add(self, point: GridPoint, block: Block, row: Array, kept: Array | None = None) -> list[Block]:
         """Add one block's sums, and what is ``kept`` of its realisations; return the blocks that the point needs beyond
@@ -134,7 +132,7 @@ class Accumulator:
         """
         index, experiment = point.index, self.plan.grid.study.experiment
         self.realisations[index] += block.realisations
-        if self.status[index] != MISSING:
+        if self.status[index] != Status.MISSING:
             return []
         cost = self.plan.cost(point.parameters)
         round_ = self._rounds.get(index)
@@ -158,7 +156,7 @@ class Accumulator:
 
     def fail(self, index: int) -> None:
         """Give up a point."""
-        self.status[index] = FAILED
+        self.status[index] = Status.FAILED
         self._rounds.pop(index, None)
 
     def _blocks(self, point: GridPoint) -> Sequence[Block]:
@@ -178,7 +176,7 @@ class Accumulator:
             self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept)
             return list(self._blocks(point))
         del self._rounds[point.index]
-        self.status[point.index] = DONE
+        self.status[point.index] = Status.DONE
         return []
 
     def _wanted_parts(self, index: int, parts: int, cost: float) -> int:

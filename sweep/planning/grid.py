@@ -5,7 +5,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from hashlib import blake2b
 from typing import Any
@@ -42,7 +42,7 @@ class Grid:
     """
 
     study: Study
-    warnings: tuple[str, ...] = ()
+    warnings: list[str] = field(default_factory=list, compare=False)
 
     @cached_property
     def dimensions(self) -> dict[str, tuple[str, ...]]:
@@ -175,7 +175,8 @@ def make_grid(study: Study) -> Grid:
         sentences += settings.nowhere()
     if sentences:
         raise SweepError(sentences, study.source)
-    return Grid(study, warnings.sentences())
+    grid.warnings.extend(warnings.sentences())
+    return grid
 
 
 def _repeated(grid: Grid) -> list[str]:

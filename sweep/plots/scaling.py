@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
 from sweep.plots.style import BAND, COLOURS, MARKERS, finish, legend, logarithmic
@@ -16,6 +17,16 @@ VARIABLES = {"seconds", "efficiency"}
 def is_scaling(dataset: xr.Dataset) -> bool:
     """Return whether a dataset has measured times and efficiencies over kinds and workers."""
     return set(dataset.dims) >= DIMENSIONS and set(map(str, dataset.data_vars)) >= VARIABLES
+
+
+def scaling_figure(dataset: xr.Dataset) -> Figure:
+    """Return the speed-up beside the efficiency."""
+    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    draw_speed_up(left, dataset)
+    draw_efficiency(right, dataset)
+    figure.suptitle(str(dataset.attrs.get("title", "")), fontsize="medium")
+    return figure
 
 
 def draw_speed_up(axes: Axes, dataset: xr.Dataset) -> Axes:

@@ -1,41 +1,52 @@
-"""All-sky maps of positions: Mollweide, right ascension growing to the left, the Galactic plane drawn."""
+"""All-sky maps: Mollweide, longitude growing to the left; positions in ICRS with the Galactic plane."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import DEGREE, GALACTIC_AXES
 from core.frames import position
 from sweep.plots.style import COLOURS, MARKERS, label
 
-Array = NDArray[np.float64]
-
 MINUS = "\N{MINUS SIGN}"
-CENTRE_DEG = 180.0
-"""Right ascension in the middle: the plane then crosses the map as one arch."""
 
 
-def add_sky(figure: Figure, place: Any = 111) -> Any:
-    """Return new axes for an all-sky map in ICRS, with a grid labelled in degrees; ``place`` as for add_subplot."""
+class SkyFrame(NamedTuple):
+    """What a map shows: the names of longitude and latitude, and the longitude (deg) in the middle."""
+
+    longitude: str
+    latitude: str
+    centre_deg: float
+
+
+ICRS = SkyFrame(r"right ascension $\alpha$ (ICRS)", r"declination $\delta$", 180.0)
+"""The Galactic plane crosses such a map as one arch."""
+GALACTIC = SkyFrame("Galactic longitude $l$", "Galactic latitude $b$", 0.0)
+
+
+def add_sky(figure: Figure, place: Any = 111, frame: SkyFrame = ICRS) -> Any:
+    """Return new axes for an all-sky map, with a grid labelled in degrees; ``place`` as for add_subplot."""
     axes: Any = figure.add_subplot(place, projection="mollweide")
     axes.grid(color="0.8", linewidth=0.4)
     axes.set_axisbelow(True)
     axes.set_longitude_grid_ends(90.0)
     halo = [withStroke(linewidth=2.0, foreground="white")]
     ticks = np.arange(-120.0, 121.0, 60.0)
-    axes.set_xticks(ticks * DEGREE, [f"{(CENTRE_DEG - t) % 360:.0f}°" for t in ticks], fontsize=7, path_effects=halo)
+    axes.set_xticks(
+        ticks * DEGREE, [f"{(frame.centre_deg - t) % 360:.0f}°" for t in ticks], fontsize=7, path_effects=halo
+    )
     for text in axes.get_xticklabels():
         text.set_zorder(5)
     latitudes = np.arange(-60.0, 61.0, 30.0)
     axes.set_yticks(
         latitudes * DEGREE, [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes], fontsize=7
     )
-    axes.set_xlabel(r"right ascension $\alpha$ (ICRS)")
-    axes.set_ylabel(r"declination $\delta$")
+    axes.set_xlabel(frame.longitude)
+    axes.set_ylabel(frame.latitude)
     return axes
 
 
@@ -45,7 +56,7 @@ def draw_sky(axes: Any, dataset: xr.Dataset, colour_by: str | None = None) -> An
     ``colour_by`` names a variable of numbers for the colours, or of names for colours and markers.
     """
     ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
-    x, y = _on_map(ra), dec * DEGREE
+    x, y = on_map(ra), dec * DEGREE
     size = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
     common: dict[str, Any] = {"s": size, "linewidths": 0.0, "zorder": 3}
     if colour_by is None:
@@ -70,7 +81,7 @@ def _plane(axes: Any) -> None:
     longitude = np.linspace(0.0, 2.0 * np.pi, 721)
     galactic = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)])
     ra, dec = position(GALACTIC_AXES.T @ galactic)
-    x = _on_map(ra / DEGREE)
+    x = on_map(ra / DEGREE)
     broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, dec)
     axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
     axes.plot(
@@ -78,6 +89,6 @@ def _plane(axes: Any) -> None:
     )
 
 
-def _on_map(ra_deg: Array) -> Array:
-    """Return map coordinates in radians: right ascension to the left, -180..180 about the middle."""
-    return np.asarray(-((ra_deg - CENTRE_DEG + 180.0) % 360.0 - 180.0) * DEGREE)
+def on_map(longitude_deg: Array, frame: SkyFrame = ICRS) -> Array:
+    """Return the map's coordinate of a longitude, in radians: to the left, -180..180 about the middle."""
+    return np.asarray(-((longitude_deg - frame.centre_deg + 180.0) % 360.0 - 180.0) * DEGREE)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.calibration import IN_CODE, Model, all_skies, fit
 from core.constants import DEGREE
 from core.function_curve import CurveError
@@ -23,8 +23,6 @@ from sweep.running.reproduce import place_of, study_to_look_at
 from sweep.stores.location import Where
 from sweep.studies.study import Study
 from sweep.tablefile import table_file
-
-Array = NDArray[np.float64]
 
 BRIGHTEST_MAG, FAINTEST_MAG, STEP_MAG = 9.0, 21.0, 0.1
 

@@ -7,16 +7,13 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from sweep.analysis.quantity import main_quantity, prediction_name, quantities, standard_error, unknown_parts
 from sweep.analysis.selection import place_in_words
-from sweep.contract import SweepError
+from sweep.contract import Array, SweepError
 from sweep.formatting import with_error
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, STATUS_WORDS
+from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.studies.provenance import outer_draw_of
-
-Array = NDArray[np.float64]
 
 ERRORS_ALLOWED = 3.0
 """A value agrees with its prediction if it is so many of its errors from it."""
@@ -63,13 +60,11 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
 
 def completeness(dataset: xr.Dataset) -> list[str]:
     """Return sentences about what these results lack; none if every point of the study is done."""
-    status = dataset["status"].values
-    wanted = int(np.sum(status != EXCLUDED))
-    counts = {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)}
-    lacking = [f"{n} {word}" for word, n in counts.items() if n and word not in (STATUS_WORDS[DONE], "excluded")]
-    if lacking:
+    counts = count_status(dataset["status"].values)
+    wanted = sum(counts.values()) - counts[Status.EXCLUDED]
+    if lacking := unfinished_in_words(counts):
         return [
-            f"Incomplete: {counts[STATUS_WORDS[DONE]]} of {wanted} points are done, {' and '.join(lacking)}. "
+            f"Incomplete: {counts[Status.DONE]} of {wanted} points are done, {lacking}. "
             "What follows is about those that are done."
         ]
     if not dataset.attrs.get("complete"):
@@ -79,7 +74,7 @@ def completeness(dataset: xr.Dataset) -> list[str]:
 
 def failed(dataset: xr.Dataset) -> int:
     """Return the number of points that failed."""
-    return int(np.sum(dataset["status"].values == FAILED))
+    return int(np.sum(dataset["status"].values == Status.FAILED))
 
 
 def _own_axes(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -140,7 +135,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     predicted = part.get(prediction_name(part, variable))
     if predicted is not None and (sentence := _agreement(values, errors, predicted.transpose(*dims).values)):
         yield sentence
-    if infinite := int(np.sum((part["status"].values == DONE) & ~finite)):
+    if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
         points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
         yield f"At {points} done it is not a finite number."
 

@@ -17,9 +17,10 @@ from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
 from sweep.plots.figure import draw_figure
+from sweep.plots.kinds import LINK
 from sweep.plots.scatter import sampled
 from sweep.plots.style import settings
-from sweep.plots.tie.figure import CAPTIONS, link_figures
+from sweep.plots.tie.figure import link_figures
 
 POINTS_PER_INCH = 72.0
 
@@ -60,9 +61,10 @@ def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
     """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
     found = []
     with _inside_a_page(str(number)):
+        captions = LINK[dataset.attrs["result"]]
         for i, (kind, figure) in enumerate(link_figures(dataset, titled=False).items()):
             mpl.rcParams["svg.hashsalt"] = f"linksweep-{number}-{i}"
-            found.append(Picture(CAPTIONS[kind], _svg(figure), POINTS_PER_INCH * figure.get_figwidth()))
+            found.append(Picture(captions[kind].caption, _svg(figure), POINTS_PER_INCH * figure.get_figwidth()))
     return found
 
 

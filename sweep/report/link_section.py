@@ -78,7 +78,9 @@ def _link_answer(link: xr.Dataset) -> Answer:
     for block in dict.fromkeys(link["block"].values.tolist()):
         part = link.isel(unknown=link["block"].values == block)
         if part.sizes["unknown"] <= 3:
-            values = ", ".join(_text(v, e) for v, e in zip(part["estimate"].values, part["error"].values, strict=True))
+            values = ", ".join(
+                with_error(v, e) for v, e in zip(part["estimate"].values, part["error"].values, strict=True)
+            )
             vectors.append(f"{str(block).replace('_', ' ')}: ({values}) {part['unit'].values[0]}, {main} errors.")
     ratio = float(link["chi2"] / link["chi2_expected"]) if float(link["chi2_expected"]) > 0.0 else np.nan
     sentences = [
@@ -174,7 +176,3 @@ def _word(value: Any) -> tuple[str, Any]:
 
 def _number(value: float, form: str) -> tuple[str, Any]:
     return format(value, form), value
-
-
-def _text(value: float, error: float) -> str:
-    return with_error(value, error) if np.isfinite(error) and error > 0.0 else f"{value:.4g}"

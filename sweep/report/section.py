@@ -9,6 +9,7 @@ import xarray as xr
 
 from sweep.analysis.compare import compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
+from sweep.analysis.components import condition_warning
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.tables import Column, headline_columns, warnings_of
 from sweep.analysis.verdicts import Comparison
@@ -113,7 +114,12 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         caption="Headline results, ± their Monte-Carlo errors; a heading sorts",
         tables={},
         comparison=_comparison(comparisons) if comparisons else None,
-        notes=[*warnings_of(dataset), *(notes(comparisons) if comparisons else []), *remarks(dataset)],
+        notes=[
+            *warnings_of(dataset),
+            *filter(None, [condition_warning(dataset)]),
+            *(notes(comparisons) if comparisons else []),
+            *remarks(dataset),
+        ],
         failures=failures,
         failures_not_named=failed(dataset) - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},

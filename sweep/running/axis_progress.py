@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED
+from sweep.planning.point_status import Status
 
 MOST_LINES = 15
 """For one axis in a text."""
@@ -65,14 +65,14 @@ def by_axis(
     ``axes`` has the values along each dimension, by axis; ``status`` and ``realisations`` done are shaped as the grid,
     and ``wanted`` are the realisations of a point that is not done.
     """
-    of_point = np.where(status == DONE, realisations, np.maximum(realisations, wanted))
+    of_point = np.where(status == Status.DONE, realisations, np.maximum(realisations, wanted))
     counts = {
-        "points": status != EXCLUDED,
-        "done": status == DONE,
-        "failed": status == FAILED,
-        "excluded": status == EXCLUDED,
-        "realisations_done": np.where(status == EXCLUDED, 0, realisations),
-        "realisations": np.where(status == EXCLUDED, 0, of_point),
+        "points": status != Status.EXCLUDED,
+        "done": status == Status.DONE,
+        "failed": status == Status.FAILED,
+        "excluded": status == Status.EXCLUDED,
+        "realisations_done": np.where(status == Status.EXCLUDED, 0, realisations),
+        "realisations": np.where(status == Status.EXCLUDED, 0, of_point),
     }
     found: dict[str, list[AxisSegment]] = {}
     for number, (dimension, values) in enumerate(axes.items()):

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import FEWEST_SAMPLES, Array, Output
-from sweep.planning.accumulator import DONE, Accumulator
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.plan import Block, Plan, ledger_key
+from sweep.planning.point_status import Status
 
 LARGEST = 10**7
 """Elements of one covariance at most, which has one for every pair of points along an axis, and of its samples."""
@@ -84,7 +85,7 @@ def _deviations(
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
     deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
     for point in grid.points():
-        if accumulator.status[point.index] != DONE:
+        if accumulator.status[point.index] != Status.DONE:
             continue
         own = np.array([sums[[rows[ledger_key(point.digest, b)] for b in blocks]].sum(axis=0) for blocks in samples])
         n = float(accumulator.realisations[point.index])

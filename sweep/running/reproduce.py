@@ -11,16 +11,17 @@ from threadpoolctl import threadpool_limits
 from sweep.contract import Experiment, ResultError, SweepError, shown, suggest
 from sweep.executing.worker import TaskResult, function_values, run_block
 from sweep.functions.adapter import FunctionExperiment
-from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator, failing
+from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
+from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import as_rows
 from sweep.running.results import assemble
 from sweep.running.trust import foreign_code, require_trust
 from sweep.stores.code import differences_of_code
-from sweep.stores.location import Where, located
-from sweep.stores.store import open_dataset, read_attributes
+from sweep.stores.location import Where
+from sweep.stores.opened import OpenStore
 from sweep.studies.axes import parse_places, parse_value
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.record import as_recorded
@@ -50,9 +51,12 @@ def study_of(store: Where, *, trust: bool = False) -> Study:
     Raises SweepError if there is none or it cannot be made again, and where its code needs the user's ``trust`` (see
     `sweep.running.trust`).
     """
-    attributes = read_attributes(store)
-    require_trust(located(store), attributes, trust)
-    return study_of_attributes(attributes, str(store))
+    return _study_of(OpenStore(store), trust)
+
+
+def _study_of(store: OpenStore, trust: bool) -> Study:
+    require_trust(store.location, store.attributes, trust)
+    return study_of_attributes(store.attributes, str(store.location))
 
 
 def study_to_look_at(store: Where) -> Study:
@@ -60,7 +64,7 @@ def study_to_look_at(store: Where) -> Study:
 
     Raises SweepError for another experiment, and where the study names functions in files.
     """
-    attributes = read_attributes(store)
+    attributes = OpenStore(store).attributes
     if code := foreign_code(attributes):
         raise SweepError(
             f"only stores of the link alone can be drawn so; this one names {', '.join(code)}, and looking at a store "
@@ -75,21 +79,22 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
 
     Raises SweepError where that is not one point of the store, as `study_of`, and whatever the experiment raises.
     """
-    study = study_of(store, trust=trust)
+    opened = OpenStore(store)
+    study = _study_of(opened, trust)
     place = place_of(study, at, str(store))
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
     fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}
     alone = replace(study, axes={}, zipped=(), excluded=(), fixed=fixed | own, published=None, claims=())
-    alone = as_recorded(alone, read_attributes(store))
+    alone = as_recorded(alone, opened.attributes)
     result = compute(Plan(Grid(alone)))
-    stored = open_dataset(store).isel(_indices(study, place))
-    status = int(stored["status"])
-    other_code = differences_of_code(read_attributes(store), study)
+    stored = opened.dataset().isel(_indices(study, place))
+    status = Status(int(stored["status"]))
+    other_code = differences_of_code(opened.attributes, study)
     differences = None
-    if status == DONE:
+    if status == Status.DONE:
         pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
         differences = {name: pair for name, pair in pairs.items() if not _same_bits(*pair)}
-    return Reproduction(describe(study, place), result, STATUS_WORDS[status], differences, other_code)
+    return Reproduction(describe(study, place), result, status.word, differences, other_code)
 
 
 def compute(plan: Plan) -> xr.Dataset:
@@ -106,7 +111,7 @@ def compute(plan: Plan) -> xr.Dataset:
                 rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
                 for point, row in zip(work.points, rows, strict=True):
                     pending.add(plan.work((point,), block) for block in accumulator.add(point, work.block, row))
-    for problem in failing(accumulator, np.flatnonzero(accumulator.status == DONE).tolist()).values():
+    for problem in failing(accumulator, np.flatnonzero(accumulator.status == Status.DONE).tolist()).values():
         raise problem
     return assemble(plan, accumulator)
 

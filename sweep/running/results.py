@@ -8,15 +8,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import Output, Parameter
+from sweep.contract import Array, Output, Parameter
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.typed import typed_array
-from sweep.planning.accumulator import DONE, STATUS_WORDS, Accumulator
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.point_status import Status
 from sweep.studies.study import Published, printed_rounding
-
-Array = NDArray[np.float64]
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
@@ -28,7 +27,7 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     grid = plan.grid
     study = grid.study
     experiment = study.experiment
-    done = accumulator.status == DONE
+    done = accumulator.status == Status.DONE
     variables: dict[str, Any] = {}
     results: Mapping[str, Array] = {}
     if done.any():
@@ -45,7 +44,7 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
         meaning = f"realisations done{over}"
         variables["n_sim_done"] = _variable(grid, accumulator.realisations.copy(), Output("n_sim_done", "", meaning))
     variables["status"] = _variable(grid, accumulator.status.copy(), Output("status", "", "state of the point"))
-    variables["status"][2].update(flag_values=list(range(len(STATUS_WORDS))), flag_meanings=" ".join(STATUS_WORDS))
+    variables["status"][2].update(flag_values=list(map(int, Status)), flag_meanings=" ".join(s.word for s in Status))
     variables |= _published(grid)
     return xr.Dataset(variables, coords=_coordinates(grid))
 
@@ -62,7 +61,7 @@ def assemble_samples(
     kept = np.full((len(grid), sampling.n_cat, sampling.n_sim, experiment.samples_width), np.nan)
     flat_status = status.reshape(-1)
     for point in grid.points():
-        if flat_status[point.index] != DONE:
+        if flat_status[point.index] != Status.DONE:
             continue
         start: dict[int, int] = {}
         for block in plan.blocks(plan.cost(point.parameters)):

@@ -1,7 +1,7 @@
 """Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
 
-from collections.abc import Collection, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from typing import Protocol
 
@@ -10,6 +10,7 @@ import xarray as xr
 
 from sweep.contract import SweepError
 from sweep.executing.choose import NO_WISHES, Resources, choose_executor
+from sweep.executing.execute import Executor, Place
 from sweep.executing.worker import TaskResult
 from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
@@ -17,15 +18,16 @@ from sweep.planning.accumulator import Accumulator, Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan, Work
 from sweep.planning.work_queue import Pending
-from sweep.running.first_result import as_rows, first_results
+from sweep.running.first_result import Done, as_rows, first_results
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import as_json, check_code, continued, differences_of_code, records_of
 from sweep.stores.fresh import replace_store
 from sweep.stores.location import Where, located
 from sweep.stores.lock import locked
+from sweep.stores.opened import OpenStore
 from sweep.stores.root import find_root
-from sweep.stores.store import CODE, Store, check_store, create_or_resume, existing_store
+from sweep.stores.store import CODE, Store, create_store, find_store
 from sweep.studies.provenance import provenance
 from sweep.studies.record import RECORD, as_recorded, recorded
 from sweep.studies.study import Study
@@ -63,14 +65,15 @@ class Silent:
         """Do nothing."""
 
 
-def plan_study(study: Study, store: Where) -> tuple[Plan, Survey]:
+def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
-    input.
+    input, and for a store that other code made unless ``accept_code``.
     """
     study = _as_stored(study, store)
     plan = Plan(make_grid(study))
-    opened = existing_store(store, study)
-    check_code(store, study)
+    opened = _existing(find_store(store, study), study)
+    if opened is not None and not accept_code:
+        check_code(opened, study)
     return plan, _accumulator(plan, opened).survey
 
 
@@ -96,53 +99,75 @@ def run_study(
     progress = progress or Silent()
     study = study if fresh else _as_stored(study, store)
     plan = Plan(make_grid(study))
-    if fresh:
-        with locked(store, break_lock=break_lock):
-            replace_store(store, study, provenance(study))
     for sentence in plan.grid.warnings:
         progress.say(f"warning: {sentence}")
-    check_store(store, study)
-    if not accept_code:
-        check_code(store, study)
-    if not retry and (part := part_of_larger(store, plan.grid)) is not None:
-        progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
-        return part, {}
-    with watched() as interruptions, locked(store, break_lock=break_lock):
-        opened = existing_store(store, study)
-        again = _forgive(opened, plan, progress) if retry else None
+    told = provenance(study)
+    with watched() as interruptions, ExitStack() as stack:
+        try:
+            stack.enter_context(locked(store, break_lock=break_lock))
+        except SweepError:  # what another process writes to, or nobody may, can be looked at
+            found = None if fresh else find_store(store, study)
+            if retry or found is None or (part := part_of_larger(found, plan.grid)) is None:
+                raise
+            return _left_alone(part, store, progress)
+        found = replace_store(store, study, told) if fresh else find_store(store, study)
+        opened = _existing(found, study)
+        if opened is not None and not accept_code:
+            check_code(opened, study)
+        if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:
+            return _left_alone(part, store, progress)
+        again = _clear_failures(opened, plan, progress) if retry else None
         accumulator = _accumulator(plan, opened, again)
-        with choose_executor(study, accumulator.survey.pending.cost, resources, progress.say) as (place, run):
-            progress.start(accumulator.survey, place.words, place.workers)
-            study, first = first_results(study, Pending(plan, accumulator), run)
-            plan = Plan(replace(plan.grid, study=study))
-            opened = _opened(store, opened, plan)
-            _record_code(opened, study, progress)
-            accumulator = _accumulator(plan, opened, again) if first else accumulator
-            if unused := len(opened.rows) - accumulator.survey.held.blocks:
-                progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-            pending = Pending(plan, accumulator)
-            writer = Writer(plan, accumulator, pending, opened, interruptions.held)
-            try:
-                if place.dashboard:
-                    progress.say(f"Dask dashboard: {place.dashboard}")
-                for works, result in first:
-                    _take(writer, progress, works, result)
-                results = run(pending.take)
-                if accumulator.survey.pending.blocks:
-                    writer.write()  # so that there is a labelled, if empty, dataset from the start
-                with writer:
-                    for given, result in results:
-                        _take(writer, progress, pending.settle(given, result.seconds), result)
-                dataset = writer.write(final=True)
-                progress.written()
-                return dataset, writer.failures()
-            except KeyboardInterrupt:
-                writer.stop()
-                raise
-            except BaseException:
-                with suppress(SweepError):
-                    writer.flush()
-                raise
+        pending = accumulator.survey.pending
+        where = choose_executor(study, pending.cost, resources if pending.blocks else NO_WISHES, progress.say)
+        place, run = stack.enter_context(where)
+        progress.start(accumulator.survey, place.words, place.workers)
+        study, first = first_results(study, Pending(plan, accumulator), run)
+        plan = Plan(replace(plan.grid, study=study))
+        opened = _opened(store, opened, plan)
+        _record_code(opened, study, progress)
+        accumulator = _accumulator(plan, opened, again) if first else accumulator
+        if unused := len(opened.rows) - accumulator.survey.held.blocks:
+            progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
+        return _computed(plan, accumulator, opened, first, place, run, progress, interruptions.held)
+
+
+def _computed(
+    plan: Plan,
+    accumulator: Accumulator,
+    store: Store,
+    first: Sequence[Done],
+    place: Place,
+    run: Executor,
+    progress: Progress,
+    held: Callable[[], AbstractContextManager[None]],
+) -> tuple[xr.Dataset, dict[str, str]]:
+    """Compute what is pending into an open store, after the results that came first, and return the dataset and the
+    failures.
+    """
+    pending = Pending(plan, accumulator)
+    writer = Writer(plan, accumulator, pending, store, held)
+    try:
+        if place.dashboard:
+            progress.say(f"Dask dashboard: {place.dashboard}")
+        for works, result in first:
+            _take(writer, progress, works, result)
+        results = run(pending.take)
+        if accumulator.survey.pending.blocks:
+            writer.write()  # so that there is a labelled, if empty, dataset from the start
+        with writer:
+            for given, result in results:
+                _take(writer, progress, pending.settle(given, result.seconds), result)
+        dataset = writer.write(final=True)
+        progress.written()
+        return dataset, writer.failures()
+    except KeyboardInterrupt:
+        writer.stop()
+        raise
+    except BaseException:
+        with suppress(SweepError):
+            writer.flush()
+        raise
 
 
 def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: TaskResult) -> None:
@@ -168,16 +193,26 @@ def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
     stay.
     """
     study = plan.grid.study
-    attributes = provenance(study) | {RECORD: recorded(study, plan.costs())}
-    if store is not None and store.study.experiment.undeclared and not study.experiment.undeclared:
-        failures = dict(store.failures)
-        replace_store(place, study, attributes)
-        store = create_or_resume(place, study, attributes)
+    begun = store is not None and store.study.experiment.undeclared and not study.experiment.undeclared
+    if store is None or begun:
+        told = provenance(study) | {RECORD: recorded(study, plan.costs())}
+        made = replace_store(place, study, told) if begun else create_store(place, study, told)
+        failures = {} if store is None else dict(store.failures)
+        store = Store(made or create_store(place, study, told), study)
+        store.keep_copy()
         for digest, record in failures.items():
             store.fail(digest, record)
-    opened = store or create_or_resume(place, study, attributes)
-    opened.verify()
-    return opened
+    store.verify()
+    return store
+
+
+def _left_alone(part: xr.Dataset, store: Where, progress: Progress) -> tuple[xr.Dataset, dict[str, str]]:
+    progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
+    return part, {}
+
+
+def _existing(found: OpenStore | None, study: Study) -> Store | None:
+    return None if found is None else Store(found, study)
 
 
 def _record_code(store: Store, study: Study, progress: Progress) -> None:
@@ -194,7 +229,7 @@ def _record_code(store: Store, study: Study, progress: Progress) -> None:
     store.record_code(as_json(records))
 
 
-def _forgive(store: Store | None, plan: Plan, progress: Progress) -> frozenset[bytes]:
+def _clear_failures(store: Store | None, plan: Plan, progress: Progress) -> frozenset[bytes]:
     """Forget the failures of a plan's points, and return their digests; say so where there are none."""
     failed: frozenset[bytes] = frozenset()
     if store is not None:

@@ -12,9 +12,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import FEWEST_SAMPLES, SweepError, small_sample_factor
+from sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
 from sweep.executing.choose import Resources
-from sweep.executing.execute import Pool, available_cores
+from sweep.executing.execute import available_cores
+from sweep.executing.pools import DEFAULT_POOL, PoolName
 from sweep.planning.accumulator import Survey
 from sweep.running.run import Silent, run_study
 from sweep.studies.provenance import now, provenance
@@ -25,7 +26,6 @@ MAX_WORKERS = 4096
 MEDIAN_OVER_MEAN = np.pi / 2.0
 """Variance of a median over that of a mean, of many normal numbers (of five: 1.43)."""
 Grown = Literal["n_sim", "n_cat"]
-Array = NDArray[np.float64]
 
 
 @dataclass
@@ -47,7 +47,7 @@ class _Clock(Silent):
 def measure_scaling(
     study: Study,
     workers: Sequence[int],
-    pool: Pool = "processes",
+    pool: PoolName = DEFAULT_POOL,
     repetitions: int = 3,
     told: Callable[[str], None] = lambda text: None,
 ) -> xr.Dataset:
@@ -124,7 +124,7 @@ def _with(study: Study, name: Grown, value: int) -> Study:
     return replace(study, sampling=study.sampling.model_copy(update={name: value}))
 
 
-def _timed(study: Study, workers: int, pool: Pool) -> tuple[float, float]:
+def _timed(study: Study, workers: int, pool: PoolName) -> tuple[float, float]:
     """Return the seconds of a run with its workers there, and of what is before and after."""
     clock = _Clock()
     with tempfile.TemporaryDirectory(prefix="linksweep-scaling-", ignore_cleanup_errors=True) as folder:

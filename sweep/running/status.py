@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from sweep.contract import Named, SweepError
 from sweep.executing.execute import available_cores
-from sweep.planning.accumulator import DONE, EXCLUDED, STATUS_WORDS, Accumulator
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import TARGET, Plan
+from sweep.planning.point_status import Status, count_status
 from sweep.running.axis_progress import by_axis
 from sweep.running.run import plan_study
 from sweep.stores.location import Where
@@ -47,10 +48,10 @@ def status_report(store: Where) -> dict[str, Any]:
     return {
         "title": attributes["title"],
         **note,
-        "complete": bool(np.all((status == DONE) | (status == EXCLUDED))),
+        "complete": bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED))),
         "running": str(holder(opened.location) or "no"),
         "last written": attributes.get("finished", "never"),
-        "points": {word: int(np.sum(status == code)) for code, word in enumerate(STATUS_WORDS)},
+        "points": {code.word: n for code, n in count_status(status).items()},
         "blocks in the ledger": len(ledger.ledger.rows),
         **({"realisations done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),
@@ -111,15 +112,15 @@ def _of_dataset(dataset: xr.Dataset) -> Progress:
         axes,
         units,
         status,
-        dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == DONE).astype(int),
+        dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int),
     )
 
 
-def plan_report(study: Study, store: Where, workers: int | None = None) -> dict[str, Any]:
+def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
     """Return what a run would do; the time is what the random numbers alone would take, from a short timing of this
     machine, with so many ``workers`` (one a core by default).
     """
-    plan, survey = plan_study(study, store)
+    plan, survey = plan_study(study, store, accept_code)
     grid = plan.grid
     floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
     samples = study.experiment.samples_width * survey.total.realisations if study.keeps_samples else 0

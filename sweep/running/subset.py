@@ -7,20 +7,19 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import Named, SweepError, Value
-from sweep.planning.accumulator import DONE
 from sweep.planning.grid import Grid
-from sweep.stores.location import Where
-from sweep.stores.store import open_dataset
+from sweep.planning.point_status import Status
+from sweep.stores.opened import OpenStore
 from sweep.tablefile import content_digest
 
 
-def part_of_larger(store: Where, grid: Grid) -> xr.Dataset | None:
+def part_of_larger(store: OpenStore, grid: Grid) -> xr.Dataset | None:
     """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, an axis
     more, more realisations or catalogues.  None where something is missing there, or there is nothing more.
     """
     study = grid.study
     try:
-        dataset = open_dataset(store)
+        dataset = store.dataset()
     except SweepError:
         return None
     if study.excluded or "sample" in dataset.dims or not _enough_realisations(dataset.attrs, grid):
@@ -38,7 +37,7 @@ def part_of_larger(store: Where, grid: Grid) -> xr.Dataset | None:
         if places_of is None:
             return None
         part = part.isel({d: places_of for d in (dimension, f"{dimension}_other") if d in part.dims})
-    if not bool((part["status"] == DONE).all()) or set(part["status"].dims) != set(grid.dimensions):
+    if not bool((part["status"] == Status.DONE).all()) or set(part["status"].dims) != set(grid.dimensions):
         return None
     fewer = part["status"].size < dataset["status"].size
     less = any(dataset.attrs[key] > number for key, number in study.numbers().items())

@@ -14,9 +14,10 @@ import numpy as np
 import xarray as xr
 
 from sweep.executing.worker import Failure, TaskResult, failure_of
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING, Accumulator, failing
+from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import Plan, PlanSize, Work
+from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
 from sweep.running.results import assemble, assemble_samples, code_variable
@@ -75,7 +76,7 @@ class Writer:
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
         self._long_write = False
-        self._refuse_results(np.flatnonzero(accumulator.status == DONE).tolist())
+        self._refuse_results(np.flatnonzero(accumulator.status == Status.DONE).tolist())
         self._lock = RLock()  # of the store
         self._unflushed = False
         self._problem: Exception | None = None
@@ -106,11 +107,11 @@ class Writer:
                     good.append(row)
                     more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
                     added += [self.plan.work((point,), one) for one in more]
-                    ends = self.accumulator.status[point.index] == DONE
+                    ends = self.accumulator.status[point.index] == Status.DONE
                 if ends:
                     ended.append(point)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
-            failed |= self._refuse_results([p.index for p in ended if self.accumulator.status[p.index] == DONE])
+            failed |= self._refuse_results([p.index for p in ended if self.accumulator.status[p.index] == Status.DONE])
             self._pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples, result.texts)
@@ -135,8 +136,8 @@ class Writer:
         if len(records := records_of(self.store.attributes)) > 1:
             codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
             dataset = dataset.assign(code=code_variable(self.plan, codes))
-        points = int(np.count_nonzero(self.accumulator.status != EXCLUDED))
-        done = int(np.count_nonzero(self.accumulator.status == DONE))
+        points = int(np.count_nonzero(self.accumulator.status != Status.EXCLUDED))
+        done = int(np.count_nonzero(self.accumulator.status == Status.DONE))
         dataset.attrs = self._provenance | {
             "finished": now(),
             "points": points,
@@ -185,7 +186,8 @@ class Writer:
         """Return the points of this study that failed, by their place on the axes, and why."""
         grid, records = self.plan.grid, self.store.failures
         failed = (
-            grid.point(int(index)) for index in np.flatnonzero(self.accumulator.status == FAILED)[:MAX_FAILURES_NAMED]
+            grid.point(int(index))
+            for index in np.flatnonzero(self.accumulator.status == Status.FAILED)[:MAX_FAILURES_NAMED]
         )
         return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in failed}
 
@@ -200,7 +202,7 @@ class Writer:
 
     def _fail(self, point: GridPoint, failure: Failure) -> bool:
         """Record why a point cannot be computed; return whether it was not given up already."""
-        if self.accumulator.status[point.index] != MISSING:
+        if self.accumulator.status[point.index] != Status.MISSING:
             return False
         self.accumulator.fail(point.index)
         self._record(point, failure)

@@ -6,12 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array, Flags, Indices
 from sweep.contract import suggest
 from sweep.table_columns import column_values, in_time, rows_listed
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 UNITS: Mapping[str, str] = {
     "ra": "deg",

@@ -20,9 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Indices
 from sweep.contract import SweepError
-
-Indices = NDArray[np.int64]
 
 LETTERS = "GUS"
 """The class letters in order of the codes certain, uncertain, supplement."""

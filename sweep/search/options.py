@@ -10,6 +10,7 @@ from core.constants import ARCSEC
 from core.galaxy_classes import Rules
 from core.sky_pairs import MAX_RADIUS
 from sweep.contract import SweepError, suggest
+from sweep.formatting import split_assignment
 from sweep.search.columns import COLUMNS, UNITS
 from sweep.search.tables import EPOCHS, Reading, table_name
 
@@ -153,11 +154,11 @@ def _maps(
     maps: dict[str, dict[str, str]] = {name: {} for name in names}
     for named_first in (False, True):  # what is for one table goes before what is for all
         for text in texts:
-            key, equals, value = text.partition("=")
+            key, value = split_assignment(text)
             name, colon, quantity = key.rpartition(":")
             if bool(colon) is not named_first:
                 continue
-            if not equals or not value or not quantity:
+            if not quantity:
                 what = option[2:].upper()
                 problems.append(f"{option} {text}: write KEY={what} or NAME:KEY={what}")
             elif colon and name not in names:

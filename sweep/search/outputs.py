@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import DEGREE
 from core.frames import galactic
 from core.galaxy_classes import CLASS_NAMES
@@ -20,8 +20,6 @@ from sweep.search.galaxy_table import GalaxyTable, format_galaxy_table
 from sweep.search.options import Search
 from sweep.search.result import Result, match_columns
 from sweep.search.tables import SkyTable
-
-Array = NDArray[np.float64]
 
 MAP_SUFFIXES = (".png", ".svg", ".pdf")
 

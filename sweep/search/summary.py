@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import ARCSEC
 from core.galaxy_classes import CLASS_NAMES, REASON_NAMES, second_epoch_pm_error
 from sweep.search.options import Search
@@ -15,8 +16,6 @@ from sweep.search.tables import MAGNITUDES
 if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
-
-Array = NDArray[np.float64]
 
 
 def summarise(result: Result) -> dict[str, Any]:

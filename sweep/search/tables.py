@@ -9,14 +9,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array, Flags, Indices
 from core.constants import DEGREE
 from sweep.contract import SweepError
 from sweep.search.columns import ALONG_RA, NAME, TYC, ColumnReader
 from sweep.table_reader import read_table
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
 

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from sweep.code_identity import code_differences, code_of
 from sweep.contract import SweepError
-from sweep.planning.accumulator import DONE, Accumulator
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.plan import Plan, ledger_key
-from sweep.stores.location import Where, located
-from sweep.stores.opened import OpenStore
-from sweep.stores.root import find_root
-from sweep.stores.store import CODE
+from sweep.planning.point_status import Status
+from sweep.stores.store import CODE, Store
 from sweep.studies.study import Study
 
 UNKNOWN, SEVERAL = 0, -1
@@ -48,19 +46,17 @@ def differences_of_code(attributes: Mapping[str, Any], study: Study) -> list[str
     return code_differences(records[-1].code, now, "in the store", "now") if records else []
 
 
-def check_code(where: Where, study: Study) -> None:
-    """Raise SweepError where there is a store whose blocks were made by other code than a study's."""
-    location = located(where)
-    root = find_root(location)
-    found = [] if root is None else differences_of_code(root["attributes"], study)
-    if found and OpenStore(location, root).ledger().ledger.rows:
+def check_code(store: Store, study: Study) -> None:
+    """Raise SweepError for a store whose blocks were made by other code than a study's."""
+    found = differences_of_code(store.attributes, study)
+    if found and store.rows:
         raise SweepError(
             [
                 "was made by other code, whose numbers would be mixed up with those of today's; --accept-code goes on "
                 "and records for each point which code made it, --fresh starts anew, -o names another store",
                 *found,
             ],
-            str(location),
+            str(store.location),
         )
 
 
@@ -81,7 +77,7 @@ def codes_of_points(
     starts = [record.first_row for record in records]
     n_cat = plan.grid.study.sampling.n_cat
     for point in plan.grid.points():
-        if accumulator.status[point.index] == DONE:
+        if accumulator.status[point.index] == Status.DONE:
             cost = plan.cost(point.parameters)
             parts = range(plan.parts(cost, int(accumulator.realisations[point.index]) // n_cat))
             keys = (ledger_key(point.digest, block) for block in plan.blocks(cost, parts))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Experiment
+from sweep.contract import Array, Experiment
 from sweep.stores.chunked_rows import Column, DamagedError, Layout
 from sweep.stores.location import Location
 
@@ -35,8 +35,6 @@ KINDS: dict[str, tuple[str, float]] = {
 """Kind and fill value of each array, in the order of writing."""
 
 ELSEWHERE = "it holds rows that blocks/index and blocks/digests do not speak of there"
-
-Array = NDArray[np.float64]
 
 
 def shapes_of(experiment: Experiment, *, keep_samples: bool) -> dict[str, list[int]]:

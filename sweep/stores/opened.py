@@ -42,7 +42,7 @@ class OpenStore:
     def __init__(self, where: Where, root: Mapping[str, Any] | None = None) -> None:
         """Read the root document unless it is given; raises SweepError unless a store of a known format is there."""
         self.location = located(where)
-        self.root = dict(root or read_root(self.location))
+        self.root: Mapping[str, Any] = read_root(self.location) if root is None else root
 
     @property
     def attributes(self) -> dict[str, Any]:

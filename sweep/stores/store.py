@@ -18,10 +18,10 @@ from sweep.stores.checksums import group_document, sealed
 from sweep.stores.chunked_rows import DamagedError
 from sweep.stores.identity import differences, identity
 from sweep.stores.ledger import columns_of
-from sweep.stores.location import Location, Where, located, reading, writing
+from sweep.stores.location import Where, located, reading, writing
 from sweep.stores.opened import OpenStore, damaged_ledger
 from sweep.stores.origin import ORIGIN, origin
-from sweep.stores.root import COPY, ROOT, find_root, is_bound, read_root
+from sweep.stores.root import COPY, ROOT, find_root, is_bound
 from sweep.stores.texts import Texts
 from sweep.studies.study import Study
 
@@ -36,13 +36,10 @@ MOST_UNWRITTEN = 2**26
 class Store:
     """An open store of one study: what is done, appending to it, and writing the dataset."""
 
-    def __init__(self, where: Where, study: Study, root: Mapping[str, Any] | None = None) -> None:
-        """Open the ledger, whose ``root`` document may have been read; raises SweepError as `read_attributes`, or where
-        files of it are damaged.
-        """
-        self.location, self.study = located(where), study
-        root = root or read_root(self.location)
-        self.attributes: dict[str, Any] = root["attributes"]
+    def __init__(self, opened: OpenStore, study: Study) -> None:
+        """Open the ledger; raises SweepError where files of it are damaged, or it is of another version's shape."""
+        self.location, self.study = opened.location, study
+        self.root = opened.root
         widths, expected = (
             {name: width for name, (_, width) in json.loads(told["ledger"]).items() if name != "digests"}
             for told in (self.attributes, identity(study))
@@ -51,22 +48,28 @@ class Store:
             raise SweepError(
                 "another version of linksweep made this store, with other sums in its ledger: its results can be read, "
                 "but to compute more run the study into a new store with -o",
-                str(where),
+                str(self.location),
             )
-        self._is_bound = is_bound(root)
-        opened = OpenStore(self.location, root).ledger()
-        self._ledger, self.failures, self._copied, keys = opened.ledger, opened.failures, opened.copy, opened.keys
+        self._is_bound = is_bound(self.root)
+        ledger = opened.ledger()
+        self._ledger, self.failures, self._copied, keys = ledger.ledger, ledger.failures, ledger.copy, ledger.keys
         self.rows = self._ledger.rows
         self.texts = Texts(self.location, keys)
         self._leave_out_rows_without_texts()
         self._failures_changed = False
         self._unwritten = 0
         try:
-            self._documents = snapshot.arrays_of(root)
+            self._documents = snapshot.arrays_of(self.root)
         except ValueError as error:
             raise SweepError(str(error), str(self.location)) from error
         self._digests: dict[str, bytes] = {}
         self._files = snapshot.leftovers(keys, self._documents)
+
+    @property
+    def attributes(self) -> dict[str, Any]:
+        """What the root document says."""
+        attributes: dict[str, Any] = self.root["attributes"]
+        return attributes
 
     def _leave_out_rows_without_texts(self) -> None:
         """Count rows as missing whose texts are, so that these points are computed again."""
@@ -160,15 +163,16 @@ class Store:
         )
         with writing(self.location):
             self._bind(json.loads(attributes["ledger"]))
-            self.keep_copy(attributes)
+            self._keep_copy(attributes)
             self._delete(self._files - in_use - described - gone)
             self._write_arrays(
                 {name: array for name, array in named.items() if self._digests.get(name) != digests[name]}
             )
-            self.location.put(ROOT, sealed(snapshot.root_document(attributes, documents), ROOT))
+            root = snapshot.root_document(attributes, documents)
+            self.location.put(ROOT, sealed(root, ROOT))
             self._delete(gone)
         self._files = in_use | described
-        self._documents, self._digests, self.attributes = documents, digests, attributes
+        self._documents, self._digests, self.root = documents, digests, root
 
     def _bound_shapes(self) -> str:
         """Return the shapes of the ledger's arrays as a store remembers them, with those digests that it may lack."""
@@ -214,15 +218,19 @@ class Store:
         """Remember, before anything of it is computed, which code makes the blocks from now on."""
         if self.attributes.get(CODE) == code:
             return
-        root = read_root(self.location)
-        root["attributes"][CODE] = self.attributes[CODE] = code
+        self.root = {**self.root, "attributes": {**self.attributes, CODE: code}}
         with writing(self.location):
-            self.location.put(ROOT, sealed(root, ROOT))
+            self.location.put(ROOT, sealed(self.root, ROOT))
             self._copied = None
-            self.keep_copy(self.attributes)
+            self._keep_copy(self.attributes)
 
-    def keep_copy(self, attributes: Mapping[str, Any]) -> None:
-        """Keep a copy of what the store means in the ledger, if the study has changed since the last one."""
+    def keep_copy(self) -> None:
+        """Keep a copy of what the store means in the ledger; raises SweepError where it cannot be written."""
+        with writing(self.location):
+            self._keep_copy(self.attributes)
+
+    def _keep_copy(self, attributes: Mapping[str, Any]) -> None:
+        """Keep a copy if the study has changed since the last one."""
         decisive = ("study_digest", "linksweep_format", "ledger")
         if self._copied is None or any(self._copied.get(key) != attributes.get(key) for key in decisive):
             left_out = ("failures", "generation", snapshot.CHECKSUMS)
@@ -231,68 +239,42 @@ class Store:
             self._copied = copied
 
 
-def create_or_resume(where: Where, study: Study, attributes: Mapping[str, Any]) -> Store:
-    """Return the store at a place, made in one step if there is none.
+def find_store(where: Where, study: Study) -> OpenStore | None:
+    """Return the store at a place, None where the place is free.
 
-    Raises SweepError where something else is there, results that cannot be mixed with this study's, or damaged ones.
+    Raises SweepError where something else is there, or results that cannot be mixed with this study's.
     """
     location = located(where)
-    root = _find(location, study)
-    if root is None:
-        root = new_root(location, study, attributes)
-        with writing(location):
-            location.put(ROOT, sealed(root, ROOT))
-    store = Store(location, study, root)
-    with writing(location):
-        store.keep_copy(store.attributes)
-    return store
-
-
-def new_root(location: Location, study: Study, attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the root document of a store in which nothing is done yet."""
-    told = {**attributes, **identity(study), ORIGIN: origin(location), "complete": 0, "generation": 0}
-    return snapshot.root_document(told, {})
-
-
-def existing_store(where: Where, study: Study) -> Store | None:
-    """Return the store at a place if there is one, without writing; raises SweepError as `create_or_resume`."""
-    root = _find(located(where), study)
-    return None if root is None else Store(where, study, root)
-
-
-def check_store(where: Where, study: Study) -> bool:
-    """Return whether a place is free; raises SweepError unless it is, or holds results that this study can be mixed
-    with.
-    """
-    return _find(located(where), study) is None
-
-
-def _find(location: Location, study: Study) -> dict[str, Any] | None:
-    """Return the root document at a place, None where it is free; raises SweepError as `check_store`."""
     names = {*study.axes, *study.experiment.coordinates}
     names |= {output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs)}
     if taken := sorted(RESERVED & names):
         raise SweepError(f"no axis or result can be named {', '.join(taken)}: a store has a group of that name")
     root = find_root(location)
-    if root is None and (obstacle := location.obstacle()):
-        raise SweepError(obstacle, str(location))
-    if root is not None and (different := differences(root["attributes"], study)):
+    if root is None:
+        if obstacle := location.obstacle():
+            raise SweepError(obstacle, str(location))
+        return None
+    if different := differences(root["attributes"], study):
         raise SweepError(
             ["holds results of a different study, which would be mixed up; give another store with -o", *different],
             str(location),
         )
-    return root
+    return OpenStore(location, root)
 
 
-def read_attributes(where: Where) -> dict[str, Any]:
-    """Return the attributes of a store; raises SweepError unless a linksweep store of this format is there."""
-    attributes: dict[str, Any] = read_root(located(where))["attributes"]
-    return attributes
+def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:
+    """Make a store at a free place, in one step, in which nothing is done yet."""
+    location = located(where)
+    told = {**attributes, **identity(study), ORIGIN: origin(location), "complete": 0, "generation": 0}
+    root = snapshot.root_document(told, {})
+    with writing(location):
+        location.put(ROOT, sealed(root, ROOT))
+    return OpenStore(location, root)
 
 
 def open_dataset(where: Where) -> xr.Dataset:
     """Return the labelled dataset of a store, in memory, as one writing of it left it, whatever a run does meanwhile.
 
-    Raises SweepError as `read_attributes`, if there is none yet or if it is damaged.
+    Raises SweepError unless a linksweep store of this format is there, if there is no dataset yet or it is damaged.
     """
     return OpenStore(where).dataset()

@@ -6,8 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from core.catalogue import Sky
 from core.constants import MAS, MICROARCSEC
+from core.design import design_matrix
 from core.frames import exact_differences, satellite_catalogue, triad
-from core.link import design_matrix, solve
+from core.link import solve
 
 
 def noisy_link(epsilon, sigma, n_obj=200):

@@ -1,10 +1,16 @@
 """The errors of the link's results cover: over independent copies (value - truth) / error scatters by one."""
 
+import dataclasses
 import functools
 
 import numpy as np
 import pytest
 
+from core.calibration import IN_CODE, all_skies, constants_of, fit, published_model
+from sweep.executing.choose import Resources
+from sweep.paper.calibrate import published_numbers
+from sweep.running.run import run_study
+from sweep.studies.reader import study_from_dict
 from tests.sweep.in_memory import results_of
 from tests.sweep.test_coverage import assert_covers
 
@@ -62,3 +68,43 @@ def test_few_catalogues_have_no_error():
         dataset = copies(n_cat, 64)
         for name in ("bias_mc_error", "sigma_catalogue_error", "sigma_spin_catalogue_error"):
             assert np.all(np.isnan(dataset[name]))
+
+
+@pytest.mark.parametrize("precision", [0.05, 0.02])
+def test_the_error_at_which_a_precision_stops(tmp_path, precision):
+    """Stopping at an error that is itself estimated moves neither the value nor its error by what can be seen."""
+    document = {
+        "title": "Copies",
+        "axes": {"error_scale": [1.0 + 1e-9 * k for k in range(COPIES)]},
+        "fixed": QUASARS,
+        "sampling": {"n_sim": 64, "n_cat": 1, "seed": 5, "precision": precision},
+    }
+    dataset, _ = run_study(study_from_dict(document), tmp_path / "s.zarr", Resources(pool="serial"))
+    assert np.all(dataset["n_sim_done"] > 64)
+    for name in ("sigma_spin", "sigma_orientation"):
+        assert np.all(dataset[f"{name}_mc_error"] <= precision * dataset[name])
+        assert_covers((dataset[name] - dataset[f"{name}_predicted"]) / dataset[f"{name}_mc_error"])
+
+
+@pytest.mark.parametrize("model", ["gaia", "amex"])
+def test_the_errors_of_the_calibration(model):
+    """Published numbers made from known constants with the errors that weigh them; chi2 above one only widens these."""
+    copies, rng = 60, np.random.default_rng(7)
+    numbers, skies = list(published_numbers(model).values()), all_skies(model, n_cat=12)
+    sigma, _ = published_model(numbers, skies, IN_CODE[model], "inverse-variance")
+    truth = np.log(constants_of(IN_CODE[model]))
+    relative_error = fit(model, numbers, skies).relative_error
+    pulls = []
+    for _ in range(copies):
+        made = sigma * np.exp(relative_error * rng.standard_normal(len(sigma)))
+        # half a unit in the last digit of a number that scatters goes with it, so that its weight is that of the truth
+        printed = [
+            dataclasses.replace(
+                number, sigma_mas_yr=s, rounding_mas_yr=number.rounding_mas_yr * s / number.sigma_mas_yr
+            )
+            for number, s in zip(numbers, made.tolist(), strict=True)
+        ]
+        found = fit(model, printed, skies)
+        widened = np.sqrt(max(1.0, found.chi2 / found.dof))
+        pulls.append((np.log(found.constants) - truth) / np.sqrt(np.diag(found.log_covariance)) * widened)
+    assert_covers(pulls)

@@ -11,9 +11,10 @@ from astropy.table import Table
 
 from core.catalogue import Catalogue
 from core.constants import GALACTIC_AXES, MAS
+from core.design import GLIDE_LABELS, LABELS
 from core.expected_errors import errors_at_limit, has_errors
 from core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
-from core.link import GLIDE_UNKNOWNS, UNKNOWNS, LinkError
+from core.link import LinkError
 from core.missions import MISSIONS
 from core.parameters import OUTPUTS, PARAMETERS
 from core.quasars import quasar_count
@@ -96,8 +97,8 @@ def test_units_of_vectors_and_matrices_are_those_of_their_components():
 
 
 def test_the_declaration_is_complete():
-    six = {"component": UNKNOWNS, "component_other": UNKNOWNS}
-    assert link.coordinates == six | {"glide_component": GLIDE_UNKNOWNS}
+    six = {"component": LABELS, "component_other": LABELS}
+    assert link.coordinates == six | {"glide_component": GLIDE_LABELS}
     assert {dim: len(units) for dim, units in link.component_units.items()} == dict.fromkeys(six, 6)
     assert all(set(output.dims) <= set(link.coordinates) for output in OUTPUTS)
     assert len({p.name for p in PARAMETERS}) == len(PARAMETERS)

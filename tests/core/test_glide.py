@@ -8,10 +8,11 @@ import pytest
 
 from core.catalogue import Sky, synthetic
 from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
+from core.design import design_matrix
 from core.errors import NoErrors, NormalErrors
 from core.experiment import link, scenario
 from core.frames import position, triad
-from core.link import LinkError, design_matrix, solve
+from core.link import LinkError, solve
 from core.prepared import Scenario, TrueVector
 from core.simulate import simulate
 

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from core.catalogue import Catalogue
 from core.constants import DEGREE, MAS
+from core.design import design_matrix
 from core.errors import CatalogueErrors
 from core.experiment import link, scenario
-from core.link import POLE_LIMIT, LinkError, design_matrix, solve
+from core.link import POLE_LIMIT, LinkError, solve
 from core.noise import Tile, tile_objects
 from core.noisy_design import ELEMENTS, SMALL_ANGLE, FullPath
 from core.prepared import Draw, prepare

@@ -8,10 +8,11 @@ from scipy import stats
 
 from core.checks import check
 from core.constants import MAS
+from core.design import design_matrix
 from core.errors import CatalogueErrors, NormalErrors
 from core.experiment import evaluate, link, scenario
 from core.fixed_design import fixed_design
-from core.link import LinkError, design_matrix, solve
+from core.link import LinkError, solve
 from core.prepared import Draw, prepare
 from core.projected import Projected, neglected
 from core.shared_arrays import Prefixes

@@ -10,9 +10,10 @@ from scipy import stats
 
 from core.catalogue import Sky, synthetic
 from core.constants import MAS
+from core.design import design_matrix
 from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
 from core.frames import exact_differences, triad
-from core.link import LinkError, combined_error, design_matrix, solve
+from core.link import LinkError, combined_error, solve
 from core.missions import MISSIONS
 from core.noise import ROWS, TILE
 from core.prepared import Scenario, TrueVector

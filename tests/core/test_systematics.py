@@ -9,13 +9,14 @@ from scipy.special import eval_jacobi, sph_harm_y
 
 from core.catalogue import Catalogue
 from core.constants import GALACTIC_AXES, MAS
+from core.design import design_matrix
 from core.errors import CatalogueErrors, Errors, MagnitudeErrors
 from core.errors.floor import FlooredErrors
 from core.experiment import cost, evaluate, link, samples, scenario, summarise
 from core.fixed_design import fixed_design
 from core.frames import triad
 from core.harmonics import terms, toroidal, turned
-from core.link import LinkError, design_matrix
+from core.link import LinkError
 from core.missions import MISSIONS
 from core.prepared import Draw, prepare
 from core.shared_arrays import Prefixes

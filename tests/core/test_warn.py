@@ -86,3 +86,13 @@ def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path):
     (stored,) = json.loads(open_dataset(store).attrs["warnings"])
     assert stored.endswith("held at its floor (1 point)")
     assert f"warning: {stored}" in run.invoke(main, ["show", str(store)]).output
+
+
+@pytest.mark.parametrize(("last", "warned"), [(2016.5, True), (2016.0, False), (np.nan, False)])
+def test_rows_of_different_epochs_are_told(tmp_path, last, warned):
+    file = sky(tmp_path / "sky.ecsv", np.full(30, 15.0), ref_epoch=[2016.0] * 29 + [last])
+    found = [s for s in link.warn(point(catalogue="file", file=file, n_obj=None)) if "ref_epoch" in s]
+    assert found == warned * [
+        "file: ref_epoch is between 2016 and 2016.5, and the simulation takes all rows as of one epoch; "
+        "`sweep tie` links rows of different epochs"
+    ]

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 
@@ -24,10 +25,12 @@ class Outside:
             self.close()
             raise
 
-    def start_worker(self, *options: str, **environment: str) -> subprocess.Popen:
-        """Start a worker of one thread with its nanny."""
+    def start_worker(self, *options: str, before: Sequence[str] = (), **environment: str) -> subprocess.Popen:
+        """Start a worker of one thread with its nanny; ``before`` is a command that runs it."""
         arguments = (self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--local-directory")
-        return self._start("dask_worker", *arguments, str(self.folder), *self.options, *options, **environment)
+        return self._start(
+            "dask_worker", *arguments, str(self.folder), *self.options, *options, before=before, **environment
+        )
 
     def wait_for_workers(self, count: int) -> None:
         """Wait until so many workers have joined."""
@@ -36,10 +39,10 @@ class Outside:
         with Client(self.address, set_as_default=False) as client:
             client.wait_for_workers(count, timeout=500)
 
-    def _start(self, command: str, *arguments: str, **environment: str) -> subprocess.Popen:
+    def _start(self, command: str, *arguments: str, before: Sequence[str] = (), **environment: str) -> subprocess.Popen:
         with (self.folder / f"{command}.log").open("a") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", f"distributed.cli.{command}", *arguments],
+                [*before, sys.executable, "-m", f"distributed.cli.{command}", *arguments],
                 env=os.environ | environment,
                 stdout=log,
                 stderr=log,

@@ -10,9 +10,8 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from sweep.plots.style import symbol
-
-Array = NDArray[np.float64]
 
 MICRO_BELOW = 0.5
 """Numbers in mas that are all smaller are shown in micro-arcseconds."""

@@ -8,13 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import DEGREE
 from sweep.contract import SweepError
-from sweep.plots.sky import CENTRE_DEG, add_sky
+from sweep.plots.sky import add_sky, on_map
 from sweep.plots.style import COLOURS, unit_text
 from sweep.plots.tie.names import readable
-
-Array = NDArray[np.float64]
 
 MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
@@ -109,7 +108,7 @@ def _typical(arrows: _Arrows) -> float:
 def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
     """Draw arrows, a key with their scale, and return what the title must say of arrows that were cut."""
     _write_ra_above(axes)
-    x = -((arrows.ra - CENTRE_DEG + 180.0) % 360.0 - 180.0) * DEGREE
+    x = on_map(arrows.ra)
     y = arrows.dec * DEGREE
     length = np.hypot(arrows.east, arrows.north)
     scale = scale or 1.0

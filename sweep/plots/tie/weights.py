@@ -4,14 +4,12 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from core.arrays import Array
 from sweep.contract import SweepError
 from sweep.plots.style import COLOURS, finish, legend
 from sweep.plots.tie.names import kept_sources, name_points
-
-Array = NDArray[np.float64]
 
 NAMED = 8
 RANKED = 20

@@ -16,7 +16,7 @@ from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.paper.published_stores import published_studies, store_of, unfinished
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.planning.point_status import Status
 from sweep.running.run import run_study
 from sweep.studies.reader import load_study, study_from_dict
 from sweep.studies.study import printed_rounding
@@ -33,7 +33,7 @@ def grid(value, error=None, published=None, status=None, claims=(), catalogue_er
     axes = ("model", "n")
     variables = {
         "width": (axes, value, {"units": "mas"}),
-        "status": (axes, np.full(value.shape, DONE, np.int8) if status is None else status),
+        "status": (axes, np.full(value.shape, Status.DONE, np.int8) if status is None else status),
     }
     for suffix, extra in (("mc_error", error), ("catalogue_error", catalogue_error)):
         if extra is not None:
@@ -138,12 +138,13 @@ def test_the_catalogue_error_adds_in_quadrature():
 
 
 @pytest.mark.parametrize(
-    ("code", "reason"), [(MISSING, "not done yet"), (FAILED, "failed"), (EXCLUDED, "excluded by the study")]
+    ("code", "reason"),
+    [(Status.MISSING, "not done yet"), (Status.FAILED, "failed"), (Status.EXCLUDED, "excluded by the study")],
 )
 def test_a_point_that_is_not_done_is_incomplete_and_not_left_out(code, reason):
-    status = np.full((2, len(N)), DONE, np.int8)
+    status = np.full((2, len(N)), Status.DONE, np.int8)
     status[0, 1] = code
-    value = np.where(status == DONE, 0.6, np.nan)
+    value = np.where(status == Status.DONE, 0.6, np.nan)
     found = compare(grid(value, 0.001, {(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.7"}, status))
     assert [c.verdict for c in found] == ["reproduced", "incomplete", "NOT reproduced"]
     assert reason in found[1].reason
@@ -198,18 +199,18 @@ def test_where_chooses_the_line_and_a_tolerance_may_be_needed():
 
 
 def test_a_slope_over_points_that_are_not_all_done_is_incomplete():
-    status = np.full((2, len(N)), DONE, np.int8)
-    status[1, 3:] = MISSING, FAILED
-    value = np.where(status == DONE, N**-0.5, np.nan)
+    status = np.full((2, len(N)), Status.DONE, np.int8)
+    status[1, 3:] = Status.MISSING, Status.FAILED
+    value = np.where(status == Status.DONE, N**-0.5, np.nan)
     found = compare(grid(value, claims=[claim(published="-0.5", slope=LAW)], status=status))
     assert [c.verdict for c in found] == ["reproduced", "incomplete"]
     assert found[1].reason == "failed: 2 of 5 points"
 
 
 def test_excluded_points_do_not_belong_to_a_line():
-    status = np.full((2, len(N)), DONE, np.int8)
-    status[0, 0], status[1, 1:] = EXCLUDED, EXCLUDED
-    value = np.where(status == DONE, N**-0.5, np.nan)
+    status = np.full((2, len(N)), Status.DONE, np.int8)
+    status[0, 0], status[1, 1:] = Status.EXCLUDED, Status.EXCLUDED
+    value = np.where(status == Status.DONE, N**-0.5, np.nan)
     found = compare(grid(value, claims=[claim(published="-0.5", slope=LAW)], status=status))
     assert [c.verdict for c in found] == ["reproduced", "incomplete"]
     assert "needs two values of n; this grid has 1" in found[1].reason
@@ -249,8 +250,8 @@ def test_a_ratio_for_every_value_of_the_other_axes():
 
 
 def test_a_ratio_of_points_that_are_not_done_or_not_finite():
-    status = np.full((2, len(N)), DONE, np.int8)
-    status[1, 0] = MISSING
+    status = np.full((2, len(N)), Status.DONE, np.int8)
+    status[1, 0] = Status.MISSING
     value = np.array([[1.0] * 5, [np.nan, 0.0, 1.0, 1.0, 1.0]])
     claims = [claim(published="1.0", ratio=ratio({"model": "old"}, {"model": "new"}))]
     found = compare(grid(value, 0.0, claims=claims, status=status))
@@ -309,9 +310,9 @@ def test_claims_that_cannot_be_read_are_an_error(claims):
 
 
 def test_the_tables_hold_the_same_numbers():
-    status = np.full((2, len(N)), DONE, np.int8)
-    status[0, 1] = MISSING
-    value = np.where(status == DONE, 0.6, np.nan)
+    status = np.full((2, len(N)), Status.DONE, np.int8)
+    status[0, 1] = Status.MISSING
+    value = np.where(status == Status.DONE, 0.6, np.nan)
     keys = {"tolerance": 0.1, "tolerance_reason": "by eye"}
     found = compare(grid(value, 0.001, {(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.55", (1, 2): "0.4"}, status, **keys))
     rows = list(csv.DictReader(as_csv(found).splitlines()))

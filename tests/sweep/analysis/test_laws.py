@@ -21,7 +21,7 @@ from sweep.analysis.selection import between, select
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.planning.point_status import Status
 from sweep.running.run import run_study
 from sweep.studies.axes import parse_places
 from sweep.studies.reader import study_from_dict
@@ -36,7 +36,7 @@ def grid(value, error=None, x=N, name="n", unit="", status=None, **more):
     value = np.broadcast_to(value, (2, len(x))).astype(float)
     variables = {
         "width": (axes, value, {"units": "mas", "headline": 1}),
-        "status": (axes, np.full(value.shape, DONE, np.int8) if status is None else status),
+        "status": (axes, np.full(value.shape, Status.DONE, np.int8) if status is None else status),
     }
     if error is not None:
         variables["width_mc_error"] = (axes, np.broadcast_to(error, value.shape).astype(float), {"units": "mas"})
@@ -174,8 +174,10 @@ def test_a_covariance_that_has_no_inverse_names_the_line():
 
 
 def test_excluded_points_do_not_belong_to_a_line():
-    status = np.array([[DONE, DONE, DONE, DONE, EXCLUDED], [EXCLUDED] * 5], dtype=np.int8)
-    value = np.where(status == DONE, N**-0.5, np.nan)
+    status = np.array(
+        [[Status.DONE, Status.DONE, Status.DONE, Status.DONE, Status.EXCLUDED], [Status.EXCLUDED] * 5], dtype=np.int8
+    )
+    value = np.where(status == Status.DONE, N**-0.5, np.nan)
     result = fit_power_law(grid(value, 0.1, status=status), "width", "n", expected=-0.5)
     assert result["points"].values.tolist() == [4.0, 0.0]
     assert result["exponent"].values[0] == pytest.approx(-0.5)
@@ -394,8 +396,8 @@ def test_selecting_names_everything_that_is_wrong():
 
 # What cannot be analysed
 
-BAD_STATUS = np.full((2, 5), DONE, np.int8)
-BAD_STATUS[0, :3] = MISSING, FAILED, FAILED
+BAD_STATUS = np.full((2, 5), Status.DONE, np.int8)
+BAD_STATUS[0, :3] = Status.MISSING, Status.FAILED, Status.FAILED
 
 
 @pytest.mark.parametrize(
@@ -412,7 +414,7 @@ BAD_STATUS[0, :3] = MISSING, FAILED, FAILED
         (grid(N, x=N - 10.0), "width", "n", "a power law needs n above 0; there is 0"),
         (grid([1.0, np.nan, 1.0, 1.0, 1.0]), "width", "n", "width is not a finite number at model=old, n=20"),
         (grid(N, status=BAD_STATUS), "width", "n", "is incomplete: 1 missing and 2 failed of 10 points here"),
-        (grid(N, status=np.full((2, 5), EXCLUDED)), "width", "n", "every point is excluded by the study"),
+        (grid(N, status=np.full((2, 5), Status.EXCLUDED)), "width", "n", "every point is excluded by the study"),
     ],
 )
 def test_what_cannot_be_fitted(dataset, variable, over, message):

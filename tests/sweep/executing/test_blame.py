@@ -7,12 +7,14 @@ import xarray as xr
 from distributed import KilledWorker
 
 from sweep.contract import SweepError
-from sweep.executing import clusters, dask_executor
+from sweep.executing import dask_executor
 from sweep.executing.choose import Resources
+from sweep.executing.execute import NO_LIMITS
+from sweep.executing.pools import POOLS
 from sweep.executing.worker_plugin import run_on_worker
 from sweep.running.run import Silent, run_study
-from sweep.stores.store import existing_store
 from sweep.studies.reader import study_from_dict
+from tests.sweep.opening import existing_store
 
 THREADS = Resources(workers=2, pool="threads")
 
@@ -108,10 +110,10 @@ def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
     assert not existing_store(tmp_path / "s.zarr", study).failures
 
 
-@pytest.mark.parametrize("pool", ["threads", "processes"])
+@pytest.mark.parametrize("pool", [name for name, pool in POOLS.items() if pool.has_workers])
 def test_the_address_of_the_dashboard_opens(study, pool):
     pytest.importorskip("bokeh")
-    with clusters.dask_local(study, 1, pool, print) as (place, _):
+    with POOLS[pool].open(study, 1, print, NO_LIMITS) as (place, _):
         assert place.dashboard.startswith("http://127.0.0.1:")
         with urlopen(place.dashboard) as page:
             assert page.status == 200

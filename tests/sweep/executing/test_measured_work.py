@@ -10,6 +10,7 @@ import xarray as xr
 from sweep.executing import execute, worker
 from sweep.executing.choose import NO_WISHES, Resources
 from sweep.executing.execute import Limits
+from sweep.executing.pools import POOLS
 from sweep.running.run import Silent, run_study
 from sweep.stores.opened import OpenStore
 from sweep.studies.reader import study_from_dict
@@ -36,7 +37,7 @@ def _finished(store):
     return len(OpenStore(store).ledger().ledger.rows) if (store / "zarr.json").exists() else 0
 
 
-@pytest.mark.parametrize("pool", ["serial", "processes", "threads"])
+@pytest.mark.parametrize("pool", POOLS)
 def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, start_sweep, pool):
     """Nothing else comes in that would make it durable, and the end comes without a warning."""
     (tmp_path / "study.toml").write_text(
@@ -44,7 +45,7 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
         "axes = { seconds = [0.6, 0.7, 0.8, 3600.0] }\n"
     )
     store = tmp_path / "s.zarr"
-    resources = ("--pool", pool) if pool == "serial" else ("--pool", pool, "--workers", 1)
+    resources = ("--pool", pool) if not POOLS[pool].has_workers else ("--pool", pool, "--workers", 1)
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, *resources, start_new_session=True)
     wait_until(lambda: process.poll() is not None or _finished(store) == 3, "three blocks", 240)
     assert process.poll() is None, process.communicate()[1]

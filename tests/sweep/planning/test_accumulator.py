@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from sweep.contract import Experiment, Output, Parameter
-from sweep.planning.accumulator import DONE, FAILED, Accumulator
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Block, Plan, ledger_key
+from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.studies.reader import study_from_dict
 from tests.conftest import COINS
@@ -59,7 +60,7 @@ def rounds(plan):
             more += accumulator.add(point, block, np.array([float(block.realisations)]))
         reached.append(int(accumulator.realisations[0]))
         blocks = more
-    assert accumulator.status[0] == DONE
+    assert accumulator.status[0] == Status.DONE
     return reached
 
 
@@ -117,7 +118,7 @@ def test_a_failed_point_is_given_out_no_more_and_never_done(given_before):
     assert {point.digest for work in after for point in work.points} == {second.digest}
     for block in plan.blocks(2.0**24):  # those that were under way
         assert accumulator.add(first, block, np.ones(2)) == []
-    assert accumulator.status[first.index] == FAILED
+    assert accumulator.status[first.index] == Status.FAILED
 
 
 def test_the_ledger_knows_a_block_by_all_that_decides_its_sums():

@@ -14,7 +14,7 @@ from sweep.analysis.selection import select
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
-from sweep.planning.accumulator import MISSING
+from sweep.planning.point_status import Status
 from sweep.plots import style
 from sweep.plots.figure import draw_figure, possible_kinds
 from sweep.plots.layout import arrange
@@ -96,7 +96,7 @@ def test_layouts(dataset_of):
 
 def test_incomplete_stores_say_so_in_the_title(dataset_of):
     dataset = dataset_of("sqrt-n")
-    dataset["status"][2] = MISSING
+    dataset["status"][2] = Status.MISSING
     dataset["sigma_spin"][2] = np.nan
     assert "INCOMPLETE: 1 of 7 points are not done" in title(draw_figure(dataset, "lines"))
 

@@ -17,13 +17,13 @@ from click.testing import CliRunner
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.planning.point_status import Status
 from sweep.report.answer import answers, completeness
 from sweep.report.cite import citations
 from sweep.report.explorer import explorer
 from sweep.report.figures import pictures
 from sweep.report.page import MARK, check_output, report_of, report_page, write_report
-from sweep.report.section import MOST_ROWS
+from sweep.report.section import MOST_ROWS, section
 from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
@@ -42,13 +42,21 @@ def grid(value, status=None, **others):
         {"title": "A title", "complete": 1, "study": "the study's text"},
     )
     dataset["share"].attrs |= {"headline": 1, "long_name": "share of heads"}
-    status = np.full(shape, DONE, dtype=np.int8) if status is None else np.array(status, dtype=np.int8)
+    status = np.full(shape, Status.DONE, dtype=np.int8) if status is None else np.array(status, dtype=np.int8)
     return dataset.assign(status=(("kind", "size"), status))
 
 
 def sentences(dataset):
     (answer,) = answers(dataset)
     return " ".join(answer.sentences)
+
+
+def test_a_section_says_where_unknowns_can_hardly_be_told_apart():
+    dataset = grid(VALUES).assign(condition_number=(("kind", "size"), [[2.0, 3.0, 1e4], [2.0, 5000.0, 1.0]]))
+    assert any(
+        "at 2 points the condition number is up to 1e+04" in note for note in section("s", dataset, 1, 100).notes
+    )
+    assert not any("condition" in note for note in section("s", grid(VALUES), 1, 100).notes)
 
 
 VALUES = [[8.0, 4.0, 2.0], [80.0, 20.0, 10.0]]
@@ -80,7 +88,7 @@ def test_an_axis_that_does_not_matter_is_not_said_to():
 
 
 def test_what_is_missing_is_said_and_does_not_count():
-    status = [[DONE, FAILED, MISSING], [DONE, DONE, EXCLUDED]]
+    status = [[Status.DONE, Status.FAILED, Status.MISSING], [Status.DONE, Status.DONE, Status.EXCLUDED]]
     dataset = grid([[8.0, np.nan, np.nan], [7.0, 5.0, np.nan]], status)
     assert "Over 3 points it goes from 5 mas, at kind=two, size=2, to 8 mas, at kind=one, size=1." in sentences(dataset)
     assert completeness(dataset) == [
@@ -254,7 +262,7 @@ def test_built_in_studies_ask_a_question():
 
 def test_a_large_table_is_cut_and_says_so():
     size = MOST_ROWS + 7
-    status = ("size", np.full(size, DONE, dtype=np.int8))
+    status = ("size", np.full(size, Status.DONE, dtype=np.int8))
     share = ("size", np.arange(1.0, size + 1), {"units": "", "headline": 1})
     attributes = {"title": "Large", "complete": 1, "study": ""}
     large = xr.Dataset({"share": share, "status": status}, {"size": np.arange(float(size))}, attributes)

@@ -7,7 +7,8 @@ import pytest
 
 from sweep.executing.choose import Resources
 from sweep.running.reproduce import reproduce
-from sweep.stores.store import open_dataset, read_attributes
+from sweep.stores.opened import OpenStore
+from sweep.stores.store import open_dataset
 from tests.sweep.user import write_experiment, write_study
 
 HELPED = {
@@ -65,6 +66,9 @@ def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, fo
 def test_accepted_code_is_told_for_each_point(folder, sweep):
     named = change(folder, "deeper")
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
+    code, out, err = sweep("plan", "s.toml", "-o", "s.zarr", "--accept-code", cwd=folder)
+    assert code == 0, err
+    assert "3, 2 of them done" in out
     code, _, err = sweep("run", "s.toml", "-o", "s.zarr", "--accept-code", cwd=folder)
     assert code == 0
     assert named in err
@@ -77,7 +81,7 @@ def test_accepted_code_is_told_for_each_point(folder, sweep):
     write_study(folder, "rate = [1.0, 2.0, 3.0, 4.0]")  # and the same code again needs no flag
     assert sweep("run", "s.toml", "-o", "s.zarr", cwd=folder)[0] == 0
     assert open_dataset(folder / "s.zarr")["code"].values.tolist() == [1, 1, 2, 2]
-    assert len(json.loads(read_attributes(folder / "s.zarr")["code"])) == 2
+    assert len(json.loads(OpenStore(folder / "s.zarr").attributes["code"])) == 2
     change(folder, "body")
     write_study(folder, "rate = [1.0]", "n_sim = 600")  # blocks of 512: one is kept, or all are new
     code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=folder)
@@ -131,7 +135,7 @@ def test_a_store_without_a_record_is_adopted_and_says_so(folder, sweep, monkeypa
     with monkeypatch.context() as patched:  # as 0.1 wrote it
         patched.setattr(running, "_record_code", lambda *arguments: None)
         running.run_study(load_study(str(folder / "s.toml")), folder / "old.zarr", Resources(pool="serial"))
-    assert "code" not in read_attributes(folder / "old.zarr")
+    assert "code" not in OpenStore(folder / "old.zarr").attributes
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
     code, _, err = sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)
     assert code == 0
@@ -146,7 +150,7 @@ def test_versions_of_declared_packages_count(folder, sweep):
     write_experiment(folder, rest='packages=("numpy",),')
     assert sweep("run", "s.toml", "-o", "p.zarr", cwd=folder)[0] == 0
     store = folder / "p.zarr"
-    (record,) = json.loads(read_attributes(store)["code"])
+    (record,) = json.loads(OpenStore(store).attributes["code"])
     import numpy as np
 
     assert record["code"]["package numpy"] == np.__version__

@@ -9,8 +9,8 @@ import sys
 import pytest
 import xarray as xr
 
-from sweep.stores.store import existing_store
 from sweep.studies.reader import load_study
+from tests.sweep.opening import existing_store
 
 pytestmark = pytest.mark.slow  # 50 runs, each killed at several instants
 

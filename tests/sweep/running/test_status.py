@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError
-from sweep.planning.accumulator import DONE, EXCLUDED, FAILED, MISSING
+from sweep.planning.point_status import Status
 from sweep.running.axis_progress import MOST_LINES, AxisSegment, as_lines, by_axis, folded
 from sweep.running.run import Silent, run_study
 from sweep.running.status import plan_report, status_report
@@ -52,8 +52,8 @@ def test_each_axis_counts_points_and_realisations(stopped):
         other = "coins" if dimension == "metal" else "metal"
         for segment in segments:
             part = dataset.sel(segment.first)
-            assert segment.done == int((part["status"] == DONE).sum())
-            assert segment.excluded == int((part["status"] == EXCLUDED).sum())
+            assert segment.done == int((part["status"] == Status.DONE).sum())
+            assert segment.excluded == int((part["status"] == Status.EXCLUDED).sum())
             assert segment.points == dataset.sizes[other] - segment.excluded
             assert segment.realisations_done == int(part["n_sim_done"].sum())
             assert segment.realisations == 20_000 * segment.points
@@ -131,11 +131,15 @@ def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
 
 @settings(max_examples=200, derandomize=True, deadline=None)
 @given(
-    st.lists(st.tuples(st.sampled_from([MISSING, DONE, FAILED, EXCLUDED]), st.integers(0, 9)), min_size=1), st.data()
+    st.lists(
+        st.tuples(st.sampled_from([Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED]), st.integers(0, 9)),
+        min_size=1,
+    ),
+    st.data(),
 )
 def test_folding_keeps_every_count_and_the_order(points, data):
     status = np.array([code for code, _ in points], dtype=np.int8)
-    realisations = np.array([10 if code == DONE else n * (code != EXCLUDED) for code, n in points])
+    realisations = np.array([10 if code == Status.DONE else n * (code != Status.EXCLUDED) for code, n in points])
     axes = {"x": [{"x": i} for i in range(len(points))]}
     whole = by_axis(axes, status, realisations, 10)["x"]
     most = data.draw(st.integers(1, 20))
@@ -151,7 +155,7 @@ def test_folding_keeps_every_count_and_the_order(points, data):
 
 def test_a_long_axis_is_folded_where_nothing_happens():
     """A run that is in the middle of a thousand values."""
-    status = np.array([DONE] * 400 + [MISSING] * 600, dtype=np.int8)
+    status = np.array([Status.DONE] * 400 + [Status.MISSING] * 600, dtype=np.int8)
     realisations = np.array([10] * 400 + [7] + [0] * 599)
     segments = by_axis({"x": [{"x": 0.5 * i} for i in range(1000)]}, status, realisations, 10)
     assert as_lines(segments, {"x": "mag"}) == [
@@ -161,7 +165,10 @@ def test_a_long_axis_is_folded_where_nothing_happens():
         "  200.5 ... 499.5 (599 values)        0/599           0 %",
     ]
     mixed = by_axis(
-        {"x": [{"x": i} for i in range(1000)]}, np.tile([DONE, MISSING], 500).astype(np.int8), realisations, 1
+        {"x": [{"x": i} for i in range(1000)]},
+        np.tile([Status.DONE, Status.MISSING], 500).astype(np.int8),
+        realisations,
+        1,
     )
     assert len(folded(mixed["x"])) == MOST_LINES
 

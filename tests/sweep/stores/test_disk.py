@@ -13,8 +13,9 @@ from sweep.executing.choose import Resources
 from sweep.running.run import run_study
 from sweep.stores.folder import Folder
 from sweep.stores.repair import check, repair
-from sweep.stores.store import existing_store, open_dataset
+from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict
+from tests.sweep.opening import existing_store
 
 SERIAL = Resources(pool="serial")
 

@@ -8,9 +8,9 @@ import zarr
 from sweep.contract import SweepError
 from sweep.stores.checksums import sealed
 from sweep.stores.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
-from sweep.stores.store import create_or_resume
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_from_dict
+from tests.sweep.opening import create_or_resume
 
 
 @pytest.fixture

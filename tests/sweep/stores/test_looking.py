@@ -66,8 +66,9 @@ def evil(tmp_path, coins):
     """A store whose code lies inside it and leaves a marker when it is imported, and the marker."""
     place = tmp_path / "elsewhere" / "code"
     place.mkdir(parents=True)
-    (place / "x.py").write_text(COINS)
     marker, store = tmp_path / "marker", tmp_path / "g.zarr"
+    code = MARKING.format(marker=str(marker)) + COINS
+    (place / "x.py").write_text(code)
     document = coins | {"experiment": f"{place / 'x.py'}:experiment", "sampling": {"n_sim": 100, "n_cat": 2}}
     run_study(study_from_dict(document), store, SERIAL)
     for file in ("zarr.json", "blocks/zarr.json"):
@@ -75,8 +76,9 @@ def evil(tmp_path, coins):
         stored = root["attributes"]["study_document"]
         root["attributes"]["study_document"] = stored.replace(str(place), str(store))
         (store / file).write_bytes(sealed(root, file))
-    (store / "x.py").write_text(MARKING.format(marker=str(marker)) + COINS)
+    (store / "x.py").write_text(code)
     (store / "study.toml").write_text(STUDY)
+    marker.unlink()
     return store, marker
 
 

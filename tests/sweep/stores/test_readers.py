@@ -11,9 +11,10 @@ import pytest
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.stores.store import create_or_resume, existing_store, open_dataset
+from sweep.stores.store import open_dataset
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_from_dict
+from tests.sweep.opening import create_or_resume, existing_store
 
 READ = """
 import json, sys, time

@@ -15,8 +15,9 @@ from sweep.stores.folder import Folder
 from sweep.stores.location import located
 from sweep.stores.lock import locked
 from sweep.stores.repair import check, repair
-from sweep.stores.store import create_or_resume, existing_store, open_dataset
+from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict
+from tests.sweep.opening import create_or_resume, existing_store
 
 SERIAL = Resources(pool="serial")
 SAMPLES = {

@@ -16,10 +16,11 @@ from sweep.executing.choose import Resources
 from sweep.running.run import run_study
 from sweep.stores import bucket as bucket_module
 from sweep.stores.location import located
-from sweep.stores.store import existing_store, open_dataset
+from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict
 from tests.documents import run_commands
 from tests.sweep.conftest import make_bucket
+from tests.sweep.opening import existing_store
 
 SERIAL = Resources(pool="serial")
 

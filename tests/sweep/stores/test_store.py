@@ -12,9 +12,11 @@ import xarray as xr
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.running.run import run_study
-from sweep.stores.store import check_store, create_or_resume, existing_store, open_dataset, read_attributes
+from sweep.stores.opened import OpenStore
+from sweep.stores.store import find_store, open_dataset
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_from_dict
+from tests.sweep.opening import create_or_resume, existing_store
 
 
 @pytest.fixture
@@ -83,9 +85,9 @@ def test_a_flipped_bit_is_noticed(tmp_path, study):
 def test_a_directory_left_by_a_kill_before_the_first_write_is_free(tmp_path, study):
     (tmp_path / "s.zarr").mkdir()
     (tmp_path / "s.zarr" / "zarr.json.0123abcd.partial").write_text("{")
-    check_store(tmp_path / "s.zarr", study)
+    find_store(tmp_path / "s.zarr", study)
     open_store(tmp_path / "s.zarr", study)
-    assert read_attributes(tmp_path / "s.zarr")["complete"] == 0
+    assert OpenStore(tmp_path / "s.zarr").attributes["complete"] == 0
 
 
 def test_a_store_made_up_to_its_root_is_resumed(tmp_path, study):
@@ -113,7 +115,7 @@ def test_a_store_without_results_says_so(tmp_path, study):
 def test_another_meaning_is_refused_with_the_differences(tmp_path, coins, study, change, words):
     open_store(tmp_path / "s.zarr", study)
     with pytest.raises(SweepError) as refused:
-        check_store(tmp_path / "s.zarr", study_from_dict(coins | change))
+        find_store(tmp_path / "s.zarr", study_from_dict(coins | change))
     assert words in refused.value.problems
 
 
@@ -185,7 +187,7 @@ def test_an_older_format_is_explained(tmp_path, study):
     attributes = {"linksweep_format": 1, "study_meaning": "{}", "study_axes": "[]", "complete": 1}
     root = {"zarr_format": 3, "node_type": "group", "attributes": attributes}
     (tmp_path / "s.zarr" / "zarr.json").write_text(json.dumps(root))
-    for read in (open_dataset, read_attributes, lambda path: check_store(path, study)):
+    for read in (open_dataset, OpenStore, lambda path: find_store(path, study)):
         with pytest.raises(
             SweepError, match=r"has store format 1; .* It is older.*run the study into a new store with -o"
         ):

@@ -11,7 +11,8 @@ from sweep.load import load_function
 from sweep.planning.grid import Grid
 from sweep.running.reproduce import reproduce
 from sweep.running.run import run_study
-from sweep.stores.store import open_dataset, read_attributes
+from sweep.stores.opened import OpenStore
+from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict, study_of_attributes
 
 CURVES = """\
@@ -167,7 +168,7 @@ def test_a_store_is_reproduced_from_itself_and_continued(here, monkeypatch):
     monkeypatch.chdir(here / "elsewhere")
     for place in ("model=small,v_max=15", "model=coded,v_max=16", "model=gaia,v_max=16"):
         assert reproduce(here / "s.zarr", place).differences == {}
-    again = study_of_attributes(read_attributes(here / "s.zarr"), "s.zarr")
+    again = study_of_attributes(OpenStore(here / "s.zarr").attributes, "s.zarr")
     assert digests(again) == known
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import linksweep
-from sweep.cli.plot import TIE_KINDS
 from sweep.contract import SweepError
-from sweep.plots.tie.figure import CAPTIONS, FIGURES, draw_link, link_figures
+from sweep.plots import kinds
+from sweep.plots.tie.figure import draw_link, link_figures
 from sweep.plots.tie.names import readable, unknown_symbol
 from sweep.plots.tie.residuals import BANDS, _angles, _averaged
 
@@ -22,9 +22,10 @@ def plan():
     return linksweep.forecast("psrpi", "psrpi", "orientation,spin", **options)
 
 
-def test_the_command_knows_every_kind():
-    kinds = {kind for figures in FIGURES.values() for kind in figures}
-    assert set(TIE_KINDS) == kinds == set(CAPTIONS)
+def test_every_kind_of_figure_is_there_and_those_of_a_link_have_captions():
+    for table in (kinds.GRID, kinds.SCALING, kinds.STANDALONE, *kinds.LINK.values()):
+        assert all(kind.load() for kind in table.values())
+    assert all(kind.caption for table in kinds.LINK.values() for kind in table.values())
 
 
 def test_a_link_has_the_figures_that_its_content_allows(link):

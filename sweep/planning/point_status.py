@@ -1,0 +1,41 @@
+"""The status of a point, as stores and datasets hold it."""
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+
+class Status(IntEnum):
+    """Where the computation of a point stands."""
+
+    MISSING = 0
+    DONE = 1
+    FAILED = 2
+    EXCLUDED = 3
+
+    @property
+    def word(self) -> str:
+        """The status in lower case, as tables and datasets spell it."""
+        return self.name.lower()
+
+
+def count_status(status: Any) -> dict[Status, int]:
+    """Return how many points of an array have each status, also where it is none.
+
+    Examples:
+        >>> {code.word: n for code, n in count_status([1, 1, 0]).items()}
+        {'missing': 1, 'done': 2, 'failed': 0, 'excluded': 0}
+    """
+    return {code: int(np.count_nonzero(np.asarray(status) == code)) for code in Status}
+
+
+def unfinished_in_words(counts: Mapping[Status, int]) -> str:
+    """Return how many points are neither done nor excluded, by status, in words; '' if there is none.
+
+    Examples:
+        >>> unfinished_in_words(count_status([1, 1, 0, 2, 2]))
+        '1 missing and 2 failed'
+    """
+    return " and ".join(f"{counts[code]} {code.word}" for code in (Status.MISSING, Status.FAILED) if counts[code])

@@ -1,0 +1,119 @@
+"""The figures of a study's results, by kind: whole figures with their panels, without a title."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis
+from sweep.contract import SweepError, shown, suggest
+from sweep.plots.law import draw_law, draw_law_residuals
+from sweep.plots.layout import arrange
+from sweep.plots.lines import draw_lines
+from sweep.plots.maps import accuracy_in_words, draw_map
+from sweep.plots.panels import draw_panels
+from sweep.plots.scatter import component_dimension, draw_scatter, sampled
+
+
+class GridFigure(NamedTuple):
+    """A kind of figure: whether a quantity of a dataset can have it, and what draws quantities over axes."""
+
+    possible: Callable[[xr.Dataset, str], bool]
+    draw: Callable[[xr.Dataset, list[str], Sequence[str]], Figure]
+
+
+def _lines(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    axis = _one_axis(dataset, variables[0], over)
+    layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
+    return draw_panels(dataset, variables, layout, lambda axes, part, name: draw_lines(axes, part, name, axis))
+
+
+def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    if len(variables) > 1:
+        raise SweepError(f"a law is drawn for one variable, not for {', '.join(variables)}")
+    axis = require_axis(dataset, variables[0], (list(over) or numeric_axes(dataset, variables[0]))[0])
+    layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
+    if layout.rows or (layout.columns and not layout.far):
+        raise SweepError("a law is drawn for one further dimension at most; fix others with --at AXIS=VALUE")
+    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    draw_law(upper, dataset, variables[0], axis)
+    upper.set_xlabel("")
+    draw_law_residuals(lower, dataset, variables[0], axis)
+    return figure
+
+
+def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    if len(variables) > 1:
+        raise SweepError(f"a map is drawn for one variable, not for {', '.join(variables)}")
+    numeric = numeric_axes(dataset, variables[0])
+    chosen = list(over) or _two_axes(dataset, numeric)
+    for axis in chosen:
+        require_axis(dataset, variables[0], axis)
+    if len(chosen) != 2 or len({dataset[axis].dims[0] for axis in chosen}) != 2:
+        raise SweepError(
+            f"a map needs two axes that are crossed, of {', '.join(numeric)}; not {', '.join(chosen) or 'none'}"
+        )
+    layout = arrange(dataset, variables[0], tuple(str(dataset[axis].dims[0]) for axis in chosen), series=False)
+    x, y = chosen
+    figure = draw_panels(dataset, variables, layout, lambda axes, part, name: draw_map(axes, part, name, x, y))
+    if words := accuracy_in_words(dataset, variables[0]):
+        figure.supxlabel(words, fontsize=8)
+    return figure
+
+
+def _scatter(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    if variables:
+        raise SweepError("a scatter is of kept samples, not of a variable; choose its two components with --over")
+    variable = sampled(dataset)
+    assert variable is not None, "asked for before"
+    if dataset["status"].ndim:
+        left = ", ".join(f"{d} ({dataset.sizes[d]})" for d in dataset["status"].dims)
+        raise SweepError(f"a scatter is of one point; choose it with --at AXIS=VALUE: {left}")
+    dimension = component_dimension(dataset, variable)
+    known = dataset[dimension].values.tolist()
+    if unknown := [name for name in over if name not in known]:
+        raise SweepError(f"{shown(unknown[0])} is no component of {variable}{suggest(unknown[0], known)}")
+    if over and len(set(over)) != 2:
+        raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
+    one, other = over or _two_components(dataset, dimension)
+    figure = Figure(figsize=(7.4, 4.4), layout="constrained")
+    draw_scatter(figure.add_subplot(), dataset, variable, (one, other))
+    return figure
+
+
+def _one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
+    """Return the axis to draw along: as asked for, or the longest of numbers, or the longest."""
+    axes = [str(n) for n, c in dataset.coords.items() if c.dims and c.dims[0] in dataset["status"].dims and c.ndim == 1]
+    if over:
+        if len(over) > 1 or over[0] not in axes:
+            raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(axes)}")
+        return over[0]
+    return (numeric_axes(dataset, variable) or sorted(axes, key=lambda n: -dataset[n].size))[0]
+
+
+def _two_axes(dataset: xr.Dataset, numeric: Sequence[str]) -> list[str]:
+    """Return the two longest axes that do not share a dimension, in the order of the grid."""
+    found: dict[str, str] = {}
+    for axis in numeric:
+        found.setdefault(str(dataset[axis].dims[0]), axis)
+    order = [str(d) for d in dataset["status"].dims]
+    return sorted(list(found.values())[:2], key=lambda axis: order.index(str(dataset[axis].dims[0])))
+
+
+def _two_components(dataset: xr.Dataset, dimension: str) -> tuple[str, str]:
+    """Return the first two components in the unit of the main quantity, or the first two."""
+    known = dataset[dimension].values.tolist()
+    units = f"{dimension}_unit"
+    if units in dataset.coords and quantities(dataset):
+        wanted = dataset[main_quantity(dataset)].attrs.get("units")
+        same = [name for name, unit in zip(known, dataset[units].values.tolist(), strict=True) if unit == wanted]
+        known = same if len(same) > 1 else known
+    return str(known[0]), str(known[1])
+
+
+LINES = GridFigure(lambda dataset, variable: bool(dataset["status"].ndim), _lines)
+LAW = GridFigure(lambda dataset, variable: bool(numeric_axes(dataset, variable)), _law)
+MAP = GridFigure(lambda dataset, variable: len({dataset[a].dims[0] for a in numeric_axes(dataset, variable)}) > 1, _map)
+SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter)

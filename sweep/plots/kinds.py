@@ -1,0 +1,75 @@
+"""The kinds of figures: the one table of which the command's choices, the messages and the report are made.
+
+A further kind is a line here, and the module that it names.  Nothing is imported before it is drawn.
+"""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
+
+
+class Kind(NamedTuple):
+    """What draws a figure, as ``module:name``, and a caption for where its kind alone does not say what it shows."""
+
+    reference: str
+    caption: str = ""
+
+    def load(self) -> Any:
+        """Return what draws."""
+        module, _, name = self.reference.partition(":")
+        return getattr(import_module(module), name)
+
+
+GRID: Mapping[str, Kind] = {
+    "lines": Kind("sweep.plots.grid_figures:LINES"),
+    "law": Kind("sweep.plots.grid_figures:LAW"),
+    "map": Kind("sweep.plots.grid_figures:MAP"),
+    "scatter": Kind("sweep.plots.grid_figures:SCATTER"),
+}
+"""Of the results of a study: values of type `GridFigure`."""
+
+SCALING: Mapping[str, Kind] = {"scaling": Kind("sweep.plots.scaling:scaling_figure")}
+"""Of what `sweep scaling` measures; a function of its dataset."""
+
+STANDALONE: Mapping[str, Kind] = {
+    "sky": Kind("sweep.plots.standalone:sky_figure"),
+    "accuracy": Kind("sweep.plots.standalone:accuracy_figure"),
+}
+"""Of catalogues and of missions; functions of a dataset of `sweep.plots.views`."""
+
+LINK: Mapping[str, Mapping[str, Kind]] = {
+    "tie": {
+        "solution": Kind("sweep.plots.tie.solution:solution_figure", "The unknowns with errors of several kinds"),
+        "residuals": Kind(
+            "sweep.plots.tie.residuals:residual_figure", "Differences before and residuals after the fit on the sky"
+        ),
+        "separations": Kind(
+            "sweep.plots.tie.separations:separation_figure",
+            "Normalised separations of the sources, beside the Rayleigh distribution of right errors",
+        ),
+        "weight": Kind(
+            "sweep.plots.tie.weights:weight_figure",
+            "Discrepancy of each source, for one observation, against its share of the weight",
+        ),
+        "ranking": Kind("sweep.plots.tie.weights:influence_figure", "The sources that decide most"),
+        "jackknife": Kind(
+            "sweep.plots.tie.jackknife:jackknife_figure", "Solutions without each source, and ellipses of the errors"
+        ),
+        "trajectory": Kind("sweep.plots.tie.trajectory:trajectory_figure", "The solution while the clip drops sources"),
+        "spectrum": Kind(
+            "sweep.plots.tie.spectrum:spectrum_figure",
+            "Vector spherical harmonics by degree, beside noise, and their significance",
+        ),
+        "bins": Kind("sweep.plots.tie.bins:bin_figure", "The spin in each bin"),
+    },
+    "forecast": {
+        "epochs": Kind("sweep.plots.tie.forecasts:epoch_figure", "Formal errors against the epoch of new positions"),
+        "ranking": Kind("sweep.plots.tie.forecasts:ranking_figure", "The sources that decide most"),
+    },
+}
+"""Of the results of `sweep tie` and `sweep forecast`, functions of them; the first that one can have suits it."""
+
+
+def all_kinds() -> list[str]:
+    """Return the names of all kinds."""
+    return list(dict.fromkeys(kind for kinds in (GRID, SCALING, STANDALONE, *LINK.values()) for kind in kinds))

@@ -1,0 +1,217 @@
+"""What docs/how-to-change-it.md says: a toy of each kind, made in the files that it names and in no others."""
+
+import re
+import shutil
+import subprocess
+import sys
+from typing import NamedTuple
+
+import pytest
+
+from tests.core.test_kinds import DOUBLE, FLAT, RING
+from tests.documents import ROOT
+
+PAGE = (ROOT / "docs" / "how-to-change-it.md").read_text()
+
+
+class Toy(NamedTuple):
+    """A change: at most one new file, what goes behind (or, with None, in place of) texts of files, and its trial."""
+
+    what: str
+    new: str
+    code: str
+    edits: list[tuple[str, str, str]]
+    trial: str
+
+
+def entry(folder, module, name, anchor, code, trial, what):
+    edits = [
+        (f"core/{folder}/__init__.py", anchor, f'\n        "{module}": {name},'),
+        (
+            f"core/{folder}/__init__.py",
+            "MappingProxyType\n",
+            f"from core.{folder}.{module} import {name.strip('()')}\n",
+        ),
+    ]
+    return Toy(what, f"core/{folder}/{module}.py", code, edits, trial)
+
+
+LINK = """
+import numpy as np
+from core.experiment import evaluate, link
+
+point = link.defaults() | {"n_obj": 30, CHANGES}
+assert link.check(point) is None, link.check(point)
+sums = evaluate([point], 50, np.random.default_rng(1), np.random.default_rng(2))
+assert np.isfinite(link.summarise(sums, np.array([50.0]), np.array([1.0]))["sigma_spin"][0])
+"""
+RUN = """
+import linksweep
+
+study = {"title": "A toy", "axes": {"n_obj": [30, 40, 50]}, "sampling": {"n_sim": 20}}
+ds = linksweep.run(study, "toy.zarr", pool="serial")
+"""
+SOUTH = '''
+
+@dataclass(frozen=True)
+class South:
+    """A constant in the declinations of the southern sky."""
+
+    name: str = "south"
+    labels: tuple[str, ...] = ("south_dec",)
+    rows: tuple[int, ...] = (DEC,)
+    rate: bool = False
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return 1 in the south, 0 in the north; shape (1, 1, N)."""
+        return np.where(objects.dec < 0.0, 1.0, 0.0)[None, None]
+'''
+DOTS = """
+from matplotlib.figure import Figure
+from sweep.plots.grid_figures import GridFigure
+
+
+def dots(dataset, variables, over):
+    figure = Figure()
+    figure.add_subplot().plot(dataset[variables[0]].values.reshape(-1), "o")
+    return figure
+
+
+DOTS = GridFigure(lambda dataset, variable: True, dots)
+"""
+BACKWARDS = """
+from contextlib import contextmanager
+from sweep.executing.execute import Place, make_task
+from sweep.executing.worker import run_task
+
+
+@contextmanager
+def backwards(study, limits):
+    def run(take):
+        while batches := take(3):
+            for works in reversed(batches):
+                yield works, run_task(make_task(study, works, limits))
+
+    yield Place("this process, the last task first", 1), run
+"""
+OPENER = """
+
+def _backwards(study, _workers, _say, limits):
+    from sweep.executing.backwards import backwards
+
+    return backwards(study, limits)
+"""
+
+TOYS = [
+    entry(
+        *("errors", "double", "Double()", '"catalogue": Own(),', DOUBLE),
+        *(LINK.replace("CHANGES", '"satellite_errors": "double"'), "error model"),
+    ),
+    entry(
+        *("catalogues", "ring", "Ring()", '"file": File(),', RING),
+        *(LINK.replace("CHANGES", '"catalogue": "ring"'), "catalogue"),
+    ),
+    entry(
+        *("missions", "flat", "FLAT", '"gaia-dr5": GAIA_DR5,', FLAT),
+        *(LINK.replace("CHANGES", '"satellite_errors": "magnitude", "model": "flat"'), "mission"),
+    ),
+    Toy(
+        *("block of unknowns", "", ""),
+        [
+            ("core/unknowns.py", "        return np.ones((1, 1, len(objects.ra)))\n", SOUTH),
+            (
+                "core/unknowns.py",
+                '"parallax": lambda asked: ParallaxZeroPoint(),',
+                '\n    "south": lambda asked: South(),',
+            ),
+        ],
+        """
+import linksweep
+
+link = linksweep.tie("psrpi-de200", "timing-de200", "orientation,south")
+assert link.unknown.values.tolist()[-1] == "south_dec"
+assert link.unit.values[-1] == "mas"
+""",
+    ),
+    Toy(
+        *("output", "", ""),
+        [
+            (
+                "core/parameters.py",
+                "\nOUTPUTS = (\n",
+                '    Output("sigma_worst", _EACH, "largest RMS error of a component"),\n',
+            ),
+            (
+                "core/experiment.py",
+                '"sigma": np.sqrt(variance),',
+                '\n        "sigma_worst": np.sqrt(variance).max(axis=1),',
+            ),
+        ],
+        RUN + "assert (ds.sigma_worst == ds.sigma.max('component')).all()\n",
+    ),
+    Toy(
+        *("kind of plot", "sweep/plots/dots.py", DOTS),
+        [
+            (
+                "sweep/plots/kinds.py",
+                '"scatter": Kind("sweep.plots.grid_figures:SCATTER"),',
+                '\n    "dots": Kind("sweep.plots.dots:DOTS"),',
+            )
+        ],
+        RUN
+        + """
+assert len(linksweep.plot(ds, "dots").axes[0].lines) == 1
+from sweep.cli.plot import plot
+assert any("dots" in getattr(option.type, "choices", ()) for option in plot.params)
+""",
+    ),
+    Toy(
+        *("pool of this machine", "sweep/executing/backwards.py", BACKWARDS),
+        [
+            ("sweep/executing/pools.py", "    return serial(study, limits)\n", OPENER),
+            ("sweep/executing/pools.py", 'PoolName = Literal["processes", "threads", "serial"', ', "backwards"'),
+            (
+                "sweep/executing/pools.py",
+                "has_workers=False),",
+                '\n    "backwards": Pool("backwards", _backwards, has_workers=False),',
+            ),
+        ],
+        RUN
+        + """
+again = linksweep.run(study, "again.zarr", pool="backwards")
+assert again.drop_attrs().identical(ds.drop_attrs())
+from sweep.cli.running import run as command
+assert any("backwards" in getattr(option.type, "choices", ()) for option in command.params)
+""",
+    ),
+]
+LIMITS = {"output": 2, "block of unknowns": 1}
+
+
+@pytest.mark.parametrize("toy", TOYS, ids=lambda toy: toy.what)
+def test_a_toy_of_each_kind_works_in_the_files_that_the_page_names(tmp_path, toy):
+    for package in ("core", "linksweep", "sweep", "sweeps"):
+        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+    if toy.new:
+        assert not (tmp_path / toy.new).exists()
+        (tmp_path / toy.new).write_text(toy.code)
+    for file, behind, text in toy.edits:
+        before = (tmp_path / file).read_text()
+        assert before.count(behind) == 1, f"{behind!r} in {file}"
+        (tmp_path / file).write_text(before.replace(behind, behind + text))
+    ran = subprocess.run([sys.executable, "-c", toy.trial], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+
+
+@pytest.mark.parametrize("toy", TOYS, ids=lambda toy: toy.what)
+def test_the_page_says_what_a_toy_touches(toy):
+    row = next(line for line in PAGE.splitlines() if line.startswith(f"| {toy.what}"))
+    touched = {file for file, _, _ in toy.edits}
+    assert len(touched) <= LIMITS.get(toy.what, 1)
+    named = set(re.findall(r"`([\w/]+\.py)`", row))
+    assert named == touched | ({re.sub(r"\w+\.py$", "NAME.py", toy.new)} if toy.new else set())
+
+
+def test_every_file_that_the_page_names_is_there():
+    for file in re.findall(r"`((?:core|sweep|tests)/[\w/]+\.py)`", PAGE):
+        assert (ROOT / file).is_file() or file.endswith("/NAME.py"), file
