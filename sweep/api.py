@@ -1,7 +1,9 @@
 """The platform as functions, for scripts and notebooks."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +14,8 @@ from sweep.executing.choose import Resources
 from sweep.executing.execute import GUARD, NO_LIMITS, Limits
 from sweep.executing.pools import PoolName
 from sweep.executing.upstream import is_reading_main
+from sweep.running.notebook import NotebookProgress, in_notebook
+from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
 from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
@@ -69,7 +73,7 @@ def run(
         accept_code: continue a store that other code made, and say for each point which code made it; such a store
             is refused otherwise.
         fresh: replace the store.
-        progress: is told how the run goes; nothing is printed unless it does.
+        progress: is told how the run goes; by default a bar in terminals and notebooks, and nothing elsewhere.
 
     Returns:
         The outputs of the study over its axes, in memory, as `open` gives them.
@@ -96,8 +100,8 @@ def run(
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title})
     place = located(store or Path("results") / f"{loaded.name}.zarr")
     resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
-    watching = progress or Silent()
-    dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
+    with _watching(loaded, progress) as watching:
+        dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
     if failures:
         log.warning("%s: %s", place, failed_points(failures))
     return dataset
@@ -141,7 +145,7 @@ def plot(
         over: the axis along which curves go, the two of a map, or the two components of a scatter.
 
     Returns:
-        A Matplotlib figure that belongs to no window; ``figure.savefig("name.svg")`` writes it.
+        A Matplotlib figure that belongs to no window; ``figure.savefig("name.svg")`` writes it, a notebook shows it.
 
     Raises:
         SweepError: for a kind that the dataset cannot have, naming those that it can, and for unknown variables.
@@ -156,8 +160,9 @@ def plot(
         >>> figure.savefig("more.svg")
     """
     from sweep.plots.figure import draw_figure
+    from sweep.plots.shown import shown
 
-    return draw_figure(dataset, kind, variables, over)
+    return shown(draw_figure(dataset, kind, variables, over))
 
 
 def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], given: dict[str, Any]) -> Study:
@@ -169,6 +174,20 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], g
     if isinstance(study, Study):
         return study
     return live_study(study) if isinstance(study, Mapping) else load_study(str(study))
+
+
+@contextmanager
+def _watching(study: Study, progress: Progress | None) -> Iterator[Progress]:
+    """Give who watches a run: the one that was given, or a bar where somebody sees it."""
+    if progress is not None:
+        yield progress
+    elif in_notebook():
+        yield NotebookProgress()
+    elif sys.stderr is not None and sys.stderr.isatty():
+        with TerminalProgress(study) as bar:
+            yield bar
+    else:
+        yield Silent()
 
 
 def _leave_a_worker_that_runs_its_script() -> None:

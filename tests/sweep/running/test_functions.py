@@ -11,7 +11,7 @@ import xarray as xr
 import linksweep
 from linksweep import Output, SweepError, experiment
 from sweep.running.reproduce import reproduce
-from sweep.stores.store import read_attributes
+from sweep.stores.opened import OpenStore
 
 T = np.linspace(0.0, 160.0, 81)
 
@@ -55,7 +55,7 @@ def test_a_function_is_evaluated_once_and_its_results_are_stored_to_the_last_bit
                 assert found[name].values[k] == value
         assert [found[name].dtype.kind for name in ("x", "big", "neg", "yes", "when")] == ["f", "i", "i", "b", "M"]
         assert np.signbit(found.x.values[0])
-    told = read_attributes(tmp_path / "s.zarr")
+    told = OpenStore(tmp_path / "s.zarr").attributes
     assert not {"n_sim", "n_cat", "seed"} & told.keys()
     assert "n_sim_done" not in ds
     before = len(calls)
