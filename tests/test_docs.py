@@ -197,11 +197,9 @@ def test_the_notebook_of_the_document_runs(tmp_path):
     cells = code("function-notebook.md", "python")
     shown = "\nprint(ds.end.values.tolist()[0], more.end.values.tolist()[0], figure._repr_png_()[:4])\n"
     script = "\n".join(cells).replace("linksweep.plot", "figure = linksweep.plot") + shown
-    done = subprocess.run(
-        [sys.executable, "-"], input=script, cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout == "2.0 2.0 b'\\x89PNG'\n"
+    assert done.stdout == "[2.0] 2.0 b'\\x89PNG'\n"
     assert len(list((tmp_path / "results").glob("growth-*.zarr"))) == 2
 
 

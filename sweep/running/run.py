@@ -123,7 +123,8 @@ def run_study(
         place, run = stack.enter_context(where)
         progress.start(accumulator.survey, place.words, place.workers)
         study, first = first_results(study, Pending(plan, accumulator), run)
-        plan = Plan(replace(plan.grid, study=study))
+        if first:
+            plan = Plan(replace(plan.grid, study=study))
         opened = _opened(store, opened, plan)
         _record_code(opened, study, progress)
         accumulator = _accumulator(plan, opened, again) if first else accumulator
