@@ -32,7 +32,9 @@ def first_results(study: Study, pending: Pending, run: Executor) -> tuple[Study,
 
     def take(_count: int) -> list[list[Work]]:
         nonlocal out
-        tasks = [] if out else pending.take(1)
+        if out:
+            return []
+        tasks = pending.take(1)
         out = bool(tasks)
         return tasks
 

@@ -323,3 +323,31 @@ def test_what_is_shown_has_the_words_of_the_experiment_alone(tmp_path, sweep):
         for text in (*said, body):
             assert not [word for word in WORDS if word in text.lower()]
         assert ("Kermack &amp; McKendrick (1927)" in body) == (name == "sir")
+
+
+@pytest.mark.slow
+def test_statistics_have_the_same_bits_on_any_pool(tmp_path):
+    given = {"axes": {"load": [0.2, 0.5, 0.8]}, "sampling": {"n_sim": 2000, "seed": 5}}
+    serial = run(queue, tmp_path / "serial.zarr", **given).drop_attrs()
+    for pool in ("threads", "processes"):
+        place = tmp_path / f"{pool}.zarr"
+        other = linksweep.run(queue, store=place, pool=pool, workers=2, **given)
+        assert other.drop_attrs().equals(serial)
+
+
+def test_the_dimensions_of_an_output_are_axes(tmp_path, sweep):
+    run(sir, tmp_path / "s.zarr", axes={"beta": [0.2, 0.3, 0.4]})
+    ds = linksweep.open(tmp_path / "s.zarr")
+    crossing = linksweep.find(ds, "infected > 100", along="time")
+    for k, beta in enumerate((0.2, 0.3, 0.4)):
+        curve = sir(beta)["infected"]
+        first = np.argmax(curve > 100.0)
+        assert T[first - 1] < crossing["first"].values[k] < T[first]
+    assert linksweep.plot(ds, variables=["infected"], over=["time"]).axes
+    assert linksweep.plot(ds.isel(beta=0), variables=["infected"]).axes
+    code, out, _ = sweep("show", "s.zarr", "--json", cwd=tmp_path)
+    told = json.loads(out)
+    assert code == 0
+    assert told["rows"][1]["infected"] == sir(0.3)["infected"].tolist()
+    assert told["arrays"]["infected"]["coordinates"]["time"] == T.tolist()
+    assert told["units"]["time"] == "d"
