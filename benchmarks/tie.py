@@ -17,7 +17,8 @@ import json, resource, sys, time
 import numpy as np
 from core.constants import MAS
 from core.tie.astrometry import Astrometry
-from core.tie.normal_sums import Problem, group_sums
+from core.tie.normal_sums import group_sums
+from core.tie.problem import Problem
 from core.tie.sources import SourceTable
 from core.tie.uncertainty import jackknife
 from core.unknowns import parse_unknowns
@@ -58,6 +59,22 @@ columns["pmra_pmdec_corr"] = rng.uniform(-0.3, 0.3, n)
 Table(columns).write(sys.argv[2])
 """
 
+_PARQUET = """
+import sys
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+n, group = int(sys.argv[1]), int(sys.argv[3])
+rng = np.random.default_rng(1)
+columns = {"ra": rng.uniform(0.0, 360.0, n), "dec": np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, n)))}
+columns["ref_epoch"] = np.full(n, 2016.0)
+for name in ("pmra", "pmdec"):
+    columns[name] = rng.normal(0.0, 0.4, n) + 100.0 * (rng.random(n) < 0.01)
+    columns[name + "_error"] = np.full(n, 0.4)
+columns["pmra_pmdec_corr"] = rng.uniform(-0.3, 0.3, n)
+parquet.write_table(pa.table(columns), sys.argv[2], row_group_size=group)
+"""
+
 _RADIO_STARS = """
 import json, time
 from sweep.tie.link_tables import tie
@@ -84,6 +101,7 @@ def measure(size: Size, repetitions: int, _peers: bool) -> list[Measured]:
                 target = Target("<=", limit) if degree == 5 and size != "tiny" else None
                 found.append(Measured(f"{name}, l = {degree}", [run[key] for run in runs], unit, target))
         found.append(_command(n, Path(folder), repetitions))
+        found += _row_groups(n, Path(folder), repetitions)
         found.append(_radio_stars(Path(folder), repetitions))
     return found
 
@@ -102,6 +120,26 @@ def _command(n: int, folder: Path, repetitions: int) -> Measured:
     note = f"peak {max(run.peak_bytes for run in runs) / 1e6:,.0f} MB"
     name = f"sweep tie of {n:,} sources, l = 5, with a clip"
     return Measured(name, [run.cpu_s for run in runs], "s CPU", Target("<=", 40.0), note)
+
+
+def _row_groups(n: int, folder: Path, repetitions: int) -> list[Measured]:
+    """Return CPU seconds and memory of the same command from Parquet, and bytes a source from a quarter of the rows."""
+    command = ["--unknowns", "spin", "--degree", "5", "--clip", "median:5", "--errors", "cells"]
+    peaks = {}
+    for rows in (n // 4, n):
+        watch([sys.executable, "-c", _PARQUET, str(rows), f"{rows}.parquet", "100000"], folder)
+        runs = [
+            watch([*SWEEP, "tie", f"{rows}.parquet", "zero-motion", *command], folder, ONE_THREAD)
+            for _ in range(repetitions)
+        ]
+        peaks[rows] = [float(run.peak_bytes) for run in runs]
+    slope = [(high - low) / (n - n // 4) for low, high in zip(peaks[n // 4], peaks[n], strict=True)]
+    note = f"peak {max(peaks[n]) / 1e6:,.0f} MB"
+    name = f"sweep tie of {n:,} sources in Parquet, row group by row group"
+    found = [Measured(name, [run.cpu_s for run in runs], "s CPU", Target("<=", 40.0), note)]
+    if n >= N_SOURCES:
+        found.append(Measured("memory of it", slope, "bytes a source", Target("<=", 300.0)))
+    return found
 
 
 def _radio_stars(folder: Path, repetitions: int) -> Measured:

@@ -3,8 +3,9 @@
 import numpy as np
 
 from core.arrays import Array
+from core.blocks import Glide, Objects, Orientation, Rotation
 from core.link import require_off_poles
-from core.unknowns import Glide, Objects, Orientation, Rotation, Unknowns
+from core.unknowns import Unknowns
 
 
 def link_unknowns(glide: bool = False, corrections: bool = True) -> Unknowns:

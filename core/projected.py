@@ -46,7 +46,7 @@ class Projected:
             self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, rows]), mode="r"))
 
     def draw(self, rows: int, rng: np.random.Generator) -> "Drawn":
-        """Return what ``rows`` realisations come to."""
+        """Return the estimates of ``rows`` realisations and the sum of their chi2."""
         if not self.noisy:
             return Drawn(*self.design.solved(np.zeros((self.triangle.shape[1], rows)), 0.0))
         normals = rng.standard_normal((rows, len(self.triangle))).T

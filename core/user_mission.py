@@ -12,7 +12,7 @@ from sweep.contract import DefinitionError, Function, Named, SweepError, shown, 
 OwnCurve = Exponentials | LogLinear | CurveOfFunction
 
 UNITS = {"mas": 1.0, "uas": 1000.0}
-"""How many there are in a mas."""
+"""Units per mas."""
 
 SMALLEST_SIGMA_MAS, LARGEST_SIGMA_MAS = 1e-9, 1e7
 BRIGHTEST_MAG, FAINTEST_MAG = -5.0, 30.0

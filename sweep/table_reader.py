@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import SweepError
+from sweep.table_parquet import parquet_table
 from sweep.table_text import read_delimited, read_rows
 
 FORMATS = (
@@ -70,7 +71,7 @@ def _read(path: Path, content: bytes) -> Any:
     if start.startswith(b"SIMPLE  ="):
         return _by_astropy("fits", io.BytesIO(content) if packed else path)
     readers: dict[bytes, Callable[[bytes], Any]] = {
-        b"PAR1": _parquet,
+        b"PAR1": parquet_table,
         b"<": _votable,
         b"# %ECSV": _ecsv,
         b"PK\3\4": _archive,
@@ -156,43 +157,6 @@ def _ecsv(content: bytes) -> Any:
             setattr(rows[name], attribute, getattr(column, attribute))
     rows.meta = table.meta
     return rows
-
-
-def _parquet(content: bytes) -> Any:
-    from astropy.table import MaskedColumn, Table
-
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError as error:
-        raise SweepError("is a Parquet file, which needs pyarrow: install linksweep[parquet]") from error
-    try:
-        found = parquet.read_table(io.BytesIO(content))
-        units = _by_astropy("parquet", io.BytesIO(content), schema_only=True) if _from_astropy(found) else None
-    except (pa.ArrowException, OSError) as error:
-        raise SweepError(f"cannot be read as Parquet: {' '.join(str(error).split())[:300]}") from error
-    table = Table()
-    for name, field in zip(found.column_names, found.schema, strict=True):
-        column, missing = found[name], found[name].is_null().to_numpy()
-        kind = pa.types
-        if kind.is_decimal(field.type):
-            column = column.cast(pa.float64())
-        if kind.is_dictionary(field.type):
-            column = column.cast(field.type.value_type)
-        if kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_boolean(column.type):
-            values = column.fill_null(False if kind.is_boolean(column.type) else 0).to_numpy()
-        elif kind.is_string(column.type) or kind.is_large_string(column.type):
-            values = np.array(["" if text is None else text for text in column.to_pylist()], dtype=np.str_)
-        else:
-            values = np.empty(len(column), dtype=object)
-            values[:] = column.to_pylist()
-        unit = (field.metadata or {}).get(b"unit", b"").decode() or (units and units[name].unit) or None
-        table[name] = MaskedColumn(values, mask=missing if missing.any() else False, unit=unit)
-    return table
-
-
-def _from_astropy(found: Any) -> bool:
-    return b"table_meta_yaml" in (found.schema.metadata or {})
 
 
 def _described(readme: Path) -> list[str]:

@@ -59,10 +59,10 @@ class South:
 
     name: str = "south"
     labels: tuple[str, ...] = ("south_dec",)
-    rows: tuple[int, ...] = (DEC,)
+    rows: tuple[int, ...] = (1,)
     rate: bool = False
 
-    def derivatives(self, objects: Objects) -> Array:
+    def derivatives(self, objects):
         """Return 1 in the south, 0 in the north; shape (1, 1, N)."""
         return np.where(objects.dec < 0.0, 1.0, 0.0)[None, None]
 '''
@@ -118,7 +118,7 @@ TOYS = [
     Toy(
         *("block of unknowns", "", ""),
         [
-            ("core/unknowns.py", "        return np.ones((1, 1, len(objects.ra)))\n", SOUTH),
+            ("core/unknowns.py", "HIGHEST_DEGREE = 50\n", SOUTH),
             (
                 "core/unknowns.py",
                 '"parallax": lambda asked: ParallaxZeroPoint(),',

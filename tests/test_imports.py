@@ -27,8 +27,8 @@ ONLY_IN = {
     "jinja2": {"sweep.report"},
     "pydantic": {"sweep.studies"},
     "astropy": {
-        *("sweep.contract.units", "sweep.table_text", "sweep.table_columns", "sweep.table_reader", "sweep.analysis"),
-        *("sweep.search", "sweep.tie"),
+        *("sweep.contract.units", "sweep.table_text", "sweep.table_columns", "sweep.table_reader"),
+        *("sweep.table_parquet", "sweep.analysis", "sweep.search", "sweep.tie"),
     },
     "erfa": {"core.tie.motion"},
     "pygaia": {"core.missions"},

@@ -57,6 +57,7 @@ def test_radio_stars_give_table_2(results):
     assert np.all((off < 0.06 * TABLE_2[:, 1:] + ours) | (off < 0.0015))
 
 
+@pytest.mark.slow
 def test_the_worst_cell_of_table_2_is_the_constants_and_the_luck_of_the_seed(tmp_path):
     """Ten radio stars with halved errors: the closed form over 40 000 samples of the eleven is 5.2 % above the paper's
     0.047, and the 1200 of the shipped seed add 2.0 of their own errors, which makes 7.0 %.
@@ -250,6 +251,7 @@ def test_every_study_agrees_with_its_prediction(results):
         assert off.max() < (6 if name == "radio-stars" else 4.5), name
 
 
+@pytest.mark.slow
 def test_the_real_gaia_approaches_the_paper_and_goes_beyond(results):
     predicted = results("gaia-releases")["sigma_spin_predicted"].sel(v_max=20)
     dr3, dr4, dr5 = (predicted.sel(model=f"gaia-dr{n}").item() for n in (3, 4, 5))

@@ -22,7 +22,8 @@ class Astrometry:
     ``correlations`` (10, N) in the order of `PAIRS`, or None for none; ``epoch`` (N,) in Julian years, NaN where the
     position has none (an extragalactic source: it is that of any epoch); ``radial_velocity`` (N,) in km/s, NaN where
     unknown; ``names`` (N,); ``columns`` are further numbers by name; ``apparent`` (N,) marks positions of a single
-    epoch, which the parallax displaces.
+    epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in the reference's frame and the number of a
+    mission, from 1, for those in a frame of its own.
     """
 
     values: Array
@@ -33,6 +34,7 @@ class Astrometry:
     names: NDArray[np.str_] | None = None
     columns: Mapping[str, Array] = field(default_factory=dict)
     apparent: NDArray[np.bool_] | None = None
+    frame: Indices | None = None
 
     def __len__(self) -> int:
         return len(self.epoch)
@@ -60,6 +62,7 @@ class Astrometry:
             names=of(self.names),
             columns={name: of(column) for name, column in self.columns.items()},
             apparent=of(self.apparent),
+            frame=of(self.frame),
         )
 
     def covariance(self) -> Array:
@@ -71,6 +74,29 @@ class Astrometry:
             for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
                 found[:, i, j] = found[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
         return found
+
+
+def joined(*tables: Astrometry) -> Astrometry:
+    """Return the rows of some tables as one, without names, radial velocities and further columns."""
+
+    def together(parts: list[Any]) -> Any:
+        return np.concatenate(parts, axis=-1)
+
+    def filled(given: Any, table: Astrometry, *shape: int, kind: type = float) -> Any:
+        return np.zeros((*shape, len(table)), dtype=kind) if given is None else given
+
+    return Astrometry(
+        values=together([table.values for table in tables]),
+        errors=together([table.errors for table in tables]),
+        epoch=together([table.epoch for table in tables]),
+        correlations=together([filled(table.correlations, table, len(PAIRS)) for table in tables]),
+        apparent=together([filled(table.apparent, table, kind=bool) for table in tables]),
+        frame=(
+            together([filled(table.frame, table, kind=np.int64) for table in tables])
+            if any(table.frame is not None for table in tables)
+            else None
+        ),
+    )
 
 
 def positive_definite(correlations: Array) -> NDArray[np.bool_]:

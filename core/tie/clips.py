@@ -10,7 +10,9 @@ from scipy.stats import chi2
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.differences import Differences, differences
-from core.tie.normal_sums import BLOCK, Problem, Solution
+from core.tie.normal_sums import BLOCK
+from core.tie.problem import Problem
+from core.tie.solution import Solution
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -164,22 +166,31 @@ def _median(sources: Sources, k: float) -> Clipped:
     factors = used.astype(np.float64)
     solution = sources.solve(factors)
     trajectory = [solution]
-    seen = {factors.tobytes()}
+    seen = {np.packbits(used).tobytes()}
     notes = []
     for _ in range(ITERATIONS):
-        residual = np.zeros(len(factors))
-        residual[used] = np.sqrt(sources.discrepancies(solution.estimate)[used] / sources.count[used])
+        residual = _normalised(sources, solution, used)
         new = np.where(used & (residual <= k * np.median(residual[used])), 1.0, 0.0)
         if np.array_equal(new, factors):
             break
         factors = new
         solution = sources.solve(factors)
         trajectory.append(solution)
-        if factors.tobytes() in seen:
+        kept = np.packbits(new > 0.0).tobytes()
+        if kept in seen:
             notes.append("the clip median returned to an earlier selection of sources and was ended there")
             break
-        seen.add(factors.tobytes())
+        seen.add(kept)
     return Clipped(factors, solution, [-1] * len(trajectory), trajectory, len(trajectory) - 1, notes)
+
+
+def _normalised(sources: Sources, solution: Solution, used: Flags) -> Array:
+    """Return sqrt(Q_i/n_i) of each source, zero without observations; in place, for millions of them."""
+    found = sources.discrepancies(solution.estimate)
+    np.divide(found, sources.count, out=found, where=used)
+    np.sqrt(found, out=found)
+    found[~used] = 0.0
+    return found
 
 
 def _huber(sources: Sources, c: float) -> Clipped:
@@ -188,8 +199,7 @@ def _huber(sources: Sources, c: float) -> Clipped:
     solution = sources.solve(factors)
     notes = []
     for _ in range(ITERATIONS):
-        residual = np.full(len(factors), np.inf)
-        residual[used] = np.sqrt(sources.discrepancies(solution.estimate)[used] / sources.count[used])
+        residual = _normalised(sources, solution, used)
         new = np.where(used, np.minimum(1.0, c / np.maximum(residual, 1e-300)), 0.0)
         if np.max(np.abs(new - factors)) < 1e-12:
             break

@@ -15,21 +15,28 @@ Array = NDArray[np.float64]
 class Differences:
     """R rows: ``values`` f (R, 5), zero where absent, ``partials`` M (R, 5, 5), ``covariance`` V (R, 5, 5) and which
     of the five are ``present`` (R, 5).
+
+    ``by_frames`` (R, 5, 5 F) are the derivatives of f by what the satellite's frame, and then those of F - 1 further
+    missions, do to the five parameters of the source: M, and -M for the frame that the row is in.
     """
 
     values: Array
     partials: Array
     covariance: Array
     present: NDArray[np.bool_]
+    by_frames: Array
 
 
-def differences(satellite: Astrometry, rows: Astrometry, source: Indices, spin: Array | None = None) -> Differences:
+def differences(
+    satellite: Astrometry, rows: Astrometry, source: Indices, spin: Array | None = None, frames: int = 1
+) -> Differences:
     """Return rows - satellite.  ``source`` (R,) says to which source of the satellite a row belongs.
 
     A row without an epoch is at that of its source.  f is the row minus the exact propagation of the satellite's
     parameters, and for the position of a single epoch minus the parallax times its factors.  A motion or parallax
     that the satellite lacks counts as zero here; it is free in the solution, so nothing depends on that.  ``spin`` is
-    a known (5, S) displacement of the sources' parameters that is taken out.
+    a known (5, S) displacement of the sources' parameters that is taken out.  ``frames`` is 1 more than the number of
+    missions whose rows are in frames of their own.
     """
     own = satellite.taken(source)
     epoch = np.where(np.isfinite(rows.epoch), rows.epoch, own.epoch)
@@ -54,9 +61,22 @@ def differences(satellite: Astrometry, rows: Astrometry, source: Indices, spin: 
         found[:2, at] -= factors * there[2, at]
     if spin is not None:
         found -= np.einsum("rij,jr->ir", partials, spin[:, source])
+    partials = partials * present.T[:, :, None]
     return Differences(
         values=np.where(present, found, 0.0).T,
-        partials=partials * present.T[:, :, None],
+        partials=partials,
         covariance=rows.covariance(),
         present=present.T,
+        by_frames=_by_frames(partials, rows.frame, frames),
     )
+
+
+def _by_frames(partials: Array, frame: Indices | None, frames: int) -> Array:
+    if frames == 1:
+        return partials
+    found = np.zeros((len(partials), 5, 5 * frames))
+    found[:, :, :5] = partials
+    for number in range(1, frames):
+        own = np.zeros(len(partials), dtype=bool) if frame is None else frame == number
+        found[own, :, 5 * number : 5 * number + 5] = -partials[own]
+    return found

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from core.tie.clips import row_separations
 from core.tie.differences import Differences, differences
 from core.tie.elimination import Eliminated, eliminate
-from core.tie.normal_sums import NormalSums, Problem
+from core.tie.normal_sums import NormalSums
+from core.tie.problem import Problem
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,9 @@ class Simulation:
 
     @cached_property
     def _found(self) -> Differences:
-        return differences(self.problem.satellite, self.problem.rows, self.problem.source)
+        return differences(
+            self.problem.satellite, self.problem.rows, self.problem.source, frames=self.problem.unknowns.frames
+        )
 
     @cached_property
     def _covariance(self) -> Array:
@@ -81,8 +84,9 @@ class Simulation:
             scale[rng.random(scale.shape) < self.outliers] *= self.outlier_factor
         own = scale * np.einsum("sij,nsj->nsi", own_half, rng.standard_normal((number, *own_half.shape[:2])))
         rows = np.einsum("rij,nrj->nri", row_half, rng.standard_normal((number, *row_half.shape[:2])))
-        inside = (self._matrix @ self.truth - own)[:, source]
-        values = np.einsum("rij,nrj->nri", found.partials, inside) + scale[:, source] * rows
+        inside = np.tile(self._matrix @ self.truth, (number, 1, 1))
+        inside[..., :5] -= own
+        values = np.einsum("rij,nrj->nri", found.by_frames, inside[:, source]) + scale[:, source] * rows
         return np.where(found.present, values, 0.0)
 
     def _eliminated(self, values: Array) -> Eliminated:
@@ -93,6 +97,7 @@ class Simulation:
             partials=np.tile(found.partials, (n, 1, 1)),
             covariance=np.tile(found.covariance, (n, 1, 1)),
             present=np.tile(found.present, (n, 1)),
+            by_frames=np.tile(found.by_frames, (n, 1, 1)),
         )
         n_sources = len(problem.satellite)
         source = (problem.source + n_sources * np.arange(n)[:, None]).ravel()
@@ -104,7 +109,7 @@ class Simulation:
         across = matrix.swapaxes(1, 2)
         normal = across @ left.weight[:n_sources] @ matrix
         spread = None if self.problem.weights == "covariance" else across @ left.spread[:n_sources] @ matrix
-        right = np.einsum("ski,nsi->nsk", across, left.right.reshape(number, n_sources, 5))
+        right = np.einsum("ski,nsi->nsk", across, left.right.reshape(number, n_sources, -1))
         squares = left.squares.reshape(number, n_sources)
         count, expected = left.count[:n_sources], left.expected[:n_sources]
         return [NormalSums(normal, right[i], squares[i], count, expected, spread) for i in range(number)]

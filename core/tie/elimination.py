@@ -28,9 +28,9 @@ UNDETERMINED = 1e-12
 
 @dataclass(frozen=True)
 class Eliminated:
-    """S sources: W (S, 5, 5), w (S, 5), yy (S,), the number of observations less that of free parameters (S,), what yy
-    is on average (S,), and M' G D G' M of other weights than the best (S, 5, 5), which is W for the best.
-    ``parameters`` are those that the matrices have, where it is not all five.
+    """S sources: W (S, P, P), w (S, P), yy (S,), the number of observations less that of free parameters (S,), what yy
+    is on average (S,), and M' G D G' M of other weights than the best (S, P, P), which is W for the best.
+    ``parameters`` are the P that the matrices have: some of the five of each frame.
     """
 
     weight: Array
@@ -39,7 +39,7 @@ class Eliminated:
     count: Array
     expected: Array
     spread: Array
-    parameters: tuple[int, ...] = (0, 1, 2, 3, 4)
+    parameters: tuple[int, ...]
 
     def onto(self, rows: tuple[int, ...]) -> tuple[Array, Array, Array]:
         """Return W (S, r, r), w (S, r) and M' G D G' M (S, r, r) of some parameters, zero for those without weight."""
@@ -89,18 +89,20 @@ def eliminate(
 ) -> Eliminated:
     """Return what is left of S sources.
 
-    ``source`` (R,) is that of each row; ``covariance`` C (S, 5, 5) and ``free`` (S, 5), true for parameters without an
-    error, whose rows and columns in C are zero.  Weights are those of the covariance D, of its diagonal, or equal (an
-    error of 1 mas and 1 mas/yr in each difference).  Raises LinkError where differences of a source have no error.
+    P is five for each frame.  ``source`` (R,) is that of each row; ``covariance`` C (S, 5, 5) and ``free`` (S, 5), true
+    for parameters without an error, whose rows and columns in C are zero.  Weights are those of the covariance D, of
+    its diagonal, or equal (an error of 1 mas and 1 mas/yr in each difference).  Raises LinkError where differences of a
+    source have no error.
     """
-    n_sources = len(covariance)
+    n_sources, size = len(covariance), found.by_frames.shape[-1]
     result = Eliminated(
-        weight=np.zeros((n_sources, 5, 5)),
-        right=np.zeros((n_sources, 5)),
+        weight=np.zeros((n_sources, size, size)),
+        right=np.zeros((n_sources, size)),
         squares=np.zeros(n_sources),
         count=np.zeros(n_sources),
         expected=np.zeros(n_sources),
-        spread=np.zeros((n_sources, 5, 5)),
+        spread=np.zeros((n_sources, size, size)),
+        parameters=tuple(range(size)),
     )
     for sources, rows in _alike(found.present, source, n_sources):
         _observed(result, found, covariance, sources, rows, weights)
@@ -149,7 +151,8 @@ def _observed(
     if np.any(variance <= 0.0):
         raise LinkError(f"source {sources[np.argwhere(variance <= 0.0)[0][0]]} has a difference without any error")
 
-    both = np.concatenate([partials, values[..., None]], axis=2)
+    design = found.by_frames[rows].reshape(n, size, -1)[:, used]
+    both = np.concatenate([design, values[..., None]], axis=2)
     if weights == "covariance":
         weighted = _solved(whole, variance, both, sources)
         trace = np.sum(present, axis=1)
@@ -157,12 +160,12 @@ def _observed(
         own_variance = variance if weights == "variance" else np.full_like(variance, MAS**2)
         weighted = both / own_variance[..., None]
         trace = np.sum(np.where(present, variance / own_variance, 0.0), axis=1)
-        result.spread[sources] = weighted[..., :5].swapaxes(1, 2) @ whole @ weighted[..., :5]
+        result.spread[sources] = weighted[..., :-1].swapaxes(1, 2) @ whole @ weighted[..., :-1]
     products = both.swapaxes(1, 2) @ weighted
-    weight = products[:, :5, :5]
+    weight = products[:, :-1, :-1]
     result.weight[sources] = 0.5 * (weight + weight.swapaxes(1, 2))
-    result.right[sources] = products[:, :5, 5]
-    result.squares[sources] = products[:, 5, 5]
+    result.right[sources] = products[:, :-1, -1]
+    result.squares[sources] = products[:, -1, -1]
     result.count[sources] = np.sum(present, axis=1)
     result.expected[sources] = trace
 
@@ -208,7 +211,7 @@ def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
     inverse = (vectors * np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
     inverse *= scale[:, :, None] * scale[:, None, :]
 
-    keep = np.tile(np.eye(5), (len(sources), 1, 1))  # w of the free solution is keep @ w
+    keep = np.tile(np.eye(weight.shape[-1]), (len(sources), 1, 1))  # w of the free solution is keep @ w
     keep[:, :, columns] -= weight[:, :, columns] @ inverse
     keep[:, columns, :] = 0.0
     right, spread = result.right[sources], result.spread[sources]

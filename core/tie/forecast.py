@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.link import LinkError
-from core.tie.astrometry import Astrometry
-from core.tie.normal_sums import NormalSums, Problem, inverted
+from core.tie.astrometry import Astrometry, joined
+from core.tie.normal_sums import NormalSums
+from core.tie.problem import Problem
+from core.tie.solution import inverted
 from core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -34,24 +36,6 @@ def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, appar
     )
     source = np.concatenate([problem.source, np.tile(np.arange(n), times)])
     return replace(problem, rows=joined(problem.rows, new), source=source)
-
-
-def joined(first: Astrometry, second: Astrometry) -> Astrometry:
-    """Return the rows of two tables as one, without names and further columns."""
-
-    def correlations(table: Astrometry) -> Array:
-        return np.zeros((10, len(table))) if table.correlations is None else table.correlations
-
-    def apparent(table: Astrometry) -> NDArray[np.bool_]:
-        return np.zeros(len(table), dtype=bool) if table.apparent is None else table.apparent
-
-    return Astrometry(
-        values=np.concatenate([first.values, second.values], axis=1),
-        errors=np.concatenate([first.errors, second.errors], axis=1),
-        epoch=np.concatenate([first.epoch, second.epoch]),
-        correlations=np.concatenate([correlations(first), correlations(second)], axis=1),
-        apparent=np.concatenate([apparent(first), apparent(second)]),
-    )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.tie.normal_sums import NormalSums, Solution
+from core.tie.normal_sums import NormalSums
+from core.tie.solution import Solution
 from core.tie.uncertainty import leave_one_out
 from core.unknowns import Unknowns
 
@@ -26,6 +27,16 @@ def expected_discrepancies(sums: NormalSums, solution: Solution) -> Array:
     own = np.einsum("kl,slk->s", solution.inverse, sums.right_covariance)
     own_shift = np.einsum("kl,slk->s", solution.covariance, sums.normal)
     return np.asarray(sums.expected - 2.0 * own + own_shift)
+
+
+def shares(sums: NormalSums, solution: Solution, unknowns: Unknowns) -> Array:
+    """Return the share of each source in the weight of each block; shape (S, blocks).  They add up to 1 over all."""
+    found = np.zeros((len(sums), len(unknowns.blocks)))
+    for i, name in enumerate(unknowns.names):
+        part = unknowns.part(name)
+        own = sums.normal[:, part, part]
+        found[:, i] = np.einsum("kl,slk->s", np.linalg.inv(solution.normal[part, part]), own) / own.shape[1]
+    return found
 
 
 @dataclass(frozen=True)
@@ -52,10 +63,7 @@ def influence(sums: NormalSums, solution: Solution, unknowns: Unknowns, kept: ND
     without[kept] = leave_one_out(sums.taken(kept), solution.normal, right)
     step = without - solution.estimate
     share = np.zeros((n, len(unknowns.blocks)))
-    for i, name in enumerate(unknowns.names):
-        part = unknowns.part(name)
-        own = sums.normal[kept][:, part, part]
-        share[kept, i] = np.einsum("kl,slk->s", np.linalg.inv(solution.normal[part, part]), own) / own.shape[1]
+    share[kept] = shares(sums.taken(kept), solution, unknowns)
     return Influence(
         discrepancy=discrepancies(sums, solution.estimate),
         expected=expected_discrepancies(sums, solution),

@@ -1,20 +1,19 @@
-"""Normal equations of the unknowns, kept for each source or for groups of sources, and their solution."""
+"""Normal equations of the unknowns, kept for each source or for groups of sources."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.link import SMALLEST_EIGENVALUE, LinkError
-from core.tie.astrometry import Astrometry, Indices
-from core.tie.differences import differences
-from core.tie.elimination import Eliminated, Weights, eliminate
+from core.blocks import Objects
+from core.constants import MAS
+from core.tie.astrometry import Indices
+from core.tie.elimination import Eliminated
+from core.tie.problem import Problem
 from core.tie.products import add_products
-from core.tie.simple_rows import eliminate_simple
-from core.unknowns import Objects, Unknowns
+from core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 
@@ -62,89 +61,38 @@ class NormalSums:
             one.right_covariance * each**2,
         )
 
+    def plus(self, other: "NormalSums") -> "NormalSums":
+        """Return the sums of both, group by group."""
+        spread = None
+        if self.spread is not None or other.spread is not None:
+            spread = self.right_covariance + other.right_covariance
+        return NormalSums(
+            self.normal + other.normal,
+            self.right + other.right,
+            self.squares + other.squares,
+            self.count + other.count,
+            self.expected + other.expected,
+            spread,
+        )
+
+    def followed_by(self, other: "NormalSums") -> "NormalSums":
+        """Return the groups of both, one after the other."""
+        spread = None
+        if self.spread is not None and other.spread is not None:
+            spread = np.concatenate([self.spread, other.spread])
+        return NormalSums(
+            np.concatenate([self.normal, other.normal]),
+            np.concatenate([self.right, other.right]),
+            np.concatenate([self.squares, other.squares]),
+            np.concatenate([self.count, other.count]),
+            np.concatenate([self.expected, other.expected]),
+            spread,
+        )
+
     @property
     def right_covariance(self) -> Array:
         """The covariance of b; shape (G, K, K)."""
         return self.normal if self.spread is None else self.spread
-
-
-@dataclass(frozen=True)
-class Problem:
-    """The tables of a link and what is asked of them.
-
-    ``source`` (R,) is the satellite's source of each row of the reference.  ``epoch`` (Julian years) is that of the
-    unknowns.  ``known`` holds values of a block's unknowns to be taken out before, with the block.
-    """
-
-    satellite: Astrometry
-    rows: Astrometry
-    source: Indices
-    unknowns: Unknowns
-    epoch: float
-    weights: Weights = "covariance"
-    known: tuple[Unknowns, Array] | None = None
-
-    def sources(self, part: Indices) -> tuple[Unknowns, Objects, Array, Eliminated]:
-        """Return the objects, years and eliminated rows of some sources."""
-        chosen = _as_slice(part)
-        own = self._needed.taken(chosen)
-        if self._one_each:
-            rows, source = self.rows.taken(chosen), np.arange(len(part))
-        else:
-            rows_of, counts = self._rows_of(part)
-            rows, source = self.rows.taken(rows_of), np.repeat(np.arange(len(part)), counts)
-        objects, years = self.objects(own)
-        taken_out = self.taken_out(own)
-        if self.weights == "covariance" and len(rows) == len(part) and np.array_equal(source, np.arange(len(part))):
-            simple = eliminate_simple(own, rows, taken_out)
-            if simple is not None:
-                return self.unknowns, objects, years, simple
-        found = differences(own, rows, source, taken_out)
-        try:
-            left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
-        except LinkError as error:
-            raise LinkError(_named(str(error), self.satellite, part)) from None
-        return self.unknowns, objects, years, left
-
-    def objects(self, own: Astrometry) -> tuple[Objects, Array]:
-        """Return what derivatives depend on, and the epoch of each source minus that of the unknowns."""
-        ra, dec = own.values[:2]
-        pmra, pmdec = np.nan_to_num(own.values[3:])
-        objects = Objects(ra, dec, pmra, pmdec, own.columns)
-        return objects, np.where(np.isfinite(own.epoch), own.epoch - self.epoch, 0.0)
-
-    def taken_out(self, own: Astrometry) -> Array | None:
-        """Return what the known unknowns do to the parameters of sources; shape (5, S)."""
-        if self.known is None:
-            return None
-        known, values = self.known
-        return np.asarray(np.einsum("nik,k->in", known.matrix(*self.objects(own)), values))
-
-    @cached_property
-    def _needed(self) -> Astrometry:
-        """The satellite without names and without columns that nothing depends on."""
-        wanted = self.unknowns.columns | (self.known[0].columns if self.known is not None else frozenset())
-        columns = {name: column for name, column in self.satellite.columns.items() if name in wanted}
-        return replace(self.satellite, names=None, columns=columns)
-
-    @cached_property
-    def _one_each(self) -> bool:
-        """True if row i is the only one of source i."""
-        return len(self.source) == len(self.satellite) and np.array_equal(self.source, np.arange(len(self.source)))
-
-    @cached_property
-    def _order(self) -> tuple[Indices, Indices]:
-        """Rows sorted by source, and where those of each source begin."""
-        n_rows = np.bincount(self.source, minlength=len(self.satellite))
-        return np.argsort(self.source, kind="stable"), np.concatenate([[0], np.cumsum(n_rows)])
-
-    def _rows_of(self, part: Indices) -> tuple[Indices, Indices]:
-        """Return the rows of some sources, source by source, and how many each has."""
-        order, first = self._order
-        counts = first[part + 1] - first[part]
-        ends = np.cumsum(counts)
-        inside = np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts, counts)
-        return order[np.repeat(first[part], counts) + inside], counts
 
 
 def source_sums(problem: Problem) -> NormalSums:
@@ -205,6 +153,15 @@ def source_counts(problem: Problem) -> Array:
     return np.concatenate([problem.sources(part)[3].count for part in _blocks(n, GATHERED)]) if n else np.zeros(0)
 
 
+def weight_sizes(problem: Problem) -> Array:
+    """Return the sum of the diagonal of each source's W, in mas^-2 and (mas/yr)^-2; shape (S,)."""
+    found = np.zeros(len(problem.satellite))
+    for part in _blocks(len(found), GATHERED):
+        weight = problem.sources(part)[3].weight
+        found[part] = np.einsum("nkk->n", weight) * MAS**2
+    return found
+
+
 def source_discrepancies(problem: Problem, estimate: Array) -> Array:
     """Return Q_i of each source at a solution, without keeping its sums; shape (S,)."""
     squares = np.zeros(len(problem.satellite))
@@ -231,13 +188,6 @@ def _pieces(group: Indices) -> Iterator[slice]:
             yield slice(start, min(start + BLOCK, last))
 
 
-def _as_slice(part: Indices) -> Indices | slice:
-    """Return rising neighbours as a slice, which takes without a copy."""
-    if len(part) and part[-1] - part[0] == len(part) - 1 and np.all(np.diff(part) == 1):
-        return slice(int(part[0]), int(part[-1]) + 1)
-    return part
-
-
 def _empty(groups: int, k: int, with_spread: bool) -> NormalSums:
     return NormalSums(
         normal=np.zeros((groups, k, k)),
@@ -247,72 +197,3 @@ def _empty(groups: int, k: int, with_spread: bool) -> NormalSums:
         expected=np.zeros(groups),
         spread=np.zeros((groups, k, k)) if with_spread else None,
     )
-
-
-def _named(message: str, own: Astrometry, part: Indices) -> str:
-    """Replace the number of a source within a block by its name, or its number in the table."""
-    words = message.split()
-    at = words.index("source") + 1
-    number = int(words[at])
-    words[at] = repr(str(own.names[part[number]])) if own.names is not None else str(part[number] + 1)
-    return " ".join(words)
-
-
-@dataclass(frozen=True)
-class Solution:
-    """The unknowns x (K,), N (K, K) and its inverse, the covariance of x (K, K), Q, its average and the degrees of
-    freedom.  Where the weights are the best the covariance is the inverse, and the average of Q is dof.
-    """
-
-    estimate: Array
-    normal: Array
-    inverse: Array
-    covariance: Array
-    squares: float
-    expected: float
-    dof: float
-
-    @property
-    def scale(self) -> float:
-        """Factor by which errors are scaled, sqrt(Q/E[Q]); NaN without degrees of freedom."""
-        return float(np.sqrt(self.squares / self.expected)) if self.expected > 0.0 and self.dof > 0 else np.nan
-
-
-def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | None = None) -> Solution:
-    """Return the solution of all sources, each with a factor of its weight if given.
-
-    Raises LinkError where the sources do not determine the unknowns, and names those.
-    """
-    weights = np.ones(len(sums)) if factors is None else factors
-    normal, right = np.tensordot(weights, sums.normal, axes=1), weights @ sums.right
-    inverse = inverted(normal, labels)
-    estimate = inverse @ right
-    spread = normal
-    covariance = inverse
-    if factors is not None or sums.spread is not None:
-        spread = np.tensordot(weights**2, sums.right_covariance, axes=1)
-        covariance = inverse @ spread @ inverse
-    return Solution(
-        estimate=estimate,
-        normal=normal,
-        inverse=inverse,
-        covariance=0.5 * (covariance + covariance.T),
-        squares=max(0.0, float(weights @ sums.squares - right @ estimate)),
-        expected=float(weights @ sums.expected - np.sum(inverse * spread)),
-        dof=float(sums.count.sum() - len(right)),
-    )
-
-
-def inverted(normal: Array, labels: tuple[str, ...] = ()) -> Array:
-    """Return the inverse of a normal matrix (K, K); raises LinkError that names the unknowns without a solution."""
-    diagonal = np.diag(normal)
-    named = labels or tuple(str(k) for k in range(len(normal)))
-    if np.any(none := ~(diagonal > 0.0)):
-        raise LinkError(f"nothing in the tables determines {', '.join(np.array(named)[none])}")
-    scale = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(normal * scale[:, None] * scale)
-    if values[0] <= SMALLEST_EIGENVALUE:
-        involved = np.abs(vectors[:, 0]) > 0.1
-        raise LinkError(f"the tables do not tell these unknowns apart: {', '.join(np.array(named)[involved])}")
-    half = scale[:, None] * vectors / np.sqrt(values)
-    return np.asarray(half @ half.T)

@@ -14,8 +14,11 @@ def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array |
     """Return what `eliminate` does for the best weights, where row i is the only one of source i, all rows are
     positions of the sources' epochs or all are motions, and the satellite has both; None where that is not so.
 
-    The row is then the difference itself: W is the inverse of V + C, and nothing is eliminated.
+    All rows are in the reference's frame.  The row is then the difference itself: W is the inverse of V + C, and
+    nothing is eliminated.
     """
+    if rows.frame is not None:
+        return None
     motion, position = np.isfinite(rows.errors[3]), np.isfinite(rows.errors[0])
     if np.all(motion) and not np.any(position):
         pair = (3, 4)

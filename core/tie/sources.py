@@ -7,20 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.tie.astrometry import Indices
-from core.tie.clips import Sources
+from core.tie.clips import Sources, separation
 from core.tie.influence import discrepancies
-from core.tie.normal_sums import (
-    NormalSums,
-    Problem,
-    Solution,
-    group_sums,
-    solve,
-    source_counts,
-    source_discrepancies,
-    source_sums,
-)
+from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
+from core.tie.problem import Problem
+from core.tie.solution import Solution, solve
 
 Array = NDArray[np.float64]
+
+DIVISIONS = 6
+"""Of the grid of cells of the sky: 72 of them."""
 
 KEPT_NUMBERS = 30_000_000
 """As many numbers the sums of single sources may take (240 MB)."""
@@ -56,7 +52,7 @@ class SourceTable:
     """The sources of a problem, with the sums of each where ``single`` holds, and of cells of the sky."""
 
     problem: Problem
-    divisions: int = 6
+    divisions: int = DIVISIONS
     _last: list[tuple[Array, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
     @property
@@ -110,6 +106,15 @@ class SourceTable:
         if not self.single:
             return solve(self.cell_sums(factors), labels)
         return _solve_kept(self.sums, labels, factors)
+
+    def separations(self) -> tuple[Array, Array]:
+        """Return the normalised separation and the separation (rad) of each source."""
+        return separation(self.problem)
+
+    def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
+        """Return the sources with the largest weights, and their sums."""
+        found = np.argsort(-weight_sizes(self.problem), kind="stable")[:number]
+        return found, source_sums(self.problem.only(found))
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""

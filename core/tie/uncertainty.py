@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.link import SMALLEST_EIGENVALUE
-from core.tie.normal_sums import NormalSums, Solution
+from core.tie.normal_sums import NormalSums
+from core.tie.solution import Solution
 
 Array = NDArray[np.float64]
 

@@ -133,8 +133,8 @@ def resource_options(command: Command) -> Command:
 
     @functools.wraps(command)
     def with_resources(*arguments: Any, **named: Any) -> Any:
-        wishes = {name: named.pop(name) for name in RESOURCES}
-        return command(*arguments, resources=_resources(**wishes), **named)
+        requested = {name: named.pop(name) for name in RESOURCES}
+        return command(*arguments, resources=_resources(**requested), **named)
 
     wrapped: Command = with_resources
     for option in reversed(options):

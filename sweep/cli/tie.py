@@ -1,7 +1,7 @@
 """The commands of the link of real tables: tie and forecast."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from sweep.formatting import split_assignment
 if TYPE_CHECKING:
     import xarray as xr
 
-    from sweep.tie.tables import TableOptions
+    from sweep.tie.column_names import TableOptions
 
 _TABLE_OPTIONS = [
     click.option(
@@ -24,13 +24,31 @@ _TABLE_OPTIONS = [
         help="Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]",
     ),
     click.option(
+        "--mission",
+        "missions",
+        multiple=True,
+        metavar="NAME=TABLE",
+        help="A further mission's table of the same sources, in a frame with its own orientation and spin.",
+    ),
+    click.option(
         "--column",
         multiple=True,
         metavar="[TABLE:]KEY=COLUMN",
-        help="The column with a quantity, of both tables or of satellite or reference, e.g. reference:parallax=plx.",
+        help="The column with a quantity, of all tables or of satellite, reference or a mission, e.g. "
+        "reference:parallax=plx.",
+    ),
+    click.option(
+        "--unit",
+        "units",
+        multiple=True,
+        metavar="[TABLE:]KEY=UNIT",
+        help="The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
     ),
     click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, for a column."),
     click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, for a column."),
+    click.option(
+        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, for a column."
+    ),
     click.option(
         "--positions",
         type=click.Choice(["single-epoch", "mean"]),
@@ -46,7 +64,7 @@ _TABLE_OPTIONS = [
     click.option(
         "--without-cos-dec",
         multiple=True,
-        type=click.Choice(["satellite", "reference"]),
+        metavar="satellite|reference|NAME",
         help="The table whose pmra is mu_alpha, without cos(dec).",
     ),
     click.option(
@@ -118,6 +136,8 @@ def _table_options(command: Callable[..., None]) -> Callable[..., None]:
     show_default=True,
     help="Of everything that is printed and stored.",
 )
+@click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for millions of quasars in Parquet.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler for them, e.g. tcp://host:8786.")
 @_table_options
 def tie(
     satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
@@ -132,6 +152,7 @@ def tie(
     """
     from sweep.tie import text
     from sweep.tie.link_tables import tie as solve
+    from sweep.tie.options import parse_bins
 
     _refuse_existing(output)
     _require_drawing(figures)
@@ -144,9 +165,11 @@ def tie(
         errors=given.pop("errors"),
         resamples=given.pop("resamples"),
         seed=given.pop("seed"),
+        workers=given.pop("workers"),
+        scheduler=given.pop("scheduler"),
         degree=given.pop("degree"),
         sign=given.pop("sign"),
-        bins=None if bins is None else _bins(bins),
+        bins=None if bins is None else parse_bins(bins),
         known_spin=None if known is None else _spin(known),
         **_tables(given),
     )
@@ -201,21 +224,27 @@ def forecast(
 
 def _tables(given: dict[str, Any]) -> dict[str, Any]:
     """Return the options of both tables as `Options` has them."""
-    from sweep.tie.tables import TableOptions
+    from sweep.tie.column_names import TableOptions
 
-    columns: dict[str, dict[str, str]] = {"satellite": {}, "reference": {}}
-    for item in given["column"]:
-        key, name = split_assignment(item)
-        table, colon, quantity = key.partition(":")
-        if not name or (colon and table not in columns):
-            raise click.BadParameter(f"{item!r} is not [satellite:|reference:]KEY=COLUMN", param_hint="--column")
-        for one in [table] if colon else columns:
-            columns[one][quantity if colon else key] = name
+    missions = dict(_named("--mission", "NAME=TABLE", item) for item in given["missions"])
+    if len(missions) < len(given["missions"]):
+        raise click.BadParameter("a mission is named twice", param_hint="--mission")
+    tables = ("satellite", "reference", *missions)
+    columns = _by_table("--column", "KEY=COLUMN", given["column"], tables)
+    units = _by_table("--unit", "KEY=UNIT", given["units"], tables)
+    epochs = {"satellite": given["satellite_epoch"], "reference": given["reference_epoch"]}
+    for name, year in (_named("--mission-epoch", "NAME=YEAR", item) for item in given["mission_epoch"]):
+        if name not in missions:
+            raise click.BadParameter(f"no --mission {name}", param_hint="--mission-epoch")
+        epochs[name] = _numbers("--mission-epoch", year)[0]
+    if unknown := set(given["without_cos_dec"]) - set(tables):
+        raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint="--without-cos-dec")
 
     def options(table: str) -> "TableOptions":
         return TableOptions(
             columns=columns[table],
-            epoch=given[f"{table}_epoch"],
+            units=units[table],
+            epoch=epochs.get(table),
             positions=given["positions"] if table == "reference" else None,
             zero_errors=given["zero_errors"],
             pmra_cos_dec=table not in given["without_cos_dec"],
@@ -229,7 +258,29 @@ def _tables(given: dict[str, Any]) -> dict[str, Any]:
         "aberration": given["aberration"],
         "satellite_options": options("satellite"),
         "reference_options": options("reference"),
+        "missions": missions,
+        "mission_options": {name: options(name) for name in missions},
     }
+
+
+def _by_table(option: str, form: str, items: Sequence[str], tables: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return what is said of each quantity of each table; what names no table is for all."""
+    found: dict[str, dict[str, str]] = {name: {} for name in tables}
+    for item in items:
+        key, value = _named(option, f"[{'|'.join(tables)}:]{form}", item)
+        table, colon, quantity = key.partition(":")
+        if colon and table not in tables:
+            raise click.BadParameter(f"{item!r} is not [{'|'.join(tables)}:]{form}", param_hint=option)
+        for one in [table] if colon else tables:
+            found[one][quantity if colon else key] = value
+    return found
+
+
+def _named(option: str, form: str, item: str) -> tuple[str, str]:
+    name, value = split_assignment(item)
+    if not name or not value:
+        raise click.BadParameter(f"{item!r} is not {form}", param_hint=option)
+    return name, value
 
 
 def _jitter(item: str) -> tuple[str, tuple[float, float]]:
@@ -240,13 +291,6 @@ def _jitter(item: str) -> tuple[str, tuple[float, float]]:
     if kind in ("motion", "three-parameter") and len(values) == 1:
         return kind, (0.0, values[0])
     return kind, (values[0], values[1] if len(values) == 2 else 0.0)
-
-
-def _bins(text: str) -> tuple[str, list[float]]:
-    column, edges = split_assignment(text)
-    if not column:
-        raise click.BadParameter(f"{text!r} is not COLUMN=EDGE,EDGE,...", param_hint="--bins")
-    return column, _numbers("--bins", edges)
 
 
 def _spin(text: str) -> list[float] | str:

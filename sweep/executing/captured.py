@@ -21,7 +21,7 @@ MOST_WARNINGS = 100
 
 @dataclass
 class Captured:
-    """What was printed, and how often was warned of what."""
+    """What was printed, and how often each warning was raised."""
 
     printed: str = ""
     warnings: Counter[str] = field(default_factory=Counter)
@@ -71,7 +71,7 @@ class _Routes(io.TextIOBase):
                     sys.stdout = self._before
 
     def write(self, text: str) -> int:
-        """Take what a thread prints; that of one which an experiment has started goes to one under way."""
+        """Keep what a thread prints; text of a thread that an experiment has started goes to a block under way."""
         if (captured := self._of_this_thread()) is not None:
             captured.write(text)
         elif self._before is not None:
@@ -112,7 +112,7 @@ def captured() -> Iterator[Captured]:
 
 
 def no_standard_output() -> None:
-    """Let whatever this process, which has nothing to say there, writes to its standard output go to standard error:
+    """Send everything that this process writes to its standard output to standard error:
     also code in C, and programs that it starts.
     """
     os.dup2(2, 1)

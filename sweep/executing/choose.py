@@ -1,4 +1,4 @@
-"""Chooses where a run computes: what the user wishes, or what suits the work."""
+"""Chooses where a run computes: as requested, or else as the amount of work suggests."""
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -43,11 +43,11 @@ class Resources:
 
     @property
     def none_requested(self) -> bool:
-        """Whether where to run is ours to choose."""
+        """Whether the user has left the choice of where to run to linksweep."""
         return not (self.workers or self.pool or self.scheduler or self.cluster or self.limits)
 
 
-NO_WISHES = Resources()
+ANY_RESOURCES = Resources()
 
 
 def choose_executor(

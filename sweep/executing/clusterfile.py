@@ -17,7 +17,7 @@ ADAPT_KEYS = (*BOUNDS, "interval", "wait_count", "target_duration")
 
 @dataclass(frozen=True)
 class ClusterFile:
-    """A cluster to be: the arguments of its class, of its `scale` or of its `adapt`, and the file that says so."""
+    """What a file says of a cluster: the arguments of its class and of its `scale` or `adapt`, and the file itself."""
 
     path: Path
     class_name: str

@@ -94,6 +94,14 @@ def dask_scheduler(
     """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers or its workers
     are not like this process.
     """
+    with client_at(address, security) as client:
+        words = f"the Dask scheduler at {address}"
+        yield _place(client, words), _executor(client, study, words, say, limits)
+
+
+@contextmanager
+def client_at(address: str, security: Security | None = None) -> Iterator[Client]:
+    """Give a client of a Dask scheduler that runs elsewhere; raises SweepError where none answers."""
     if address.startswith("tls://") and (security or Security()).get_connection_args("client")["ssl_context"] is None:
         raise SweepError(
             f"no certificates for {address!r}: give --tls-ca, --tls-cert and --tls-key, or configure Dask with them"
@@ -107,9 +115,7 @@ def dask_scheduler(
         except (OSError, ValueError, TypeError, TimeoutError) as error:
             message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}"
             raise SweepError(message) from error
-        stack.enter_context(client)
-        words = f"the Dask scheduler at {address}"
-        yield _place(client, words), _executor(client, study, words, say, limits)
+        yield stack.enter_context(client)
 
 
 def _root_cause(error: BaseException) -> BaseException:

@@ -1,4 +1,4 @@
-"""Runs tasks on a Dask client, and outlives its workers."""
+"""Runs tasks on a Dask client, and goes on when its workers die."""
 
 import pickle
 import time

@@ -63,7 +63,7 @@ class Deadlines:
 
 
 class _Bell:
-    """Raises TimeLimitError in a thread unless it was silenced before."""
+    """Raises TimeLimitError in a thread unless it is cancelled first."""
 
     def __init__(self, thread: int) -> None:
         self._thread = ctypes.c_ulong(thread)

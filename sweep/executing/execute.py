@@ -18,7 +18,7 @@ Take = Callable[[int], list[list[Work]]]
 """Gives up to so many tasks' work that can be done now; after a result has been taken there may be more."""
 
 Results = Iterator[tuple[list[Work], TaskResult]]
-"""The work of each task and its result, which has no rows for the last blocks where they were not come to."""
+"""The work of each task and its result, which has no rows for blocks at its end that were not started."""
 
 Executor = Callable[[Take], Results]
 Say = Callable[[str], None]

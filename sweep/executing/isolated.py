@@ -145,7 +145,7 @@ def _run_child(
 
 
 def _death(task: Task, code: int, last_words: str) -> Failure:
-    """Return what the exit code of a child says."""
+    """Return the failure that the exit code of a child stands for."""
     if code >= 0:
         return Failure("killed", f"ended its process with exit code {code}", last_words)
     if task.time_limit_s is not None and code == -signal.SIGALRM:
@@ -162,7 +162,7 @@ def _end_of(file: IO[bytes]) -> str:
 
 
 def child() -> None:
-    """Be the child: read a task from standard input, answer with an `Identity`, a result a block, and None."""
+    """Run as the child: read a task from standard input, answer with an `Identity`, a result a block, and None."""
     import faulthandler
 
     from threadpoolctl import threadpool_limits

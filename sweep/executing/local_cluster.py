@@ -1,4 +1,4 @@
-"""Starts and ends a Dask cluster that belongs to one run: quietly, on loopback, with nothing left behind."""
+"""Starts and ends a Dask cluster that belongs to one run, on loopback, without log messages or files left behind."""
 
 import asyncio
 import inspect

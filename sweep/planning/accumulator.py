@@ -155,7 +155,7 @@ class Accumulator:
         return self._finish_round(point, round_.parts.stop) if round_.group == groups else []
 
     def fail(self, index: int) -> None:
-        """Give up a point."""
+        """Mark a point as failed; none of its blocks is given out any more."""
         self.status[index] = Status.FAILED
         self._rounds.pop(index, None)
 
@@ -205,7 +205,7 @@ class Accumulator:
 
 
 def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Exception]:
-    """Return those of some points whose results cannot be made of their sums or are not finite, and why."""
+    """Return those of the points whose results cannot be computed from their sums or are not finite, and why."""
     experiment = accumulator.plan.grid.study.experiment
     n = accumulator.realisations[list(indices)].astype(float)
     n_cat = np.full(len(indices), float(accumulator.plan.grid.study.sampling.n_cat))

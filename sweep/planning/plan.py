@@ -220,7 +220,7 @@ class Plan:
         return PlanSize(points, points * blocks, points * realisations, points * work)
 
     def check_size(self, blocks: int) -> None:
-        """Raise SweepError for more than `MAX_BLOCKS` blocks: such a study would not end, and its ledger not fit."""
+        """Raise SweepError for more than `MAX_BLOCKS` blocks, more than a run can finish or a ledger hold."""
         if blocks > MAX_BLOCKS:
             sampling = self.grid.study.sampling
             sizes = f"n_cat = {sampling.n_cat:,} and n_sim = {sampling.n_sim:,}"

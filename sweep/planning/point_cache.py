@@ -1,4 +1,4 @@
-"""Asks a slow question about many points only as often as the answer can differ."""
+"""Caches a function of a point by those of its parameters that the function reads."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, Generic, TypeVar
@@ -23,7 +23,7 @@ class PointCache(Generic[T]):
         self._known: dict[tuple[Any, ...], T] = {}
 
     def __call__(self, parameters: dict[str, Any]) -> T:
-        """Return what the function says of these parameters."""
+        """Return the function's value for these parameters."""
         if len(self._read) == len(self._axes):
             return self._function(parameters)  # no two points are alike to it, and nothing is left to be noticed
         key = tuple([parameters[name] for name in self._read])
@@ -40,13 +40,13 @@ class PointCache(Generic[T]):
         return answer
 
     def table(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], T]] | None:
-        """Return the axes that the function looks at, and what it said by their values; None if not all is kept."""
+        """Return the axes that the function reads, and its results by their values; None if not all are kept."""
         whole = len(self._read) < max(len(self._axes), 1) and len(self._known) < MAX_KEPT
         return (self._read, dict(self._known)) if whole else None
 
 
 class _Watched(Mapping[str, Any]):
-    """A point that notes which parameters are looked at."""
+    """A point that records which of its parameters are read."""
 
     def __init__(self, parameters: dict[str, Any]) -> None:
         self._parameters = parameters

@@ -48,7 +48,7 @@ class UnusedSettings:
 
 
 def _unused(study: Study, parameters: Mapping[str, Any]) -> _Unused | str:
-    """Return what the experiment says, or a sentence where it says nothing that can be understood."""
+    """Return what the experiment's `unused` returns, or a sentence where that is not a mapping of names to reasons."""
     try:
         unused = dict(study.experiment.unused(parameters))
     except Exception as error:  # whatever a user's function raises

@@ -38,7 +38,7 @@ class Pending:
         self._measured_cost = self._measured_s = 0.0
 
     def add(self, works: Iterable[Work]) -> None:
-        """Put work that results made known before all other."""
+        """Put work that has become known from results before all other work."""
         for work in works:
             self._known.append(work)
             self._left += work.cost

@@ -1,1 +1,1 @@
-"""One run from plan to results, coming back to one, and what a person sees of it."""
+"""A run from plan to results, points computed again, and progress and status for people."""

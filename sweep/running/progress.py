@@ -39,7 +39,7 @@ class TerminalProgress:
     """
 
     def __init__(self, study: Study, bar: bool = True) -> None:
-        """Start with nothing begun."""
+        """Prepare to show a run of this study, with a bar on a terminal if ``bar``."""
         self._study = study
         self._once = study.experiment.deterministic
         self._console = Console(stderr=True)

@@ -1,4 +1,4 @@
-"""Comes back to a store: its study, and one of its points computed again in this process."""
+"""The study of an existing store, and one of its points computed again in this process."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ class Reproduction:
     """One point again: its results, and the variables that differ from those in the store in any bit.
 
     ``differences`` is None where the store has no results of the point, ``stored`` the word for its status there,
-    ``other_code`` says in what the code of now differs from that of the store.
+    ``other_code`` says in what today's code differs from that of the store.
     """
 
     place: str

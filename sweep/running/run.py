@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import SweepError
-from sweep.executing.choose import NO_WISHES, Resources, choose_executor
+from sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
 from sweep.executing.execute import Executor, Place
 from sweep.executing.worker import TaskResult
 from sweep.functions.adapter import FunctionExperiment
@@ -21,13 +21,12 @@ from sweep.planning.work_queue import Pending
 from sweep.running.first_result import Done, as_rows, first_results
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
-from sweep.stores.code import as_json, check_code, continued, differences_of_code, records_of
+from sweep.stores.code import check_code, record_code
 from sweep.stores.fresh import replace_store
 from sweep.stores.location import Where, located
 from sweep.stores.lock import locked
-from sweep.stores.opened import OpenStore
 from sweep.stores.root import find_root
-from sweep.stores.store import CODE, Store, create_store, find_store
+from sweep.stores.store import Store, create_store, find_store, open_store
 from sweep.studies.provenance import provenance
 from sweep.studies.record import RECORD, as_recorded, recorded
 from sweep.studies.study import Study
@@ -71,7 +70,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     """
     study = _as_stored(study, store)
     plan = Plan(make_grid(study))
-    opened = _existing(find_store(store, study), study)
+    opened = open_store(find_store(store, study), study)
     if opened is not None and not accept_code:
         check_code(opened, study)
     return plan, _accumulator(plan, opened).survey
@@ -80,7 +79,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
 def run_study(
     study: Study,
     store: Where,
-    resources: Resources = NO_WISHES,
+    resources: Resources = ANY_RESOURCES,
     progress: Progress | None = None,
     retry: bool = False,
     break_lock: bool = False,
@@ -111,7 +110,7 @@ def run_study(
                 raise
             return _left_alone(part, store, progress)
         found = replace_store(store, study, told) if fresh else find_store(store, study)
-        opened = _existing(found, study)
+        opened = open_store(found, study)
         if opened is not None and not accept_code:
             check_code(opened, study)
         if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:
@@ -119,14 +118,14 @@ def run_study(
         again = _clear_failures(opened, plan, progress) if retry else None
         accumulator = _accumulator(plan, opened, again)
         pending = accumulator.survey.pending
-        where = choose_executor(study, pending.cost, resources if pending.blocks else NO_WISHES, progress.say)
+        where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
         place, run = stack.enter_context(where)
         progress.start(accumulator.survey, place.words, place.workers)
         study, first = first_results(study, Pending(plan, accumulator), run)
         if first:
             plan = Plan(replace(plan.grid, study=study))
         opened = _opened(store, opened, plan)
-        _record_code(opened, study, progress)
+        record_code(opened, study, progress.say)
         accumulator = _accumulator(plan, opened, again) if first else accumulator
         if unused := len(opened.rows) - accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
@@ -210,24 +209,6 @@ def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
 def _left_alone(part: xr.Dataset, store: Where, progress: Progress) -> tuple[xr.Dataset, dict[str, str]]:
     progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
     return part, {}
-
-
-def _existing(found: OpenStore | None, study: Study) -> Store | None:
-    return None if found is None else Store(found, study)
-
-
-def _record_code(store: Store, study: Study, progress: Progress) -> None:
-    """Write down which code makes the blocks from now on, and say so where it is news."""
-    records = continued(records_of(store.attributes), store.next_row, study)
-    if CODE not in store.attributes:
-        if not records[-1].code:
-            return  # what linksweep brings is known by its version
-        if store.next_row:
-            progress.say(f"{store.location} does not say which code made it; it is taken to be that of now")
-    elif store.next_row:
-        for sentence in differences_of_code(store.attributes, study):
-            progress.say(f"other code goes on with {store.location}: {sentence}")
-    store.record_code(as_json(records))
 
 
 def _clear_failures(store: Store | None, plan: Plan, progress: Progress) -> frozenset[bytes]:

@@ -2,7 +2,7 @@
 
 import json
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,6 +58,20 @@ def check_code(store: Store, study: Study) -> None:
             ],
             str(store.location),
         )
+
+
+def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
+    """Write down which code makes the blocks from now on, and say so where it is news."""
+    records = continued(records_of(store.attributes), store.next_row, study)
+    if CODE not in store.attributes:
+        if not records[-1].code:
+            return  # what linksweep brings is known by its version
+        if store.next_row:
+            say(f"{store.location} does not say which code made it; it is taken to be today's")
+    elif store.next_row:
+        for sentence in differences_of_code(store.attributes, study):
+            say(f"other code goes on with {store.location}: {sentence}")
+    store.record_code(as_json(records))
 
 
 def continued(records: Sequence[CodeRecord], rows: int, study: Study) -> list[CodeRecord]:

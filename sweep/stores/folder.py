@@ -24,12 +24,17 @@ class Folder:
     @property
     def name(self) -> str:
         """The folder's own name, whatever links lead to it: two names of one store have one lock."""
-        return self.path.resolve().name
+        return self._real.name
 
     @property
     def parent(self) -> "Folder":
         """The folder around it."""
-        return Folder(self.path.resolve().parent)
+        return Folder(self._real.parent)
+
+    @property
+    def _real(self) -> Path:
+        """The path without links, as far as they lead anywhere; `Path.resolve` raises where they go round."""
+        return Path(os.path.realpath(self.path))
 
     def get(self, key: str) -> bytes | None:
         """Return the content of a file, None where there is none."""
@@ -121,7 +126,8 @@ class Folder:
     @contextmanager
     def tidied(self) -> Iterator[None]:
         """Remove folders that were not there before and are empty now."""
-        missing = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
+        folders = (self.path, *self.path.parents)
+        missing = [folder for folder in folders if not os.path.exists(folder)]  # no error where a name is too long
         try:
             yield
         finally:

@@ -142,7 +142,7 @@ def _me() -> Holder:
 
 
 def _this_host() -> tuple[str, str]:
-    """Return the host's name, and which boot of which kernel, and which of its worlds of process numbers, this is."""
+    """Return the host's name, and what identifies the boot of its kernel and the PID namespace of this process."""
     boot = ""
     with suppress(OSError):
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()

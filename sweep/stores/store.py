@@ -262,6 +262,11 @@ def find_store(where: Where, study: Study) -> OpenStore | None:
     return OpenStore(location, root)
 
 
+def open_store(found: OpenStore | None, study: Study) -> Store | None:
+    """Return a store that `find_store` found, with its ledger open; None where it found none."""
+    return None if found is None else Store(found, study)
+
+
 def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:
     """Make a store at a free place, in one step, in which nothing is done yet."""
     location = located(where)

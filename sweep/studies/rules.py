@@ -9,7 +9,7 @@ from sweep.studies.study import Sampling
 
 
 def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problems) -> None:
-    """Tell of wishes for the sampling that contradict each other or the experiment."""
+    """Report settings of the sampling that contradict each other or the experiment."""
     if experiment.deterministic:
         if given := sorted(sampling.model_fields_set):
             problems.add(

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from core.blocks import PARAMETERS, SpinByBin
 from core.constants import MAS
 from core.tie.astrometry import kinds
 from core.tie.clips import Clipped, separation
 from core.tie.differences import differences
-from core.unknowns import PARAMETERS, SpinByBin
-from sweep.tie.setup import SIGNS, Options
+from sweep.tie.options import SIGNS, Options
 from sweep.tie.solution import Link
 from sweep.tie.spectrum import spectrum
 
@@ -56,7 +56,7 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
         "error_kind": order,
     }
     _add_sources(link, variables, coordinates, sign)
-    if len(problem.rows) <= ROWS_KEPT:
+    if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
         _add_rows(link, variables, coordinates, sign)
     _add_steps(link.found, link.setup.names, variables, sign)
     _add_spectrum(link, main, variables, coordinates)
@@ -73,6 +73,8 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
         "satellite_sha256": link.setup.satellite.digest,
         "reference": link.setup.reference.path,
         "reference_sha256": link.setup.reference.digest,
+        "missions": {name: table.path for name, table in link.setup.missions.items()},
+        "missions_sha256": {name: table.digest for name, table in link.setup.missions.items()},
         "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
         "aberration_uas_yr": options.aberration,
         "jitter": ", ".join(f"{k}={p:g}:{m:g}" for k, (p, m) in options.jitter.items()) or "none",
@@ -90,7 +92,7 @@ def _correlation(covariance: Array) -> Array:
 def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     setup, own = link.setup, link.setup.problem.satellite
     coordinates |= {
-        "source": setup.names.astype(str),
+        "source": setup.names if setup.names.dtype.kind == "i" else setup.names.astype(str),
         "ra": ("source", np.degrees(own.values[0]) % 360.0, {"units": "deg"}),
         "dec": ("source", np.degrees(own.values[1]), {"units": "deg"}),
     }
@@ -112,9 +114,9 @@ def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, A
 def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     problem = link.setup.problem
     own = problem.satellite
-    found = differences(own, problem.rows, problem.source, problem.taken_out(own))
+    found = differences(own, problem.rows, problem.source, problem.taken_out(own), problem.unknowns.frames)
     shift = np.einsum("nik,k->ni", problem.unknowns.matrix(*problem.objects(own)), link.solution.estimate)
-    after = found.values - np.einsum("rij,rj->ri", found.partials, shift[problem.source])
+    after = found.values - np.einsum("rij,rj->ri", found.by_frames, shift[problem.source])
     covariance = own.covariance()[problem.source]
     whole = found.covariance + found.partials @ covariance @ found.partials.swapaxes(1, 2)
     error = np.sqrt(np.einsum("rii->ri", whole))
@@ -125,6 +127,7 @@ def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any]
         "row_source_index": ("row", problem.source),
         "row_source": ("row", link.setup.names[problem.source].astype(str)),
         "row_kind": ("row", kinds(problem.rows)),
+        "row_table": ("row", _tables_of_rows(link)),
         "row_epoch": ("row", problem.rows.epoch, {"units": "yr"}),
         "observable_unit": ("observable", ["mas", "mas", "mas", "mas/yr", "mas/yr"]),
     }
@@ -135,6 +138,13 @@ def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any]
         "normalised_separation": ("source", normalised, {"long_name": "X before the fit"}),
         "separation": ("source", plain / MAS, {"units": "mas"}),
     }
+
+
+def _tables_of_rows(link: Link) -> NDArray[np.str_]:
+    """Return "reference" or the name of the mission of each row."""
+    frame = link.setup.problem.rows.frame
+    names = np.array(["reference", *link.setup.missions])
+    return np.full(len(link.setup.problem.rows), names[0]) if frame is None else names[frame]
 
 
 def _add_steps(found: Clipped, names: NDArray[np.str_], variables: dict[str, Any], sign: float) -> None:

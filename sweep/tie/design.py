@@ -12,13 +12,15 @@ from core.constants import MAS
 from core.tie.astrometry import KINDS, Indices
 from core.tie.clips import Clip, parse_clip
 from core.tie.forecast import Goal, choose, with_new_rows
-from core.tie.normal_sums import Problem, source_sums
+from core.tie.normal_sums import source_sums
+from core.tie.problem import Problem
 from core.tie.releases import RELEASES, released
 from sweep.contract import Point, SweepError
+from sweep.tie.column_names import TableOptions
+from sweep.tie.options import Options, parse_bins
 from sweep.tie.parameters import PARAMETERS
-from sweep.tie.setup import ZERO_MOTION, Options, Setup, set_up
+from sweep.tie.setup import ZERO_MOTION, Setup, set_up
 from sweep.tie.solution import Link, solve_link
-from sweep.tie.tables import TableOptions
 
 Array = NDArray[np.float64]
 
@@ -69,7 +71,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
         problem = _with_chosen(problem, point)
     if not len(problem.rows):
         raise SweepError("no rows: give a reference, or zero_motion = true, or n_new above 0")
-    return Design(clip, solved, matched, _only(problem, np.unique(problem.source)))
+    return Design(clip, solved, matched, problem.only(np.unique(problem.source)))
 
 
 def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
@@ -80,9 +82,20 @@ def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
     if reference is not None and point["zero_motion"]:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
     named = (
-        *("unknowns", "degree", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors"),
+        *(
+            "unknowns",
+            "degree",
+            "bins",
+            "by",
+            "epoch",
+            "weights",
+            "known_spin",
+            "aberration",
+            "positions",
+            "zero_errors",
+        ),
         *("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch"),
-        *("position_jitter", "motion_jitter", "candidates"),
+        *("position_jitter", "motion_jitter", "candidates", "zero_errors"),
     )
     table = (point["satellite"].path, point["satellite"].digest)
     return (table, reference, point["zero_motion"], tuple((name, point[name]) for name in named))
@@ -105,6 +118,7 @@ def _set_up(key: tuple[Any, ...]) -> Setup:
     options = Options(
         unknowns=given["unknowns"],
         degree=given["degree"],
+        bins=parse_bins(given["bins"]) if given["bins"] else None,
         by=given["by"] or None,
         epoch=given["epoch"],
         weights=given["weights"],
@@ -144,21 +158,8 @@ def _with_rows_only(setup: Setup) -> Setup:
 
 
 def _taken(setup: Setup, sources: Indices) -> Setup:
-    problem = _only(setup.problem, sources)
+    problem = setup.problem.only(sources)
     return replace(setup, problem=problem, sources=setup.sources[sources], names=setup.names[sources])
-
-
-def _only(problem: Problem, sources: Indices) -> Problem:
-    """Return the problem of some sources and their rows."""
-    place = np.full(len(problem.satellite), -1)
-    place[sources] = np.arange(len(sources))
-    rows = np.flatnonzero(place[problem.source] >= 0)
-    return replace(
-        problem,
-        satellite=problem.satellite.taken(sources),
-        rows=problem.rows.taken(rows),
-        source=place[problem.source[rows]],
-    )
 
 
 def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:

@@ -9,18 +9,32 @@ from core.constants import MAS
 from core.link import LinkError
 from core.tie.clips import clipped
 from core.tie.draws import Draw, Simulation
-from core.tie.normal_sums import Solution, solve
+from core.tie.solution import Solution, solve
 from core.tie.sources import sources_of
 from sweep.contract import Experiment, Point, SweepError
+from sweep.tie.components import (
+    BIN_SHAPE,
+    COMPONENTS,
+    FIELD_UNITS,
+    FIELDS,
+    HIGHEST_STORED,
+    MOST_BINS,
+    ORIENTATION,
+    POWER_SHAPE,
+    SPIN,
+    UNITS,
+    any_stored,
+    by_bins,
+    components,
+    powers,
+)
 from sweep.tie.design import Design, design_of
-from sweep.tie.parameters import COMPONENTS, ORIENTATION, OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SPIN, UNITS
+from sweep.tie.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS
+from sweep.tie.summary import FACTS, summarise
 
 Array = NDArray[np.float64]
 
 N = len(COMPONENTS)
-FACTS = ("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn")
-"""Numbers of the tables that no draw changes."""
-
 SUMS: Mapping[str, tuple[int, ...]] = {
     "facts": (len(FACTS),),
     "estimate": (N,),
@@ -34,6 +48,13 @@ SUMS: Mapping[str, tuple[int, ...]] = {
     "mean_square_squares": (2,),
     "within": (N,),
     "within_scaled": (N,),
+    "power": (3, *POWER_SHAPE),
+    "power_predicted": POWER_SHAPE,
+    "power_drawn": POWER_SHAPE,
+    "power_drawn_squares": POWER_SHAPE,
+    "bins": (2, *BIN_SHAPE),
+    "bins_variance": BIN_SHAPE,
+    "bins_squares": BIN_SHAPE,
     "kept": (),
     "ratio": (),
     "ratio_squares": (),
@@ -70,25 +91,33 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict
     error, formal, ratio, kept = (
         np.array(part) for part in zip(*map(drawn, simulation.draws(n_sim, rng)), strict=True)
     )
-    error, formal = _placed(error, labels), _placed(formal, labels)
+    unknowns, covariance = design.problem.unknowns, solution.covariance
+    power = np.array([powers(unknowns, one * MAS, covariance)[0] for one in error])
+    in_bins = by_bins(unknowns, error)
+    error, formal = components(error, labels), components(formal, labels)
     scaled = formal * np.sqrt(ratio)[:, None]
     size = np.abs(error)
     missing = np.where(np.isnan(error[0]), np.nan, 0.0)  # unknowns that are not solved for
     mean_square = np.stack([np.mean(error[:, part] ** 2, axis=1) for part in (ORIENTATION, SPIN)], axis=1)
     sums = {name: n_sim * value for name, value in _of_tables(design).items()}
     sums |= {
-        "predicted_variance": n_sim * _placed(np.diag(solution.covariance) / MAS**2, labels),
+        "predicted_variance": n_sim * components(np.diag(solution.covariance) / MAS**2, labels),
         "error": error.sum(axis=0),
         "error_squares": np.sum(error**2, axis=0),
         "mean_square": mean_square.sum(axis=0),
         "mean_square_squares": np.sum(mean_square**2, axis=0),
         "within": np.sum(size <= formal, axis=0) + missing,
         "within_scaled": np.sum(size <= scaled, axis=0) + np.where(np.isnan(ratio).any(), np.nan, missing),
+        "power_predicted": n_sim * powers(unknowns, solution.estimate, covariance)[1],
+        "power_drawn": power.sum(axis=0),
+        "power_drawn_squares": np.sum(power**2, axis=0),
+        "bins_variance": n_sim * by_bins(unknowns, np.diag(covariance) / MAS**2),
+        "bins_squares": np.sum(in_bins**2, axis=0),
         "kept": np.array(kept.sum()),
         "ratio": np.array(ratio.sum()),
         "ratio_squares": np.array(np.sum(ratio**2)),
     }
-    return sums, error + _placed(truth / MAS, labels)
+    return sums, error + components(truth / MAS, labels)
 
 
 class _Drawn:
@@ -117,66 +146,20 @@ def _of_tables(design: Design) -> dict[str, Array]:
     found = {f"error_{kind}": np.full(N, np.nan) for kind in ("formal", "scaled", "jackknife")}
     estimate = np.full(N, np.nan)
     kept = ratio = share = np.nan
+    power, in_bins = np.full((3, *POWER_SHAPE), np.nan), np.full((2, *BIN_SHAPE), np.nan)
     if (solved := design.solved) is not None:
-        estimate = _placed(solved.solution.estimate / MAS, labels)
+        estimate = components(solved.solution.estimate / MAS, labels)
         for kind in ("formal", "scaled", "jackknife"):
             variance = np.diag(solved.covariances[kind])
-            found[f"error_{kind}"] = _placed(np.sqrt(variance) / MAS, labels)
+            found[f"error_{kind}"] = components(np.sqrt(variance) / MAS, labels)
+        unknowns, scaled = design.problem.unknowns, np.sqrt(np.diag(solved.covariances["scaled"]))
+        power = np.array(powers(unknowns, solved.solution.estimate, solved.solution.covariance))
+        in_bins = np.array([by_bins(unknowns, one / MAS) for one in (solved.solution.estimate, scaled)])
         kept = float(np.sum((solved.found.factors > 0.0) & (solved.count > 0)))
         ratio = solved.solution.scale**2
         share = np.nan if solved.influence is None else float(solved.influence.share.max())
     facts = np.array([float(design.matched), kept, ratio, share, float(len(design.problem.satellite))])
-    return found | {"estimate": estimate, "facts": facts}
-
-
-def _placed(values: Array, labels: Sequence[str]) -> Array:
-    """Return values (..., K) at the places of their labels among `COMPONENTS`, NaN elsewhere."""
-    placed = np.full((*values.shape[:-1], N), np.nan)
-    for i, label in enumerate(labels):
-        if label in COMPONENTS:
-            placed[..., COMPONENTS.index(label)] = values[..., i]
-    return placed
-
-
-def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Array]:
-    """Return every output from the sums over n draws."""
-    each = n[:, None]
-    bias = sums["error"] / each
-    sigma = np.sqrt(sums["error_squares"] / each)
-    facts = dict(zip(FACTS, (sums["facts"] / each).T, strict=True))
-    results: dict[str, Array] = dict(facts) | {
-        name: sums[name] / each for name in ("estimate", "error_formal", "error_scaled", "error_jackknife")
-    }
-    for name in ("n_sources", "n_kept", "n_drawn"):
-        results[name] = np.round(results[name])  # n times a whole number, over n
-    results |= {
-        "sigma": sigma,
-        "sigma_mc_error": sigma / np.sqrt(2.0 * each),
-        "sigma_predicted": np.sqrt(sums["predicted_variance"] / each),
-        "bias": bias,
-        "bias_mc_error": _error_of_mean(sums["error"], sums["error_squares"], each),
-        "n_kept_drawn": sums["kept"] / n,
-        "chi2_ratio_drawn": sums["ratio"] / n,
-        "chi2_ratio_drawn_mc_error": _error_of_mean(sums["ratio"], sums["ratio_squares"], n),
-    }
-    for name, key in (("coverage", "within"), ("coverage_scaled", "within_scaled")):
-        results[name] = sums[key] / each
-        between = (sums[key] + 1.0) / (each + 2.0)  # never 0 or 1, where draws show no scatter
-        results[f"{name}_mc_error"] = np.sqrt(between * (1.0 - between) / each)
-    variance = _error_of_mean(sums["mean_square"], sums["mean_square_squares"], each)
-    for which, (name, part) in enumerate((("sigma_orientation", ORIENTATION), ("sigma_spin", SPIN))):
-        rms = np.sqrt(sums["mean_square"][:, which] / n)
-        results[name] = rms
-        with np.errstate(invalid="ignore", divide="ignore"):
-            results[f"{name}_mc_error"] = np.where(rms > 0.0, variance[:, which] / (2.0 * rms), rms)
-        results[f"{name}_predicted"] = np.sqrt((sums["predicted_variance"] / each)[:, part].mean(axis=1))
-    return results
-
-
-def _error_of_mean(total: Array, squares: Array, n: Array) -> Array:
-    """Return the standard error of total/n from the scatter of the n numbers; NaN for one."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.sqrt(np.maximum(squares / n - (total / n) ** 2, 0.0) / np.where(n > 1, n - 1.0, np.nan))
+    return found | {"estimate": estimate, "facts": facts, "power": power, "bins": in_bins}
 
 
 def check(point: Point) -> str | None:
@@ -184,14 +167,15 @@ def check(point: Point) -> str | None:
     try:
         design = design_of(point)
         solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
+        if not any_stored(design.problem.unknowns):
+            return (
+                f"unknowns = {point['unknowns']!r}: results have places for harmonics to degree {HIGHEST_STORED}, and "
+                "none is here"
+            )
     except SweepError as error:
         return str(error)
     except (LinkError, ValueError) as error:
         return str(error)
-    if not set(design.problem.unknowns.labels) & set(COMPONENTS):
-        return (
-            f"unknowns = {point['unknowns']!r}: results are for unknowns of degree 1 and the parallax, and none is here"
-        )
     return None
 
 
@@ -234,8 +218,16 @@ tie = Experiment(
     parameters=PARAMETERS,
     sums=SUMS,
     outputs=OUTPUTS,
-    coordinates={"component": COMPONENTS, "unknown": COMPONENTS},
-    component_units={"component": UNITS},
+    coordinates={
+        "component": COMPONENTS,
+        "unknown": COMPONENTS,
+        "field": FIELDS,
+        "field_tested": FIELDS,
+        "power_degree": tuple(str(degree) for degree in range(1, HIGHEST_STORED + 1)),
+        "bin": tuple(str(number) for number in range(1, MOST_BINS + 1)),
+        "axis": ("x", "y", "z"),
+    },
+    component_units={"component": UNITS, "field": FIELD_UNITS},
     evaluate=evaluate,
     summarise=summarise,
     samples=samples,

@@ -6,12 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sweep.contract import SweepError
+from sweep.executing.ordered_map import ordered_map
 from sweep.tie.dataset import as_dataset
-from sweep.tie.setup import Options, set_up
+from sweep.tie.options import Options
+from sweep.tie.row_groups import FROM_ROWS, in_row_groups, set_up_row_groups
+from sweep.tie.setup import ZERO_MOTION, set_up
 from sweep.tie.solution import RESAMPLES, solve_link
 
 if TYPE_CHECKING:
     import xarray as xr
+
+EXPERIMENT = "sweep.tie.experiment:tie"
+"""Workers must have the code of this."""
 
 
 def tie(
@@ -23,6 +29,8 @@ def tie(
     errors: str | Sequence[str] = "scaled",
     resamples: int = RESAMPLES,
     seed: int = 0,
+    workers: int | None = None,
+    scheduler: str | None = None,
     **options: Any,
 ) -> "xr.Dataset":
     """Return the link of two tables, reference - satellite, as a labelled dataset.
@@ -39,9 +47,13 @@ def tie(
         errors: one or more of formal, scaled, jackknife, cells, bootstrap and sandwich, the first of them the main one.
         resamples: of the bootstrap.
         seed: of the bootstrap.
+        workers: local worker processes, for millions of quasars in Parquet; this process alone unless given.
+        scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
         options: further ones of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``, ``weights``,
             ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``,
-            ``satellite_options`` and ``reference_options`` (`sweep.tie.tables.TableOptions`).
+            ``missions`` (further tables by name, each with an orientation and a spin of its own),
+            ``satellite_options``, ``reference_options`` and ``mission_options``
+            (`sweep.tie.column_names.TableOptions`).
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
@@ -62,4 +74,13 @@ def tie(
         raise SweepError(f"no option {', '.join(unknown)}; there are {', '.join(sorted(known))}")
     asked = Options(unknowns=unknowns, **options)
     kinds = [name.strip() for name in errors.split(",")] if isinstance(errors, str) else list(errors)
+    if in_row_groups(satellite, reference, asked):
+        with ordered_map(workers, scheduler, EXPERIMENT) as run:
+            setup, table = set_up_row_groups(satellite, asked, run)
+            return as_dataset(solve_link(setup, clip, kinds, resamples, seed, table), asked)
+    if workers is not None or scheduler is not None:
+        raise SweepError(
+            f"workers are for quasars ({ZERO_MOTION}) in a Parquet table of {FROM_ROWS:,} rows and more, which is read "
+            "by row groups; these tables are solved at once in this process"
+        )
     return as_dataset(solve_link(set_up(satellite, reference, asked), clip, kinds, resamples, seed), asked)

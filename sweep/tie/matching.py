@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from core.constants import ARCSEC
 from core.frames import triad
-from core.tie.astrometry import Indices
+from core.tie.astrometry import Indices, named_rows
 from core.tie.motion import propagated
 from sweep.contract import SweepError
 from sweep.tie.tables import AstrometricTable
@@ -89,8 +89,8 @@ def _radius(text: str) -> float:
 def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radius_arcsec: float) -> Match:
     """Match each row to the nearest source, carried to the row's epoch with its proper motion."""
     sources, rows = satellite.astrometry, reference.astrometry
-    if not np.all(np.isfinite(rows.values[:2])):
-        raise SweepError("match by position: some rows have no position", reference.path)
+    if len(without := np.flatnonzero(~np.isfinite(rows.values[:2]).all(axis=0))):
+        raise SweepError(f"match by position: no position in {named_rows(without)}; match by name", reference.path)
     chord = 2.0 * np.sin(0.5 * radius_arcsec * ARCSEC)
     found = np.full(len(rows), -1)
     epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)

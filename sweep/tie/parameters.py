@@ -1,15 +1,8 @@
 """What a study of a link can set, and what a point of it gives."""
 
 from core.tie.releases import RELEASES
-from core.unknowns import parse_unknowns
 from sweep.contract import Output, Parameter
-
-_UNKNOWNS = parse_unknowns("orientation,spin,position_glide,glide,parallax")
-COMPONENTS = _UNKNOWNS.labels
-"""The unknowns that have a place in the results: those of degree 1 and the zero point of parallaxes."""
-
-UNITS = _UNKNOWNS.units
-ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
+from sweep.tie.components import HIGHEST_STORED, MOST_BINS
 
 
 def _epoch(name: str, meaning: str) -> Parameter:
@@ -22,6 +15,9 @@ PARAMETERS = (
     Parameter("zero_motion", "bool", False, "sources are quasars, which do not move: no table of a reference"),
     Parameter("unknowns", "str", "orientation,spin", "blocks that are solved for, as in sweep tie --unknowns"),
     Parameter("degree", "int", None, "adds vector spherical harmonics up to it; default none", minimum=1, maximum=50),
+    Parameter(
+        "bins", "str", "", f"a spin for each bin of a column, like phot_g_mean_mag=6,8,10; at most {MOST_BINS} bins"
+    ),
     Parameter("clip", "str", "none", "none, rayleigh, median:K, discrepancy[:N] or huber:C"),
     Parameter("weights", "str", "covariance", "of the differences", choices=("covariance", "variance", "equal")),
     Parameter("correlations", "bool", True, "the correlations of the tables are those of the errors"),
@@ -77,6 +73,8 @@ PARAMETERS = (
 )
 
 _EACH, _RATIO = ("component",), ("unknown",)  # the first has units
+_POWER, _CHANCE = ("field", "power_degree"), ("field_tested", "power_degree")
+_BIN = ("bin", "axis")
 
 OUTPUTS = (
     Output("n_sources", "", "sources of the tables that match, or the limits leave"),
@@ -102,6 +100,17 @@ OUTPUTS = (
     Output("sigma_spin", "mas/yr", "RMS over draws and axes", (), True, r"$\sigma_\omega$", True),
     Output("sigma_spin_mc_error", "mas/yr", "its Monte-Carlo error", nan=True),
     Output("sigma_spin_predicted", "mas/yr", "closed form without a clip", nan=True),
+    Output("power", "", f"of harmonics of degree 1 to {HIGHEST_STORED}, of the tables as they are", _POWER, nan=True),
+    Output("power_noise", "", "what their formal errors give on average", _POWER, nan=True),
+    Output("power_probability", "", "that noise gives as significant a power", _CHANCE, nan=True),
+    Output("power_drawn", "", "mean power of estimate - truth of the draws", _POWER, nan=True),
+    Output("power_drawn_mc_error", "", "its Monte-Carlo error", _POWER, nan=True),
+    Output("power_drawn_predicted", "", "closed form without a clip", _POWER, nan=True),
+    Output("spin_by_bin", "mas/yr", "spin in each bin, of the tables as they are", _BIN, nan=True),
+    Output("spin_by_bin_error", "mas/yr", "its scaled error", _BIN, nan=True),
+    Output("sigma_by_bin", "mas/yr", "RMS of estimate - truth of the draws", _BIN, nan=True),
+    Output("sigma_by_bin_mc_error", "mas/yr", "its Monte-Carlo error", _BIN, nan=True),
+    Output("sigma_by_bin_predicted", "mas/yr", "closed form without a clip", _BIN, nan=True),
     Output("n_drawn", "", "sources that are simulated"),
     Output("n_kept_drawn", "", "mean number of those that the clip keeps"),
     Output("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", nan=True),

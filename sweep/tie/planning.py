@@ -1,20 +1,23 @@
 """`forecast`: what further observations would do to the link of two tables, and which sources to observe."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.constants import MAS
 from core.link import LinkError
-from core.tie.forecast import Criterion, Goal, choose, with_new_rows
-from core.tie.normal_sums import inverted, source_sums
+from core.tie.forecast import Choice, Criterion, Goal, choose, with_new_rows
+from core.tie.normal_sums import NormalSums, source_sums
+from core.tie.problem import Problem
 from core.tie.releases import RELEASES, released
+from core.tie.solution import inverted
 from sweep.contract import SweepError
-from sweep.tie.setup import Options, set_up
+from sweep.tie.options import Options
+from sweep.tie.setup import Setup, set_up
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,7 +27,7 @@ Array = NDArray[np.float64]
 EPOCHS = (1900.0, 2100.0)
 
 
-def forecast(  # noqa: PLR0912
+def forecast(
     satellite: str | Path,
     reference: str | Path,
     unknowns: str | None = None,
@@ -69,8 +72,36 @@ def forecast(  # noqa: PLR0912
         >>> plan.step_source.values.tolist()
         ['', 'J1537+1155', 'J2354+6155']
     """
-    import xarray as xr
+    _check(add, error, number, criterion, options)
+    setup = set_up(satellite, reference, Options(unknowns=unknowns, **options), all_sources)
+    problem = setup.problem
+    goals = Goal(problem.unknowns, tuple(goal), criterion)
+    try:
+        _ = goals.parts  # raises for an unknown block
+        future = _future(problem, release, from_release, options.get("epoch") is None)
+        plan = _planned(problem, future, add, error * MAS, number, goals)
+    except ValueError as problem_found:
+        raise SweepError(str(problem_found)) from problem_found
+    attributes = {
+        "result": "forecast",
+        "epoch": problem.epoch,
+        "epoch_of_forecast": future.epoch,
+        "release": release or "",
+        "from_release": from_release if release else "",
+        "new_error_mas": error,
+        "goal": ", ".join(goal or problem.unknowns.names),
+        "criterion": criterion,
+        "satellite": setup.satellite.path,
+        "satellite_sha256": setup.satellite.digest,
+        "reference": setup.reference.path,
+        "reference_sha256": setup.reference.digest,
+        "notes": list(setup.notes),
+    }
+    return _as_dataset(plan, setup, release, list(add), goals, attributes)
 
+
+def _check(add: Sequence[float], error: float, number: int, criterion: str, options: Mapping[str, Any]) -> None:
+    """Raise SweepError for what no tables could be planned with."""
     if not (0.0 < error < np.inf):
         raise SweepError(f"error {error:g} mas: it is above 0")
     for epoch in add:
@@ -82,67 +113,68 @@ def forecast(  # noqa: PLR0912
         raise SweepError(f"criterion {criterion!r}: it is A or D")
     if "release" in options or "sign" in options:
         raise SweepError("a forecast has no sign: it is about errors")
-    setup = set_up(satellite, reference, Options(unknowns=unknowns, **options), all_sources)
-    problem = setup.problem
-    try:
-        future = problem
-        if release is not None:
-            future = replace(problem, satellite=released(problem.satellite, from_release, release))
-            if options.get("epoch") is None:
-                future = replace(future, epoch=problem.epoch + RELEASES[release].epoch - RELEASES[from_release].epoch)
-        names = problem.unknowns.names
-        wanted = Goal(problem.unknowns, tuple(goal), criterion)
-        _ = wanted.parts  # raises for an unknown block
-        base = source_sums(future)
-        planned = source_sums(with_new_rows(future, add, error * MAS)) if add else base
-        total = base.normal.sum(axis=0)
-        each_epoch = [source_sums(with_new_rows(future, [epoch], error * MAS)).normal.sum(axis=0) for epoch in add]
-        choice = choose(base, planned, number, wanted)
-    except ValueError as problem_found:
-        raise SweepError(str(problem_found)) from problem_found
-    stages = {"now": source_sums(problem).normal.sum(axis=0)}
-    if release is not None:
-        stages[release] = total
-    if add:
-        stages["all observed"] = planned.normal.sum(axis=0)
-    labels = problem.unknowns.labels
-    gain = np.array([wanted.value(total + one) for one in planned.normal - base.normal])
+
+
+def _future(problem: Problem, release: str | None, from_release: str, epoch_moves: bool) -> Problem:
+    """Return the problem with the satellite's errors of a release, and its epoch unless another was asked for."""
+    if release is None:
+        return problem
+    future = replace(problem, satellite=released(problem.satellite, from_release, release))
+    if not epoch_moves:
+        return future
+    return replace(future, epoch=problem.epoch + RELEASES[release].epoch - RELEASES[from_release].epoch)
+
+
+class _Plan(NamedTuple):
+    """Sums of each source now, in the future and with all new rows, N with those of each epoch, and the choice."""
+
+    now: NormalSums
+    base: NormalSums
+    planned: NormalSums
+    each_epoch: list[Array]
+    choice: Choice
+
+
+def _planned(problem: Problem, future: Problem, add: Sequence[float], error: float, number: int, goal: Goal) -> _Plan:
+    base = source_sums(future)
+    planned = source_sums(with_new_rows(future, add, error)) if add else base
+    each_epoch = [source_sums(with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add]
+    return _Plan(source_sums(problem), base, planned, each_epoch, choose(base, planned, number, goal))
+
+
+def _as_dataset(
+    plan: _Plan, setup: Setup, release: str | None, add: list[float], goal: Goal, attributes: dict[str, Any]
+) -> "xr.Dataset":
+    import xarray as xr
+
+    unknowns, total = setup.problem.unknowns, plan.base.normal.sum(axis=0)
+    stages = {"now": plan.now.normal.sum(axis=0)}
+    stages |= {} if release is None else {release: total}
+    stages |= {"all observed": plan.planned.normal.sum(axis=0)} if add else {}
+    gain = np.array([goal.value(total + one) for one in plan.planned.normal - plan.base.normal])
     variables: dict[str, Any] = {
         "error": (("stage", "unknown"), np.array([_errors(normal) for normal in stages.values()])),
-        "criterion": ("stage", np.array([_value(wanted, normal) for normal in stages.values()])),
-        "criterion_alone": ("source", _scaled(gain, wanted), {"long_name": "if this source alone is observed"}),
+        "criterion": ("stage", np.array([_value(goal, normal) for normal in stages.values()])),
+        "criterion_alone": ("source", _scaled(gain, goal), {"long_name": "if this source alone is observed"}),
         "rank": ("source", np.argsort(np.argsort(gain)) + 1),
     }
     if add:
-        variables["error_with_epoch"] = (("new_epoch", "unknown"), np.array([_errors(normal) for normal in each_epoch]))
-    if number:
+        errors = np.array([_errors(normal) for normal in plan.each_epoch])
+        variables["error_with_epoch"] = (("new_epoch", "unknown"), errors)
+    if plan.choice.sources:
+        chosen = np.array(["", *setup.names[list(plan.choice.sources)]]).astype(str)
         variables |= {
-            "step_source": ("step", np.array(["", *setup.names[list(choice.sources)]]).astype(str)),
-            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in choice.normals])),
-            "step_criterion": ("step", np.array([_value(wanted, normal) for normal in choice.normals])),
+            "step_source": ("step", chosen),
+            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in plan.choice.normals])),
+            "step_criterion": ("step", np.array([_value(goal, normal) for normal in plan.choice.normals])),
         }
     coordinates = {
         "stage": list(stages),
-        "unknown": list(labels),
-        "unit": ("unknown", list(problem.unknowns.units)),
-        "block": ("unknown", [b.name for b in problem.unknowns.blocks for _ in b.labels]),
+        "unknown": list(unknowns.labels),
+        "unit": ("unknown", list(unknowns.units)),
+        "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
         "source": setup.names.astype(str),
-    } | ({"new_epoch": list(add)} if add else {})
-    attributes = {
-        "result": "forecast",
-        "epoch": problem.epoch,
-        "epoch_of_forecast": future.epoch,
-        "release": release or "",
-        "from_release": from_release if release else "",
-        "new_error_mas": error,
-        "goal": ", ".join(goal or names),
-        "criterion": criterion,
-        "satellite": setup.satellite.path,
-        "satellite_sha256": setup.satellite.digest,
-        "reference": setup.reference.path,
-        "reference_sha256": setup.reference.digest,
-        "notes": list(setup.notes),
-    }
+    } | ({"new_epoch": add} if add else {})
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 

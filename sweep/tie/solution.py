@@ -2,17 +2,21 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from core.tie.clips import Clipped, clipped, parse_clip, separation
-from core.tie.influence import LARGE_SHARE, Influence, influence
-from core.tie.normal_sums import Solution
+from core.tie.astrometry import Indices
+from core.tie.clips import Clipped, Sources, clipped, parse_clip
+from core.tie.influence import LARGE_SHARE, Influence, influence, shares
+from core.tie.solution import Solution
 from core.tie.sources import SourceTable
 from core.tie.uncertainty import bootstrap, jackknife, sandwich
+from core.unknowns import Unknowns
 from sweep.contract import SweepError
+from sweep.tie.row_groups import RowGroupTable
 from sweep.tie.setup import Setup
 
 Array = NDArray[np.float64]
@@ -20,6 +24,9 @@ Array = NDArray[np.float64]
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 ALWAYS = ("formal", "scaled")
 RESAMPLES = 1000
+
+HEAVIEST = 100
+"""Of too many sources to keep the sums of each, so many are looked at for a large share."""
 
 
 @dataclass(frozen=True)
@@ -45,45 +52,63 @@ class Link:
 
 
 def solve_link(
-    setup: Setup, clip: str = "none", errors: Sequence[str] = ("scaled",), resamples: int = RESAMPLES, seed: int = 0
+    setup: Setup,
+    clip: str = "none",
+    errors: Sequence[str] = ("scaled",),
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+    table: RowGroupTable | None = None,
 ) -> Link:
-    """Return the solution of what was set up; raises SweepError where there is none."""
+    """Return the solution of what was set up; raises SweepError where there is none.
+
+    ``table`` has the sources where they are read by row groups.
+    """
     if not errors or any(name not in ERRORS for name in errors):
         raise SweepError(f"errors {', '.join(errors)!r}: they are {', '.join(ERRORS)}")
     if resamples < 2:
         raise SweepError(f"{resamples} resamples: at least 2")
     try:
         with threadpool_limits(1):  # the same bits whatever the machine, and products of blocks are small
-            table = SourceTable(setup.problem)
-            sources = table.as_sources()
-            found = clipped(parse_clip(clip), sources, lambda: separation(setup.problem))
-            covariances, notes = _covariances(table, found, errors, resamples, seed)
+            kept = table or SourceTable(setup.problem)
+            sources = kept.as_sources()
+            found = clipped(parse_clip(clip), sources, kept.separations)
+            covariances, notes = _covariances(kept, found, errors, resamples, seed)
             squares = sources.discrepancies(found.solution.estimate)
+            effect = _influence(kept, sources, found, setup.problem.unknowns)
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
-    effect = None
-    if table.single:
-        kept = (found.factors > 0.0) & (sources.count > 0)
-        effect = influence(table.sums, found.solution, setup.problem.unknowns, kept)
-        notes += _large_shares(setup, effect)
+    share = effect.share if isinstance(effect, Influence) else effect[1]
+    places = np.arange(len(share)) if isinstance(effect, Influence) else effect[0]
+    notes += _large_shares(setup.problem.unknowns.names, setup.names[places], share)
     return Link(
         setup=setup,
         clip=str(parse_clip(clip)),
         found=found,
         covariances=covariances,
         main=errors[0],
-        influence=effect,
+        influence=effect if isinstance(effect, Influence) else None,
         discrepancy=squares,
         count=sources.count,
         notes=(*setup.notes, *found.notes, *notes),
     )
 
 
+def _influence(
+    table: SourceTable | RowGroupTable, sources: Sources, found: Clipped, unknowns: Unknowns
+) -> Influence | tuple[Indices, Array]:
+    """Return the influence of each source, or the shares of the heaviest ones and which these are."""
+    kept = (found.factors > 0.0) & (sources.count > 0)
+    if isinstance(table, SourceTable) and table.single:
+        return influence(table.sums, found.solution, unknowns, kept)
+    places, sums = table.heaviest(HEAVIEST)
+    return places, shares(sums, found.solution, unknowns) * found.factors[places, None]
+
+
 def _covariances(
-    table: SourceTable, found: Clipped, errors: Sequence[str], resamples: int, seed: int
+    table: SourceTable | RowGroupTable, found: Clipped, errors: Sequence[str], resamples: int, seed: int
 ) -> tuple[dict[str, Array], list[str]]:
     solution, notes = found.solution, []
-    sums = table.sums if table.single else None
+    sums = table.sums if isinstance(table, SourceTable) and table.single else None
     if sums is not None and not np.all(np.isin(found.factors, (0.0, 1.0))):
         sums = sums.weighted(found.factors)
     elif sums is not None:
@@ -113,13 +138,12 @@ def _covariances(
     return covariances, notes
 
 
-def _large_shares(setup: Setup, effect: Influence) -> list[str]:
+def _large_shares(blocks: Sequence[str], names: NDArray[Any], shares_of: Array) -> list[str]:
     notes = []
-    for i, block in enumerate(setup.problem.unknowns.names):
-        share = effect.share[:, i]
+    for block, share in zip(blocks, shares_of.T, strict=True):
         large = np.flatnonzero(share > LARGE_SHARE)
         if len(large):
             large = large[np.argsort(-share[large])]
-            listed = ", ".join(f"{setup.names[k]} ({100.0 * share[k]:.0f} %)" for k in large)
+            listed = ", ".join(f"{names[k]} ({100.0 * share[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
     return notes

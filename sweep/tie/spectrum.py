@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.unknowns import Harmonics, Unknowns
+from core.blocks import Harmonics
+from core.unknowns import Unknowns
 
 Array = NDArray[np.float64]
 

@@ -2,71 +2,35 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from core.blocks import PARAMETERS
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
-from core.unknowns import PARAMETERS
 from sweep import table_reader
 from sweep.contract import SweepError
 from sweep.tie import hipparcos, icrf
+from sweep.tie.column_names import (
+    CORRELATIONS,
+    NAMES,
+    Positions,
+    TableOptions,
+    column_of,
+    error_column_of,
+    quantities,
+)
 
 Array = NDArray[np.float64]
-Positions = Literal["single-epoch", "mean"]
-Zeros = Literal["error", "missing", "exact"]
-
-VALUES: Mapping[str, tuple[str, ...]] = {
-    "ra": ("ra", "RA", "_RA", "RAdeg", "RArad", "ra_icrs", "RA_ICRS"),
-    "dec": ("dec", "DEC", "Dec", "_DE", "DEdeg", "DErad", "dec_icrs", "DE_ICRS"),
-    "parallax": ("parallax", "plx", "Plx"),
-    "pmra": ("pmra", "pm_ra_cosdec", "pmRA", "pm_ra"),
-    "pmdec": ("pmdec", "pm_dec", "pmDE", "pmDec"),
-    "ref_epoch": ("ref_epoch", "epoch", "Epoch", "pos_epoch", "mjd", "MJD"),
-    "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv", "RV"),
-}
-"""Names under which a quantity is found, the first of them first; those of an error are made from them."""
-
-NAMES = (
-    "name",
-    "Name",
-    "star",
-    "source",
-    "source_id",
-    "designation",
-    "psr_name",
-    "HIP",
-    "hip",
-    "iers_name",
-    "icrf_name",
-)
-CORRELATIONS = tuple(f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr" for i, j in PAIRS)
 DEFAULT_UNITS = {"ra": "deg", "dec": "deg", "ref_epoch": "yr", "radial_velocity": "km/s"}
 EPOCHS = (1700.0, 2300.0)
 MJD_FROM = 15000.0
 """Epochs above are modified Julian dates."""
-
-
-@dataclass(frozen=True)
-class TableOptions:
-    """How a table is read.
-
-    ``columns``: the table's name for a quantity.  ``epoch`` (Julian year) is for a table without a column of epochs.
-    ``positions`` without parallax and motion: of a single epoch, displaced by the parallax, or mean ones; by default
-    what the table's metadata say under ``positions``, else of a single epoch.
-    ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*.
-    """
-
-    columns: Mapping[str, str] = field(default_factory=dict)
-    epoch: float | None = None
-    positions: Positions | None = None
-    zero_errors: Zeros = "error"
-    pmra_cos_dec: bool = True
 
 
 @dataclass(frozen=True)
@@ -89,13 +53,23 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     path = built_in_table(path) or path
     if not path.is_file():
         raise SweepError("no such file", str(path))
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = digest_of(path)
     if path.suffix.lower() in (".txt", ".dat") and icrf.is_icrf(path):
         astrometry, names = icrf.read_icrf(path)
         return AstrometricTable(str(path), digest, astrometry, names)
-    reader = _Reader(table_reader.read_table(path), path, options)
-    astrometry, names = reader.astrometry()
+    astrometry, names = astrometry_of(table_reader.read_table(path), str(path), options)
     return AstrometricTable(str(path), digest, astrometry, names)
+
+
+def astrometry_of(table: Any, where: str, options: TableOptions) -> tuple[Astrometry, dict[str, NDArray[np.str_]]]:
+    """Return the astrometry in an astropy Table and its columns with names; raises SweepError as `read_table`."""
+    return _Reader(table, where, options).astrometry()
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def built_in_table(path: Path) -> Path | None:
@@ -106,22 +80,29 @@ def built_in_table(path: Path) -> Path | None:
     return next((file for file in sorted(folder.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
 
 
+def _like_hours(ra: Array) -> bool:
+    """Return whether numbers without a unit may be hours: ten or more within 0 to 24, over more than half of it."""
+    known = ra[np.isfinite(ra)]
+    return len(known) >= 10 and known.min() >= 0.0 and known.max() <= 24.0 and bool(np.ptp(known) > 12.0)
+
+
 class _Reader:
     """Reads the quantities of one table and collects what is wrong with it."""
 
-    def __init__(self, table: Any, path: Path, options: TableOptions) -> None:
-        self.table, self.path, self.options = table, path, options
+    def __init__(self, table: Any, where: str, options: TableOptions) -> None:
+        self.table, self.where, self.options = table, where, options
         self.problems: list[str] = []
-        quantities = [*VALUES, *(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"]
         for key, column in options.columns.items():
-            if key not in quantities:
-                self.problems.append(f"columns: {key} is no quantity; known are {', '.join(quantities)}")
+            if key not in quantities():
+                self.problems.append(f"columns: {key} is no quantity; known are {', '.join(quantities())}")
             elif column not in table.colnames:
                 self.problems.append(f"columns: no column {column!r} for {key}; there are {self._listed()}")
+        if not self.problems:
+            self._set_units()
         if self.problems:
-            raise SweepError(self.problems, str(path))
+            raise SweepError(self.problems, self.where)
         if not len(table):
-            raise SweepError("has no rows", str(path))
+            raise SweepError("has no rows", self.where)
 
     def astrometry(self) -> tuple[Astrometry, dict[str, NDArray[np.str_]]]:
         n = len(self.table)
@@ -148,22 +129,43 @@ class _Reader:
             if getattr(self.table[name], "ndim", 2) == 1
             and getattr(getattr(self.table[name], "dtype", None), "kind", "O") in "fiu"
         }
+        epoch = self._epoch()
         found = Astrometry(
             values=values,
             errors=errors,
-            epoch=self._epoch(),
+            epoch=epoch,
             correlations=correlations,
             radial_velocity=self._radial_velocity(),
             columns=columns,
-            apparent=np.full(n, self._positions() == "single-epoch"),
+            apparent=(self._positions() == "single-epoch") & np.isfinite(epoch),
         )
         try:
             kinds(found)
         except ValueError as error:
             self.problems.append(str(error))
         if self.problems:
-            raise SweepError(self.problems, str(self.path))
+            raise SweepError(self.problems, self.where)
         return found, self._names()
+
+    def _set_units(self) -> None:
+        """Give columns the units that the options say; a column has another only if it says so itself."""
+        from astropy import units
+
+        self.table = self.table.copy(copy_data=False)
+        for quantity, text in self.options.units.items():
+            stem, is_error = quantity.removesuffix("_error"), quantity.endswith("_error")
+            name = (error_column_of if is_error else column_of)(stem, self.table.colnames, self.options)
+            try:
+                unit = units.Unit(text)
+            except ValueError:
+                self.problems.append(f"units: {quantity} in {text!r}, which is no unit")
+                continue
+            if quantity not in quantities() or name is None:
+                self.problems.append(f"units: no column of {quantity}")
+            elif self.table[name].unit not in (None, unit):
+                self.problems.append(f"units: {quantity} in {text}, and column {name!r} says {self.table[name].unit}")
+            else:
+                self.table[name].unit = unit
 
     def _positions(self) -> str:
         said = self.options.positions or self.table.meta.get("positions", "single-epoch")
@@ -172,9 +174,7 @@ class _Reader:
         return str(said)
 
     def _column(self, quantity: str) -> str | None:
-        if quantity in self.options.columns:
-            return self.options.columns[quantity]
-        return next((name for name in VALUES.get(quantity, (quantity,)) if name in self.table.colnames), None)
+        return column_of(quantity, self.table.colnames, self.options)
 
     def _values(self, quantity: str) -> Array:
         name = self._column(quantity)
@@ -185,13 +185,7 @@ class _Reader:
         return self._in_unit(name, "mas/yr" if quantity.startswith("pm") else "mas") * MAS
 
     def _errors(self, quantity: str, dec: Array) -> Array:
-        value = self._column(quantity)
-        stem = [value, quantity] if value else [quantity]
-        candidates = (
-            [self.options.columns.get(f"{quantity}_error")] if f"{quantity}_error" in self.options.columns else []
-        )
-        candidates += [form.format(s) for s in stem for form in ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")]
-        name = next((c for c in candidates if c in self.table.colnames), None)
+        name = error_column_of(quantity, self.table.colnames, self.options)
         if name is None:
             return np.full(len(self.table), np.nan)
         unit = "mas/yr" if quantity.startswith("pm") else "mas"
@@ -214,6 +208,10 @@ class _Reader:
         if getattr(column, "dtype", np.dtype(object)).kind in "USO":
             return self._sexagesimal(name, hours)
         unit = column.unit or (units.rad if name.endswith("rad") else units.deg)
+        if hours and column.unit is None and not name.endswith(("deg", "rad")) and _like_hours(self._numbers(name)):
+            self.problems.append(
+                f"column {name!r} has no unit and runs over 0..24, as hours do; say --unit ra=hourangle (or ra=deg)"
+            )
         try:
             return np.asarray(self._numbers(name) * units.Unit(unit).to("rad"))
         except (units.UnitsError, ValueError, TypeError):

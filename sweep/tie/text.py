@@ -25,6 +25,8 @@ def _link_lines(link: "xr.Dataset") -> Iterator[str]:
         f"{int(link.n_sources)} of {int(link.n_sources_matched)} sources, matched by {attributes['matched_by']}; "
         f"clip {attributes['clip']}; weights {attributes['weights']}"
     )
+    for mission, path in attributes["missions"].items():
+        yield f"{attributes['sign'].replace('satellite', mission).replace('-', ' - ')}: {path}"
     yield (
         f"chi2 {float(link.chi2):.6g} where {float(link.chi2_expected):.6g} is expected, "
         f"{float(link.dof):.0f} degrees of freedom"

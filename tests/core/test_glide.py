@@ -92,6 +92,7 @@ def test_no_leak_on_a_uniform_sky():
     assert np.all(np.abs(spin.mean(axis=0)) < 4 * error_of_mean)
 
 
+@pytest.mark.slow
 def test_leak_of_one_catalogue_falls_with_the_root_of_the_number_of_objects():
     """To first order it is -(3/2) <r> x g, so each of two components scatters by sqrt(3/(4 N)), the third by none."""
     for n_obj, n_cat in ((100, 400), (1600, 400)):

@@ -61,7 +61,16 @@ def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
     assert np.all(np.abs(covariances[0] - covariances[1]) < 4.5 * mc_error)
 
 
-@pytest.mark.parametrize("changes", [{}, {"weighting": "equal"}, {"reference_errors": "normal"}, {"n_obj": 2}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"n_obj": 2},
+        *(
+            pytest.param(c, marks=pytest.mark.slow)
+            for c in ({}, {"weighting": "equal"}, {"reference_errors": "normal"})
+        ),
+    ],
+)
 def test_chi2_has_the_distribution_of_the_catalogue_method(changes):
     """One realisation at a time: only their sum comes out of a block."""
 
@@ -75,6 +84,7 @@ def test_chi2_has_the_distribution_of_the_catalogue_method(changes):
     assert stats.ks_2samp(chi2("catalogue"), chi2("projected")).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_chi2_of_one_realisation_is_correlated_with_its_estimate_as_in_the_catalogue_method():
     """With equal weights a large error of the estimate leaves large residuals."""
 

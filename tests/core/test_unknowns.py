@@ -5,12 +5,13 @@ import pytest
 from scipy.special import sph_harm_y
 
 import core.unknowns as unknowns_module
+from core.blocks import Objects
 from core.constants import MAS
 from core.design import design_matrix
 from core.frames import position, triad, turned
 from core.harmonics import terms, toroidal
 from core.harmonics import turned as quarter_turn
-from core.unknowns import Objects, parse_unknowns
+from core.unknowns import parse_unknowns
 
 
 def sky(n, seed=0):

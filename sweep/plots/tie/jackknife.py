@@ -43,7 +43,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
                 *(factor * stretched[:, [i, j]].T),
                 ".",
                 color=COLOURS[0],
-                markersize=4.0 if len(without) < 300 else 2.0,
+                markersize=9.0 if len(without) < 60 else 5.0 if len(without) < 300 else 2.0,
                 markeredgewidth=0.0,
                 alpha=0.6,
                 rasterized=len(without) > 2000,

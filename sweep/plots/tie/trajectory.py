@@ -3,6 +3,7 @@
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from sweep.contract import SweepError
 from sweep.plots.style import BAND, COLOURS, finish, logarithmic, unit_text
@@ -46,6 +47,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
         grid[-1].set_xlabel("source dropped, one after the other")
     else:
         grid[-1].set_xlabel("sources dropped, one by one" if one_by_one else "iteration of the clip")
+        grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
     words = f"{chosen} dropped" if one_by_one else f"iteration {chosen}"
     grid[0].set_title(f"clip {dataset.attrs['clip']}; dashed: the solution, {words}; bands: scaled errors")
     return figure

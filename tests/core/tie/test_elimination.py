@@ -12,7 +12,9 @@ from core.tie.astrometry import Astrometry
 from core.tie.differences import differences
 from core.tie.elimination import eliminate
 from core.tie.influence import discrepancies, expected_discrepancies
-from core.tie.normal_sums import Problem, group_sums, solve, source_counts, source_discrepancies, source_sums
+from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums
+from core.tie.problem import Problem
+from core.tie.solution import solve
 from core.tie.uncertainty import bootstrap, jackknife, leave_one_out, sandwich
 from core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
@@ -277,7 +279,7 @@ def test_simple_rows_have_the_general_form(kind, monkeypatch):
     def never(*arguments):
         calls.append(arguments)
 
-    monkeypatch.setattr("core.tie.normal_sums.eliminate_simple", never)
+    monkeypatch.setattr("core.tie.problem.eliminate_simple", never)
     general = source_sums(problem)
     assert calls
     for name in ("normal", "right", "squares", "count"):

@@ -9,13 +9,16 @@ from astropy import units
 from astropy.coordinates import Distance, SkyCoord, get_body_barycentric
 from astropy.time import Time
 
+from core.blocks import Rotation
 from core.constants import MAS
 from core.frames import position, triad
 from core.tie import differences as differences_module
 from core.tie.astrometry import Astrometry, kinds
 from core.tie.motion import parallax_factors, propagated
-from core.tie.normal_sums import Problem, solve, source_sums
-from core.unknowns import Rotation, Unknowns, parse_unknowns
+from core.tie.normal_sums import source_sums
+from core.tie.problem import Problem
+from core.tie.solution import solve
+from core.unknowns import Unknowns, parse_unknowns
 from tests.core.tie.made import seen_by_satellite, stars
 
 EPSILON = np.array([70.0, -130.0, 90.0]) * MAS
@@ -183,7 +186,7 @@ def test_a_design_without_the_years_is_seen(monkeypatch):
         found.partials[:, 0, 3] = found.partials[:, 1, 4] = found.partials[:, 0, 3] / 2
         return found
 
-    monkeypatch.setattr("core.tie.normal_sums.differences", without)
+    monkeypatch.setattr("core.tie.problem.differences", without)
     assert np.abs(solve(source_sums(both)).estimate[3:] - OMEGA).max() / MAS > 0.1
 
 

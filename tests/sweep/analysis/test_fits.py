@@ -140,6 +140,7 @@ def test_an_exact_levelling_law_is_found(floor, size, rate):
     assert law.end_fall == pytest.approx(fall(20.0), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_errors_of_the_levelling_law_cover_the_truth():
     rng = np.random.default_rng(24)
     truth = level_law(V, 0.55, 0.13, 0.8)

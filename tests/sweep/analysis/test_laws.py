@@ -107,6 +107,7 @@ def N_OBJ(one):  # noqa: N802
     return one["n_obj"].values.astype(float)
 
 
+@pytest.mark.slow
 def test_the_laws_of_the_paper_come_out(dataset_of):
     root = fit_power_law(dataset_of("sqrt-n"), "sigma_spin", "n_obj")
     assert root["expected"].item() == -0.5  # the claim of the study
@@ -266,6 +267,7 @@ def test_the_crossing_of_a_power_law_is_exact(threshold):
     assert result["last"].values == pytest.approx(threshold**-2.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_error_of_a_crossing_is_its_scatter():
     rng = np.random.default_rng(31)
     y = N**-0.5

@@ -309,7 +309,10 @@ STUDIES = {
 }
 
 
-@pytest.mark.parametrize("case", STUDIES)
+LARGE = ("a million rounded to ten", "a million bad values", "too many points")
+
+
+@pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.slow) if c in LARGE else c for c in STUDIES])
 @pytest.mark.parametrize("command", ["run", "plan"])
 def test_bad_study(here: Path, command: str, case: str) -> None:
     text, *phrases = STUDIES[case]

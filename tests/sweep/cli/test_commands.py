@@ -83,6 +83,7 @@ def test_an_axis_replaced_by_a_value_is_fixed(sweep, link_study, tmp_path):
     assert [row["v_max"] for row in json.loads(out)["rows"]] == [14, 15, 16]
 
 
+@pytest.mark.slow
 def test_a_bar_on_a_terminal_and_lines_elsewhere(link_study, tmp_path):
     """Under a pseudo-terminal the bar is drawn; what is left at the end are plain sentences."""
     script = f"{sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=20000 --pool serial"
@@ -92,6 +93,7 @@ def test_a_bar_on_a_terminal_and_lines_elsewhere(link_study, tmp_path):
     assert "wrote" in shown
 
 
+@pytest.mark.slow
 def test_the_four_axis_grid_runs(sweep, tmp_path):
     code, _, err = sweep("run", "grid", "-o", tmp_path / "s.zarr", "--set", "n_sim=20", "--set", "n_cat=4", "--json")
     assert code == 0, err

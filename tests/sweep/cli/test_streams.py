@@ -38,7 +38,7 @@ def shell(redirection, *arguments, unbuffered=""):
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("unbuffered", ["", pytest.param("1", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "arguments",
     [("list",), ("--help",), ("show", "STORE"), ("show", "STORE", "--json"), ("status", "STORE", "--json")],
@@ -56,7 +56,11 @@ def test_a_run_whose_table_cannot_be_printed_is_kept(link_study, tmp_path):
 
 
 @pytest.mark.parametrize("redirection", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full"])
-@pytest.mark.parametrize("arguments", [("list",), ("show", "STORE"), ("status", "STORE", "--json")], ids=" ".join)
+@pytest.mark.parametrize(
+    "arguments",
+    [("show", "STORE"), *(pytest.param(a, marks=pytest.mark.slow) for a in (("list",), ("status", "STORE", "--json")))],
+    ids=" ".join,
+)
 def test_streams_that_nobody_reads_are_no_problem(store, arguments, redirection):
     arguments = [store if word == "STORE" else word for word in arguments]
     _, out, _ = shell("", *arguments)

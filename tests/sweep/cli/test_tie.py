@@ -3,12 +3,17 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
+import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
 
+from core.constants import MAS
 from sweep.cli import main
+from tests.core.tie.test_missions import EPSILON, OMEGA, missions
+from tests.sweep.tie.test_tables import gaia
 
 
 def run(*arguments):
@@ -61,6 +66,57 @@ def test_a_forecast_is_printed():
     assert "all observed at 2030" in found.output
 
 
+def two_missions(tmp_path):
+    """Write the tables of two missions and a reference whose rows are exact; return their paths."""
+    made = missions(n=20, noisy=False)
+    rows = made.rows
+    names = np.arange(20)
+    first, other = rows.frame == 1, rows.frame == 0
+    gaia(tmp_path / "hipparcos.ecsv", replace(rows.taken(first), radial_velocity=np.zeros(20)), source_id=names)
+    vlbi = replace(rows.taken(other), radial_velocity=np.zeros(other.sum()))
+    gaia(tmp_path / "vlbi.ecsv", vlbi, source_id=names[: other.sum()])
+    gaia(tmp_path / "gaia.ecsv", made.satellite, source_id=names)
+    return [str(tmp_path / f"{name}.ecsv") for name in ("gaia", "vlbi", "hipparcos")]
+
+
+def test_two_missions_have_an_orientation_and_a_spin_each(tmp_path):
+    first, reference, second = two_missions(tmp_path)
+    store = tmp_path / "tie.zarr"
+    found = run("tie", first, reference, "--mission", f"hip={second}", "--errors", "jackknife", "-o", str(store))
+    assert found.exit_code == 0, found.output
+    assert "reference - hip: " in found.output
+    assert "hip:omega_z" in found.output
+    with xr.open_zarr(store) as stored:
+        estimate = stored.estimate.values.reshape(4, 3)
+        np.testing.assert_allclose(estimate[[0, 2]], EPSILON / MAS, atol=5e-4)
+        np.testing.assert_allclose(estimate[[1, 3]], OMEGA / MAS, atol=2e-5)
+        assert set(stored.row_table.values) == {"reference", "hip"}
+        assert list(stored.attrs["missions"]) == ["hip"]
+    for kind in ("solution", "residuals", "jackknife", "ranking"):
+        assert run("plot", str(store), "--kind", kind, "-o", str(tmp_path / f"{kind}.png")).exit_code == 0
+    only = run("tie", first, reference, "--mission", f"hip={second}", "--unknowns", "orientation,spin,hip:spin")
+    assert "hip:epsilon_x" not in only.output
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--mission", "hip"], "NAME=TABLE"),
+        (["--mission", "spin=psrpi"], "none of the unknowns"),
+        (["--mission", "hip=nowhere.fits"], "nowhere.fits: no such file"),
+        (["--mission", "a=psrpi", "--mission", "a=psrpi"], "named twice"),
+        (["--mission", "a=psrpi", "--unknowns", "orientation,b:spin"], "'b:spin'"),
+        (["--mission", "a=psrpi", "--mission-epoch", "b=1991.25"], "no --mission b"),
+        (["--mission", "a=psrpi", "--jitter", "b:position=1"], "no mission 'b'"),
+        (["--without-cos-dec", "b"], "no table b"),
+    ],
+)
+def test_a_wrong_mission_is_one_message(options, message):
+    found = run("tie", "psrpi", "psrpi", *options)
+    assert found.exit_code == 2, found.output
+    assert message in found.output
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -69,7 +125,7 @@ def test_a_forecast_is_printed():
         (["psrpi", "psrpi", "--clip", "median"], "clip 'median'"),
         (["psrpi", "psrpi", "--unknowns", "spinn"], "'spinn' are not known"),
         (["psrpi", "psrpi", "--jitter", "position"], "--jitter"),
-        (["psrpi", "psrpi", "--bins", "mag"], "--bins"),
+        (["psrpi", "psrpi", "--bins", "mag"], "COLUMN=EDGE"),
         (["psrpi", "psrpi", "--known-spin", "0.1,0.2"], "three numbers"),
         (["psrpi", "psrpi", "--column", "ra"], "--column"),
         (["psrpi", "psrpi", "--column", "ra=x"], "no column 'x'"),

@@ -11,8 +11,14 @@ WORKERS = "[options]\nn_workers = 0\nthreads_per_worker = 1\n"
     ("name", "text"),
     [
         ("fixed.toml", LOCAL + "scale = 2\n" + WORKERS),
-        ("adaptive.toml", LOCAL + "adapt = { minimum = 0, maximum = 2 }\n" + WORKERS),
-        ("threads.toml", LOCAL + "adapt = { minimum = 1, maximum = 2 }\n" + WORKERS + "processes = false\n"),
+        pytest.param(
+            "adaptive.toml", LOCAL + "adapt = { minimum = 0, maximum = 2 }\n" + WORKERS, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            "threads.toml",
+            LOCAL + "adapt = { minimum = 1, maximum = 2 }\n" + WORKERS + "processes = false\n",
+            marks=pytest.mark.slow,
+        ),
         (
             "adaptive.yaml",
             "class: distributed.LocalCluster\nadapt: {minimum: 0, maximum: 2}\n"

@@ -68,6 +68,7 @@ def quiet(err):
     return not [line for line in err.splitlines() if "distributed" in line or "Traceback" in line or "tornado" in line]
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_nothing_but_time(link_study, tmp_path, start_sweep, reference):
     store = tmp_path / "s.zarr"
     process = start_sweep("run", link_study, "-o", store, *LONG, "--workers", 2)

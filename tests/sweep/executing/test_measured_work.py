@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from sweep.executing import execute, worker
-from sweep.executing.choose import NO_WISHES, Resources
+from sweep.executing.choose import ANY_RESOURCES, Resources
 from sweep.executing.execute import Limits
 from sweep.executing.pools import POOLS
 from sweep.running.run import Silent, run_study
@@ -58,7 +58,7 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     "resources",
     [
         Resources(pool="serial"),
-        Resources(pool="serial", limits=Limits(time_s=600)),
+        pytest.param(Resources(pool="serial", limits=Limits(time_s=600)), marks=pytest.mark.slow),
         Resources(pool="threads", workers=2),
     ],
     ids=["serial", "guarded", "threads"],
@@ -79,10 +79,10 @@ def test_a_task_that_takes_too_long_hands_back_what_it_has(coins, tmp_path, monk
 def test_work_that_turns_out_long_moves_to_worker_processes(coins, tmp_path, monkeypatch):
     study = study_from_dict(coins)
     watcher = Watcher()
-    whole, _ = run_study(study, tmp_path / "whole.zarr", NO_WISHES, watcher)
+    whole, _ = run_study(study, tmp_path / "whole.zarr", ANY_RESOURCES, watcher)
     assert watcher.said == []  # short work stays in this process
     monkeypatch.setattr(execute, "WORKERS_START_S", -1.0)
-    dataset, failures = run_study(study, tmp_path / "s.zarr", NO_WISHES, watcher)
+    dataset, failures = run_study(study, tmp_path / "s.zarr", ANY_RESOURCES, watcher)
     assert not failures
     assert any("the rest is done on" in text and "local worker process" in text for text in watcher.said)
     xr.testing.assert_identical(dataset.drop_attrs(), whole.drop_attrs())

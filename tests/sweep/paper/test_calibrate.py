@@ -14,6 +14,7 @@ def report():
     return calibration_report(n_cat=20)
 
 
+@pytest.mark.slow
 def test_the_command_prints_json(sweep):
     code, out, err = sweep("calibrate", "--json")
     assert code == 0, err
@@ -27,6 +28,7 @@ def test_the_command_prints_json(sweep):
             assert constant["in_code"] == pytest.approx(curve["chosen"][name], rel=0.01)
 
 
+@pytest.mark.slow
 def test_equal_weights_fit_the_quasars_and_miss_the_radio_stars(report):
     """What the document says of the rejected hypothesis; few catalogues change a residual by some per cent."""
     equal = report["curves"]["amex"]["equal_weights"]

@@ -226,6 +226,7 @@ def test_the_policy_names_the_scripts_of_the_page_and_nothing_else(store_of):
     assert re.findall(r'(?:src|href)="(?!#)[^"]*"', body) == []
 
 
+@pytest.mark.slow
 def test_the_same_store_gives_the_same_bytes_in_another_process(store_of, tmp_path, sweep):
     pages = [tmp_path / "one.html", tmp_path / "two.html"]
     for page in pages:
@@ -235,6 +236,7 @@ def test_the_same_store_gives_the_same_bytes_in_another_process(store_of, tmp_pa
     assert pages[0].read_bytes() == pages[1].read_bytes()
 
 
+@pytest.mark.slow
 def test_a_page_of_several_stores_counts_all_verdicts(store_of):
     from sweep.analysis.compare import compare
     from sweep.analysis.compare_tables import summary_line

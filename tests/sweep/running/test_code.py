@@ -133,13 +133,13 @@ def test_a_store_without_a_record_is_adopted_and_says_so(folder, sweep, monkeypa
     from sweep.studies.reader import load_study
 
     with monkeypatch.context() as patched:  # as 0.1 wrote it
-        patched.setattr(running, "_record_code", lambda *arguments: None)
+        patched.setattr(running, "record_code", lambda *arguments: None)
         running.run_study(load_study(str(folder / "s.toml")), folder / "old.zarr", Resources(pool="serial"))
     assert "code" not in OpenStore(folder / "old.zarr").attributes
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
     code, _, err = sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)
     assert code == 0
-    assert "does not say which code made it; it is taken to be that of now" in err
+    assert "does not say which code made it; it is taken to be today's" in err
     change(folder, "helper")
     (folder / "helper.py").write_text("def value(rate):\n    return 5.0\n")
     assert sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)[0] == 2
@@ -169,6 +169,7 @@ def test_a_python_process_that_runs_twice_sees_the_change(folder):
     assert reproduce(folder / "s.zarr", "rate=2.0").other_code == ["file deeper.py has changed"]
 
 
+@pytest.mark.slow
 def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, sweep):
     from sweep.studies.reader import load_study
 

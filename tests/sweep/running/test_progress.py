@@ -220,6 +220,7 @@ def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
     assert len(failed_points({"n=1": "x" * 10_000 + "\nand more"})) < 300
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("script") is None, reason="needs the command script, which has a terminal")
 def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_sweep):
     """The bar is drawn again and again; what stays are the sentences."""

@@ -73,7 +73,7 @@ def wait_for_rows(store: Path, process: subprocess.Popen) -> int:
     return rows
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("end", [pytest.param(s, marks=pytest.mark.slow) for s in (signal.SIGKILL, signal.SIGINT)])
 def test_a_client_killed_half_way_is_resumed(link_study, tmp_path, start_sweep, sweep, long_reference, end):
     store = tmp_path / "s.zarr"
     process = start_sweep("run", link_study, "-o", store, *LONG, start_new_session=True)

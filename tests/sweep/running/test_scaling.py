@@ -50,6 +50,7 @@ def test_a_study_of_one_catalogue_grows_its_realisations(coins, slow_clock):
     assert "efficiency_error" not in found
 
 
+@pytest.mark.slow
 def test_the_command_leaves_the_measurements_and_nothing_else(coins, tmp_path, sweep, monkeypatch):
     scratch = tmp_path / "scratch"
     scratch.mkdir()

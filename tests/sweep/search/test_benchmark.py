@@ -5,9 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "crossmatch.py"
 
 
+@pytest.mark.slow
 def test_the_benchmark_at_a_small_scale():
     run = subprocess.run(
         [sys.executable, str(SCRIPT), "--scale", "0.01", "--json"], capture_output=True, text=True, check=True

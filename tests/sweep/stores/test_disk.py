@@ -98,6 +98,7 @@ def test_a_full_disk_is_said_in_a_sentence(mount, link_study, sweep):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_a_store_that_can_only_be_read(mount, study, link_study, sweep, tmp_path):
     disk = mount("-t", "tmpfs", "-o", "size=8m", "tmpfs")
     store = disk / "s.zarr"

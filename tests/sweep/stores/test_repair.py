@@ -65,7 +65,11 @@ def damaged(place, change):
 
 
 @pytest.mark.parametrize("change", DAMAGE.values(), ids=DAMAGE)
-@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.slow)], ids=["one file of seven", "every file"])
+@pytest.mark.parametrize(
+    "step",
+    [29, pytest.param(7, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.slow)],
+    ids=["one file of 29", "one of seven", "every file"],
+)
 def test_every_file_may_be_damaged(whole, tmp_path, change, step):
     study, store = whole
     wanted = open_dataset(store)
@@ -183,6 +187,7 @@ def test_what_is_no_store_is_left_alone(tmp_path, action):
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["mine", "notes.txt"]
 
 
+@pytest.mark.slow
 def test_a_store_in_a_bucket_is_repaired_too(bucket, coins):
     study = study_from_dict(coins)
     wanted, _ = run_study(study, f"{bucket}/s.zarr", SERIAL)

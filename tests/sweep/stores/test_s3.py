@@ -227,10 +227,18 @@ def test_the_commands_take_a_bucket(bucket, link_study, sweep, tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"AWS_ENDPOINT_URL": "http://127.0.0.1:9"}, "http://127.0.0.1:9 does not answer as it should"),
+        pytest.param(
+            {"AWS_ENDPOINT_URL": "http://127.0.0.1:9"},
+            "http://127.0.0.1:9 does not answer as it should",
+            marks=pytest.mark.slow,
+        ),
         ({"AWS_ENDPOINT_URL": "http://192.0.2.1"}, "not encrypted; AWS_ALLOW_HTTP=true"),
         ({"bucket": "s3://there-is-none"}, "there is no bucket 'there-is-none'"),
-        ({"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None}, "there are no credentials; set AWS_ACCESS_KEY_ID"),
+        pytest.param(
+            {"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None},
+            "there are no credentials; set AWS_ACCESS_KEY_ID",
+            marks=pytest.mark.slow,
+        ),
         ({"bucket": "s3://ab"}, "its address must be s3://BUCKET/NAME"),
     ],
     ids=["no server", "not encrypted", "no bucket", "no credentials", "no address"],

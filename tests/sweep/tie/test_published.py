@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from core.constants import MAS
-from core.tie.normal_sums import Problem, solve, source_sums
+from core.tie.normal_sums import source_sums
+from core.tie.problem import Problem
+from core.tie.solution import solve
 from core.unknowns import parse_unknowns
 from sweep.tie.link_tables import tie
 from sweep.tie.tables import read_table

@@ -1,26 +1,30 @@
 """Links of tables as studies: the draws against closed forms, the built-in studies against what was published."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
 
+from core.blocks import Objects, Rotation
 from core.constants import MAS
 from core.missions import MISSIONS
 from core.tie.clips import separation
 from core.tie.differences import differences
 from core.tie.draws import Simulation
-from core.tie.normal_sums import Problem, source_sums
+from core.tie.normal_sums import source_sums
+from core.tie.problem import Problem
 from core.unknowns import parse_unknowns
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.running.run import run_study
 from sweep.studies.reader import load_study
+from sweep.tie.components import COMPONENTS, FIELDS
 from sweep.tie.design import design_of
 from sweep.tie.experiment import check, tie, unused, warn
-from sweep.tie.parameters import COMPONENTS
 from tests.core.tie.made import stars
+from tests.sweep.tie.test_tables import gaia
 
 X, Y, Z = range(3)
 
@@ -130,6 +134,59 @@ def test_a_clip_takes_outliers_out_of_the_draws():
     assert clip["sigma_orientation"] < 0.5 * without["sigma_orientation"]
     assert 30 < clip["n_kept_drawn"] < 39.5
     assert clip["n_drawn"] == without["n_kept_drawn"] == 40
+
+
+def made_quasars(tmp_path, n=400):
+    """Write quasars with a motion of degree 2 and a spin that changes at G = 17; return the path and the spins."""
+    made = stars(n, parallax=0.0)
+    spins = {False: np.array([0.05, 0.0, -0.03]), True: np.array([-0.02, 0.06, 0.01])}
+    magnitude = np.linspace(14.0, 20.0, n)
+    objects = Objects(made.values[0], made.values[1], np.zeros(n), np.zeros(n))
+    field = parse_unknowns("vsh_motion:2-2").derivatives(objects)[1][0] * 0.5 * MAS  # t_2_0
+    turned = Rotation().derivatives(objects)
+    motion = -field - np.array([spins[bool(g > 17.0)] @ turned[:, :, i] for i, g in enumerate(magnitude)]).T * MAS
+    values = made.values.copy()
+    values[3:] = motion
+    gaia(tmp_path / "quasars.ecsv", replace(made, values=values), phot_g_mean_mag=magnitude)
+    return tmp_path / "quasars.ecsv", spins
+
+
+def quasar_study(tmp_path, **changes):
+    path, spins = made_quasars(tmp_path)
+    lines = [f"{name} = {json.dumps(value)}" for name, value in changes.items()]
+    text = ['title = "quasars"', 'experiment = "sweep.tie.experiment:tie"', "[axes]", 'clip = ["none"]', "[fixed]"]
+    text += [f'satellite = "{path}"', "zero_motion = true", 'unknowns = "spin"', *lines]
+    (tmp_path / "quasars.toml").write_text("\n".join(text))
+    study = load_study(str(tmp_path / "quasars.toml"))
+    return tie.defaults() | study.fixed, spins
+
+
+def test_powers_of_higher_degree_are_stored_with_their_noise(tmp_path):
+    at, _ = quasar_study(tmp_path, degree=3)
+    assert check(at) is None
+    found = results(at, 300)
+    toroidal, spheroidal = FIELDS.index("motion toroidal"), FIELDS.index("motion spheroidal")
+    assert found["power"][toroidal, 1] == pytest.approx(0.25, rel=0.02)
+    assert found["power_probability"][toroidal, 1] < 1e-6
+    assert found["power"][spheroidal, 1] < 0.01
+    shown = np.isfinite(found["power"])
+    assert {tuple(place) for place in np.argwhere(shown)} == {(f, d) for f in (toroidal, spheroidal) for d in range(3)}
+    drawn, predicted = found["power_drawn"][shown], found["power_drawn_predicted"][shown]
+    assert np.all(np.abs(drawn - predicted) < 4.5 * found["power_drawn_mc_error"][shown])
+    np.testing.assert_allclose(predicted, found["power_noise"][shown])
+
+
+def test_a_spin_for_each_bin_is_stored(tmp_path):
+    at, spins = quasar_study(tmp_path, bins="phot_g_mean_mag=10,17")
+    assert check(at) is None
+    found = results(at, 300)
+    with np.errstate(invalid="ignore"):
+        assert np.isnan(found["spin_by_bin"][0]).all()  # nobody is brighter than G = 10
+    for number, faint in ((1, False), (2, True)):
+        np.testing.assert_allclose(found["spin_by_bin"][number], spins[faint], atol=0.12)
+        np.testing.assert_allclose(found["sigma_by_bin"][number], found["sigma_by_bin_predicted"][number], rtol=0.2)
+    assert "10 bins" in check(at | {"bins": "phot_g_mean_mag=1,2,3,4,5,6,7,8,9,10,11"})
+    assert "COLUMN=EDGE" in check(at | {"bins": "17"})
 
 
 def test_releases_new_positions_and_jitter_change_the_forecast_as_they_should():

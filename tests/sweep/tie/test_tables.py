@@ -9,11 +9,12 @@ from astropy.table import MaskedColumn, Table
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, kinds
 from sweep.contract import SweepError
+from sweep.tie.column_names import TableOptions
 from sweep.tie.hipparcos import correlations
 from sweep.tie.link_tables import tie
 from sweep.tie.matching import match
 from sweep.tie.planning import forecast
-from sweep.tie.tables import TableOptions, read_table
+from sweep.tie.tables import read_table
 from tests.core.tie.made import random_correlations, stars
 
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
@@ -268,6 +269,86 @@ def test_a_forecast_of_two_tables(tmp_path):
         forecast(satellite, reference, release="dr9")
     with pytest.raises(SweepError, match="no unknowns 'spun'"):
         forecast(satellite, reference, add=[2026.0], number=1, goal=["spun"])
+
+
+def test_correlations_carry_the_propagated_error(tmp_path):
+    made = stars(6)
+    old = Table({"source_id": np.arange(6) + 10**17, "ref_epoch": np.full(6, 1991.25)})
+    for name, value in zip(NAMES[:2], made.values, strict=False):
+        old[name], old[f"{name}_error"] = value / DEGREE, np.full(6, 1.0)
+    old.write(tmp_path / "old.ecsv")
+    link = tie(
+        gaia(tmp_path / "s.ecsv", made),
+        tmp_path / "old.ecsv",
+        "orientation",
+        reference_options=TableOptions(positions="mean"),
+    )
+    years, (ra, pmra), both = 1991.25 - 2016.0, made.errors[[0, 3]] / MAS, made.correlations[PAIRS.index((0, 3))]
+    expected = np.sqrt(1.0 + ra**2 + (years * pmra) ** 2 + 2.0 * years * both * ra * pmra)
+    np.testing.assert_allclose(link.difference_error.sel(observable="ra"), expected, rtol=1e-6)
+
+
+def test_the_galactic_aberration_carries_the_icrf(tmp_path):
+    """Positions of 2015.0, moved by the glide towards the Galactic centre to 2020.0, are those of a satellite there."""
+    from astropy.coordinates import SkyCoord
+
+    sky, rng = SkyCoord(l=0.0, b=0.0, unit="deg", frame="galactic").icrs, np.random.default_rng(2)
+    ra, dec = rng.uniform(0.0, 2.0 * np.pi, 40), np.arcsin(rng.uniform(-0.95, 0.95, 40))
+    to_centre = np.array(sky.cartesian.xyz)
+    p = np.array([-np.sin(ra), np.cos(ra), np.zeros(40)])
+    q = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    moved = 5.0 * 5.8e-3 * MAS * np.array([to_centre @ p / np.cos(dec), to_centre @ q])
+    for name, at, epoch in (("quasars", (ra, dec), None), ("gaia", (ra + moved[0], dec + moved[1]), 2020.0)):
+        table = Table({"source_id": np.arange(40), "ra": at[0] / DEGREE, "dec": at[1] / DEGREE})
+        for column in ("ra_error", "dec_error"):
+            table[column] = np.full(40, 0.01)
+        if epoch is None:
+            table.meta["extragalactic"] = True
+        else:
+            table["ref_epoch"] = np.full(40, epoch)
+            for column in ("pmra", "pmdec"):
+                table[column], table[f"{column}_error"] = np.zeros(40), np.full(40, 0.01)
+        table.write(tmp_path / f"{name}.ecsv")
+    both = tmp_path / "gaia.ecsv", tmp_path / "quasars.ecsv"
+    with_it = tie(*both, "orientation,position_glide", aberration=5.8)
+    np.testing.assert_allclose(with_it.estimate, 0.0, atol=1e-5)
+    without = tie(*both, "orientation,position_glide")
+    np.testing.assert_allclose(without.estimate[3:], -0.029 * to_centre, atol=1e-4)
+
+
+def test_mu_alpha_and_mu_alpha_star(tmp_path):
+    made = stars(5)
+    other = Table.read(gaia(tmp_path / "a.ecsv", made))
+    for name in ("pmra", "pmra_error"):
+        other[name] = other[name] / np.cos(made.values[1])
+    other.write(tmp_path / "b.ecsv")
+    found = read_table(tmp_path / "b.ecsv", TableOptions(pmra_cos_dec=False)).astrometry
+    np.testing.assert_allclose(found.values[3], made.values[3], rtol=1e-12)
+    np.testing.assert_allclose(found.errors[3], made.errors[3], rtol=1e-12)
+
+
+def test_hours_without_a_unit_are_not_taken_for_degrees(tmp_path):
+    made = stars(30)
+    table = Table.read(gaia(tmp_path / "a.ecsv", made))
+    table["ra"] = table["ra"] / 15.0
+    table.write(tmp_path / "hours.csv")
+    with pytest.raises(SweepError, match="has no unit and runs over"):
+        read_table(tmp_path / "hours.csv")
+    found = read_table(tmp_path / "hours.csv", TableOptions(units={"ra": "hourangle"})).astrometry
+    np.testing.assert_allclose(found.values[0], made.values[0], rtol=1e-12)
+    for wrong, message in (({"ra": "rod"}, "no unit"), ({"radial": "km/s"}, "no column of radial")):
+        with pytest.raises(SweepError, match=message):
+            read_table(tmp_path / "hours.csv", TableOptions(units=wrong))
+
+
+def test_negative_parallaxes_stay(tmp_path):
+    made = stars(40, parallax=0.0)
+    made.values[2] = np.random.default_rng(3).normal(-0.02, 0.05, 40) * MAS
+    reference = Table.read(gaia(tmp_path / "a.ecsv", made))
+    reference["parallax"] = np.zeros(40)
+    reference.write(tmp_path / "b.ecsv")
+    link = tie(tmp_path / "a.ecsv", tmp_path / "b.ecsv", "orientation,spin,parallax", weights="equal")
+    assert float(link.estimate[6]) == pytest.approx(-made.values[2].mean() / MAS, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,244 @@
+"""Blocks of unknowns: each is a value that knows its labels, units and derivatives.
+
+The derivatives are those of the five parameters (alpha*, dec, parallax, pmra, pmdec) of a source, reference -
+satellite.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from core.arrays import Array
+from core.frames import Triad, triad
+from core.harmonics import Kind, Term, fill_toroidal, terms, turned
+from core.link import require_off_poles
+
+RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
+PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
+POSITION, MOTION = (RA, DEC), (PMRA, PMDEC)
+
+
+@dataclass(frozen=True)
+class Objects:
+    """What derivatives depend on, of N sources: positions (rad), proper motions (rad/yr) and further columns, (N,)."""
+
+    ra: Array
+    dec: Array
+    pmra: Array
+    pmdec: Array
+    columns: Mapping[str, Array] = field(default_factory=dict)
+
+    def taken(self, part: slice) -> "Objects":
+        """Return some of the sources."""
+        columns = {name: column[part] for name, column in self.columns.items()}
+        return Objects(self.ra[part], self.dec[part], self.pmra[part], self.pmdec[part], columns)
+
+    @cached_property
+    def triad(self) -> Triad:
+        """The unit vectors east, north and to each source."""
+        return triad(self.ra, self.dec)
+
+
+class Block(Protocol):
+    """A few unknowns that belong together.
+
+    ``rows`` are the parameters that they act on.  A ``rate`` is per year: it moves the position of a source whose
+    epoch is not that of the unknowns.
+    """
+
+    @property
+    def name(self) -> str:
+        """The name by which the block is asked for."""
+        ...
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The names of its unknowns."""
+        ...
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """The parameters that it acts on."""
+        ...
+
+    @property
+    def rate(self) -> bool:
+        """Whether it is per year."""
+        ...
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return the derivatives of the parameters ``rows``; shape (k, len(rows), N)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """The rotation epsilon: d alpha* = q.eps, d dec = -p.eps, and the terms A21 in the motions."""
+
+    corrections: bool = True
+    name: str = "orientation"
+    labels: tuple[str, ...] = ("epsilon_x", "epsilon_y", "epsilon_z")
+    rate: bool = False
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Positions, and with the terms A21 motions too."""
+        return (RA, DEC, PMRA, PMDEC) if self.corrections else POSITION
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return q, -p, -pmdec eta and pmra eta with eta = (cos ra, sin ra, 0)/cos dec; shape (3, 4 or 2, N)."""
+        p, q, _ = objects.triad
+        found = np.zeros((len(self.labels), len(self.rows), *np.shape(objects.ra)))
+        found[:, 0], found[:, 1] = q, -p
+        if self.corrections:
+            require_off_poles(objects.dec, q[2])
+            eta_x, eta_y = p[1] / q[2], -p[0] / q[2]
+            found[0, 2], found[1, 2] = -objects.pmdec * eta_x, -objects.pmdec * eta_y
+            found[0, 3], found[1, 3] = objects.pmra * eta_x, objects.pmra * eta_y
+        return found
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """A rotation of positions or motions: q and -p.  The spin is that of motions."""
+
+    name: str = "spin"
+    labels: tuple[str, ...] = ("omega_x", "omega_y", "omega_z")
+    rows: tuple[int, ...] = MOTION
+    rate: bool = True
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return q and -p; shape (3, 2, N)."""
+        return np.stack([objects.triad.q, -objects.triad.p], axis=1)
+
+
+@dataclass(frozen=True)
+class Glide:
+    """A flow towards a point of the sky: p and q, in the motions or the positions."""
+
+    name: str = "glide"
+    labels: tuple[str, ...] = ("glide_x", "glide_y", "glide_z")
+    rows: tuple[int, ...] = MOTION
+    rate: bool = True
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return p and q; shape (3, 2, N)."""
+        return np.stack([objects.triad.p, objects.triad.q], axis=1)
+
+
+@dataclass(frozen=True)
+class ParallaxZeroPoint:
+    """One constant in all parallaxes, reference - satellite."""
+
+    name: str = "parallax"
+    labels: tuple[str, ...] = ("parallax_zero_point",)
+    rows: tuple[int, ...] = (PARALLAX,)
+    rate: bool = False
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return ones; shape (1, 1, N)."""
+        return np.ones((1, 1, len(objects.ra)))
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """Vector spherical harmonics of given kinds and degrees, in the positions or the motions."""
+
+    name: str
+    rows: tuple[int, ...]
+    rate: bool
+    parts: tuple[tuple[Kind, int], ...]
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """The coefficients in their order."""
+        return tuple(term for kind, degree in self.parts for term in terms(kind, degree))
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """For example vsh_motion_t_2_1_re."""
+        return tuple(f"{self.name}_{term.label}" for term in self.terms)
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return the fields of all terms; shape (k, 2, N)."""
+        found = np.empty((sum(2 * degree + 1 for _, degree in self.parts), 2, len(objects.ra)))
+        place, start = {}, 0
+        for kind, degree in self.parts:
+            place[kind, degree] = found[start : start + 2 * degree + 1]
+            start += 2 * degree + 1
+        fields: dict[int, Array] = {}  # a spheroidal field without the toroidal one is turned in its own place
+        for kind, degree in self.parts:
+            fields[degree] = place.get(("t", degree), place[kind, degree])
+        fill_toroidal(fields, objects.ra, objects.dec)
+        for kind, degree in self.parts:
+            if kind == "s":
+                turned(fields[degree], out=place[kind, degree])
+        return found
+
+
+@dataclass(frozen=True)
+class SpinByBin:
+    """A spin for each bin of a column, with the lowest and the highest bin open."""
+
+    column: str
+    edges: tuple[float, ...]
+    used: tuple[int, ...]
+    name: str = "spin"
+    rows: tuple[int, ...] = MOTION
+    rate: bool = True
+
+    @property
+    def bins(self) -> tuple[tuple[float, float], ...]:
+        """The limits of the bins that have sources."""
+        limits = (-np.inf, *self.edges, np.inf)
+        return tuple((limits[b], limits[b + 1]) for b in self.used)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """For example omega_x[6,8)."""
+        return tuple(f"{label}[{low:g},{high:g})" for low, high in self.bins for label in Rotation().labels)
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return q and -p in the bin of each source, zero in the others; shape (3 bins, 2, N)."""
+        spin = Rotation().derivatives(objects)
+        bin_of = np.searchsorted(self.edges, objects.columns[self.column], side="right")
+        return np.concatenate([np.where(bin_of == b, spin, 0.0) for b in self.used])
+
+
+@dataclass(frozen=True)
+class OfMission:
+    """A block of the frame of a further mission, whose five parameters follow those of the frames before it.
+
+    ``number`` counts missions from 1.
+    """
+
+    block: Block
+    mission: str
+    number: int
+
+    @property
+    def name(self) -> str:
+        """For example hipparcos:spin."""
+        return f"{self.mission}:{self.block.name}"
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """For example hipparcos:omega_x."""
+        return tuple(f"{self.mission}:{label}" for label in self.block.labels)
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """The parameters of the mission's frame that it acts on."""
+        return tuple(len(PARAMETERS) * self.number + row for row in self.block.rows)
+
+    @property
+    def rate(self) -> bool:
+        """Whether it is per year."""
+        return self.block.rate
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return those of the block; shape (k, len(rows), N)."""
+        return self.block.derivatives(objects)

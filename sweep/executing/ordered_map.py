@@ -1,0 +1,101 @@
+"""A function of many pieces on Dask workers: results in the order of the pieces, few of them in memory at a time."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from itertools import islice
+from typing import Any, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from sweep.contract import SweepError
+from sweep.executing.execute import GUARD
+
+Result = TypeVar("Result")
+Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
+
+AHEAD = 2
+"""Pieces for each worker thread that are computed before their turn."""
+
+
+def here(function: Callable[..., Result], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Result]:
+    """Yield the results one after the other, computed in this process."""
+    for piece in pieces:
+        yield _on_one_thread(function, *piece)
+
+
+@contextmanager
+def ordered_map(workers: int | None, scheduler: str | None, experiment: str) -> Iterator[Map]:
+    """Give a map over so many local worker processes or the workers of a scheduler; in this process by default.
+
+    A piece gives the same bits wherever it is computed.  Raises SweepError where no workers can be had, where one dies,
+    and where the workers of a scheduler would not compute ``experiment`` as this process would.
+    """
+    if scheduler is None and (workers is None or workers == 1):
+        yield here
+        return
+    with ExitStack() as stack:
+        client = stack.enter_context(_local(workers) if scheduler is None else _elsewhere(scheduler, experiment))
+        yield lambda function, pieces: _mapped(client, function, pieces)
+
+
+def _mapped(client: Any, function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+    from distributed import KilledWorker
+
+    rest = iter(pieces)
+    threads = sum(client.nthreads().values())
+    waiting = deque(_sent(client, function, piece) for piece in islice(rest, AHEAD * max(threads, 1)))
+    while waiting:
+        future = waiting.popleft()
+        try:
+            result = future.result()
+        except KilledWorker as error:
+            raise SweepError(f"a worker died, perhaps for lack of memory: {error}") from error
+        waiting.extend(_sent(client, function, piece) for piece in islice(rest, 1))
+        del future  # Dask forgets the result
+        yield result
+
+
+def _sent(client: Any, function: Callable[..., Any], piece: tuple[Any, ...]) -> Any:
+    return client.submit(_on_one_thread, function, *piece, pure=False)
+
+
+def _on_one_thread(function: Callable[..., Result], *arguments: Any) -> Result:
+    with threadpool_limits(1):  # the same bits whatever the machine
+        return function(*arguments)
+
+
+@contextmanager
+def _local(workers: int | None) -> Iterator[Any]:
+    from distributed import LocalCluster
+
+    from sweep.executing.local_cluster import own_cluster
+
+    options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+    with ExitStack() as stack:
+        try:
+            cluster = stack.enter_context(own_cluster(LocalCluster, options))
+        except RuntimeError as error:
+            raise SweepError(f"worker processes cannot be started: {error} Note that {GUARD}") from None
+        yield stack.enter_context(cluster.get_client())
+
+
+@contextmanager
+def _elsewhere(scheduler: str, experiment: str) -> Iterator[Any]:
+    from sweep.executing.clusters import client_at
+    from sweep.executing.versions import differences, identity
+
+    with client_at(scheduler) as client:
+        if not client.nthreads():
+            raise SweepError(f"the Dask scheduler at {scheduler} has no workers")
+        own = identity(experiment).deciding
+        found: Mapping[str, Any] = client.run(identity, experiment, on_error="return")
+        problems = []
+        for worker, what in sorted(found.items()):
+            if isinstance(what, BaseException):
+                problems.append(f"{worker}: {type(what).__name__}: {what}")
+            else:
+                problems += [f"{worker}: {text}" for text in differences(own, what.deciding)]
+        if problems:
+            raise SweepError(problems, "workers that would not compute what this process would")
+        yield client

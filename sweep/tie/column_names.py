@@ -1,0 +1,85 @@
+"""How a table is to be read, and which of its columns hold what."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from core.blocks import PARAMETERS
+from core.tie.astrometry import PAIRS
+
+Positions = Literal["single-epoch", "mean"]
+Zeros = Literal["error", "missing", "exact"]
+
+VALUES: Mapping[str, tuple[str, ...]] = {
+    "ra": ("ra", "RA", "_RA", "RAdeg", "RArad", "ra_icrs", "RA_ICRS"),
+    "dec": ("dec", "DEC", "Dec", "_DE", "DEdeg", "DErad", "dec_icrs", "DE_ICRS"),
+    "parallax": ("parallax", "plx", "Plx"),
+    "pmra": ("pmra", "pm_ra_cosdec", "pmRA", "pm_ra"),
+    "pmdec": ("pmdec", "pm_dec", "pmDE", "pmDec"),
+    "ref_epoch": ("ref_epoch", "epoch", "Epoch", "pos_epoch", "mjd", "MJD"),
+    "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv", "RV"),
+}
+"""Names under which a quantity is found, the first of them first; those of an error are made from them."""
+
+NAMES = (
+    "name",
+    "Name",
+    "star",
+    "source",
+    "source_id",
+    "designation",
+    "psr_name",
+    "HIP",
+    "hip",
+    "iers_name",
+    "icrf_name",
+)
+CORRELATIONS = tuple(f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr" for i, j in PAIRS)
+_ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """How a table is read.
+
+    ``columns``: the table's name for a quantity; ``units``: of quantities whose column says none.  ``epoch`` (Julian
+    year) is for a table without a column of epochs.
+    ``positions`` without parallax and motion: of a single epoch, displaced by the parallax, or mean ones; by default
+    what the table's metadata say under ``positions``, else of a single epoch.  Those without an epoch are mean ones.
+    ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    epoch: float | None = None
+    positions: Positions | None = None
+    zero_errors: Zeros = "error"
+    pmra_cos_dec: bool = True
+
+
+def quantities() -> list[str]:
+    """Return all that ``columns`` may name."""
+    return [*VALUES, *(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"]
+
+
+def column_of(quantity: str, names: Collection[str], options: TableOptions) -> str | None:
+    """Return the column that holds a quantity; None for none."""
+    if quantity in options.columns:
+        return options.columns[quantity]
+    return next((name for name in VALUES.get(quantity, (quantity,)) if name in names), None)
+
+
+def error_column_of(quantity: str, names: Collection[str], options: TableOptions) -> str | None:
+    """Return the column that holds the error of a quantity; None for none."""
+    if f"{quantity}_error" in options.columns:
+        return options.columns[f"{quantity}_error"]
+    value = column_of(quantity, names, options)
+    stems = [value, quantity] if value else [quantity]
+    return next((name for stem in stems for form in _ERROR_NAMES if (name := form.format(stem)) in names), None)
+
+
+def columns_needed(names: Sequence[str], options: TableOptions, further: Collection[str] = ()) -> list[str]:
+    """Return the columns of a table that hold a quantity, in their order, and ``further`` ones."""
+    found = {column_of(quantity, names, options) for quantity in (*VALUES, *CORRELATIONS)}
+    found |= {error_column_of(quantity, names, options) for quantity in PARAMETERS}
+    return [name for name in names if name in found or name in further]

@@ -1,0 +1,84 @@
+"""What can be asked of the tables of a link."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, get_args
+
+from core.tie.elimination import Weights
+from core.unknowns import require_mission_name
+from sweep.contract import SweepError
+from sweep.formatting import split_assignment
+from sweep.tie.column_names import TableOptions
+
+Sign = Literal["reference-satellite", "satellite-reference"]
+SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is asked of two tables, or of more.
+
+    ``unknowns`` as in `parse_unknowns`, None for those of orientation and spin that the tables determine; ``degree``
+    adds vector spherical harmonics up to it.  ``bins`` are a column and edges.  ``epoch`` (Julian year) is that of the
+    orientation, by default the satellite's.  ``known_spin`` is a vector (mas/yr, in the sign of ``sign``) or the path
+    of a table by magnitude.  ``jitter`` maps kinds of rows to (mas, mas/yr) added in quadrature.  ``aberration``
+    (uas/yr) carries reference positions without an epoch from 2015.0 to the satellite's.  ``missions`` are further
+    tables by name, each in a frame of its own with an orientation and a spin; ``mission_options`` say how these are
+    read.
+    """
+
+    unknowns: str | None = None
+    degree: int | None = None
+    bins: tuple[str, Sequence[float]] | None = None
+    by: str | None = None
+    epoch: float | None = None
+    weights: Weights = "covariance"
+    known_spin: Sequence[float] | str | Path | None = None
+    jitter: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sign: Sign = "reference-satellite"
+    corrections: bool = True
+    aberration: float = 0.0
+    missions: Mapping[str, str | Path] = field(default_factory=dict)
+    satellite_options: TableOptions = field(default_factory=TableOptions)
+    reference_options: TableOptions = field(default_factory=TableOptions)
+    mission_options: Mapping[str, TableOptions] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Raise SweepError for choices that there are not."""
+        if self.sign not in SIGNS:
+            raise SweepError(f"sign {self.sign!r}: it is {' or '.join(SIGNS)}")
+        if self.weights not in get_args(Weights):
+            raise SweepError(f"weights {self.weights!r}: they are covariance, variance or equal")
+        if self.degree is not None and self.degree < 1:
+            raise SweepError(f"degree {self.degree}: it is at least 1")
+        for name in self.missions:
+            try:
+                require_mission_name(name)
+            except ValueError as error:
+                raise SweepError(str(error)) from error
+        if unknown := sorted(set(self.mission_options) - set(self.missions)):
+            raise SweepError(f"options of {', '.join(unknown)}: no such mission")
+
+    def jitter_of(self, mission: str | None) -> dict[str, tuple[float, float]]:
+        """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
+        found = {}
+        for key, size in self.jitter.items():
+            table, colon, kind = key.rpartition(":")
+            if (table if colon else None) == mission:
+                found[kind] = size
+            elif colon and table not in self.missions:
+                raise SweepError(f"jitter of {key!r}: no mission {table!r}")
+        return found
+
+
+def parse_bins(text: str) -> tuple[str, list[float]]:
+    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10; raises SweepError for another."""
+    column, edges = split_assignment(text)
+    try:
+        numbers = [float(part) for part in edges.split(",")]
+    except ValueError:
+        numbers = []
+    if not (column and numbers):
+        raise SweepError(f"bins {text!r}: they are COLUMN=EDGE,EDGE,...")
+    return column, numbers

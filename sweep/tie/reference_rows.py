@@ -1,0 +1,52 @@
+"""What is done to the rows of a reference before the solution: jitter, and Galactic aberration."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.constants import GALACTIC_AXES, MAS
+from core.frames import triad
+from core.tie.astrometry import KINDS, PAIRS, Astrometry, kinds
+from sweep.contract import SweepError
+
+Array = NDArray[np.float64]
+
+ICRF3_EPOCH = 2015.0
+
+
+def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> Astrometry:
+    """Return rows with (mas, mas/yr) added in quadrature to the errors of each kind; correlations keep covariances."""
+    if not jitter:
+        return rows
+    known = [*KINDS.values(), "single epoch"]
+    if unknown := sorted(set(jitter) - set(known)):
+        raise SweepError(f"jitter: no kind of row {', '.join(unknown)}; kinds are {', '.join(known)}")
+    of = kinds(rows)
+    added = np.zeros_like(rows.errors)
+    for kind, (position, motion) in jitter.items():
+        if not (0.0 <= position < np.inf and 0.0 <= motion < np.inf):
+            raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: errors are finite and not negative")
+        added[:, of == kind] = MAS * np.array([position, position, position, motion, motion])[:, None]
+    errors = np.hypot(rows.errors, added)
+    correlations = rows.correlations
+    if correlations is not None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shrunk = np.where(errors > 0.0, rows.errors / errors, 1.0)
+        correlations = np.array([c * shrunk[i] * shrunk[j] for c, (i, j) in zip(correlations, PAIRS, strict=True)])
+    return replace(rows, errors=errors, correlations=correlations)
+
+
+def aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astrometry:
+    """Return positions without an epoch carried from 2015.0 to another by the Galactic aberration (uas/yr).
+
+    Sources seem to move towards the Galactic centre.  Source: Charlot et al. 2020, A&A 644, A159.
+    """
+    p, q, _ = triad(rows.values[0], rows.values[1])
+    years = np.where(np.isfinite(rows.epoch) | ~np.isfinite(to_epoch), 0.0, to_epoch - ICRF3_EPOCH)
+    glide = GALACTIC_AXES[0] * aberration * MAS / 1000.0
+    values = rows.values.copy()
+    values[0] += years * (glide @ p) / np.cos(rows.values[1])
+    values[1] += years * (glide @ q)
+    return replace(rows, values=values)

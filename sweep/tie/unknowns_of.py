@@ -1,0 +1,78 @@
+"""The unknowns that are asked for, or else those that the tables determine."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.link import LinkError
+from core.tie.astrometry import Astrometry
+from core.tie.problem import Problem
+from core.tie.solution import inverted
+from core.tie.sources import SourceTable
+from core.unknowns import Unknowns, parse_unknowns
+from sweep.tie.options import Options
+
+Indices = NDArray[np.int64]
+
+
+def unknowns_of(
+    options: Options, own: Astrometry, rows: Astrometry, source: Indices, epoch: float, notes: list[str]
+) -> Unknowns:
+    """Return the unknowns of some options; where they are not named, orientation and spin as far as the rows tell.
+
+    A note is added where that is not both.  Raises ValueError for unknowns that there are not.
+    """
+    missions = list(options.missions)
+    named = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
+    of_missions = [name for name in named if name.partition(":")[0] in missions]
+    text = ",".join(name for name in named if name not in of_missions)
+    if options.unknowns is None or (not text and of_missions):
+        of_reference = np.arange(len(rows)) if rows.frame is None else np.flatnonzero(rows.frame == 0)
+        text = _determined(own, rows.taken(of_reference), source[of_reference], epoch)
+        if text != "orientation,spin":
+            notes.append(f"the tables determine the {text} only")
+    if options.degree is not None:
+        text = _with_harmonics(text, options.degree)
+    text = ",".join([text, *of_missions])
+    for mission in missions:
+        if not any(name.startswith(f"{mission}:") for name in of_missions):
+            text += "," + _determined(own, rows, source, epoch, text, mission, missions)
+    return parse_unknowns(text, options.bins, own.columns, options.corrections, missions)
+
+
+def _with_harmonics(text: str, degree: int) -> str:
+    """Return unknowns with glide and harmonics up to a degree beside each rotation."""
+    names = [name.strip() for name in text.split(",")]
+    for rotation, glide, harmonics in (
+        ("orientation", "position_glide", "vsh_position"),
+        ("spin", "glide", "vsh_motion"),
+    ):
+        if rotation in names:
+            names += [glide] if glide not in names else []
+            names += [f"{harmonics}:2-{degree}"] if degree > 1 else []
+    return ",".join(names)
+
+
+def _determined(
+    own: Astrometry,
+    rows: Astrometry,
+    source: Indices,
+    epoch: float,
+    beside: str = "",
+    mission: str = "",
+    missions: list[str] | None = None,
+) -> str:
+    """Return those of orientation and spin, of the satellite or a mission, that rows determine beside others."""
+    for blocks in (("orientation", "spin"), ("orientation",), ("spin",)):
+        text = ",".join(f"{mission}:{block}" if mission else block for block in blocks)
+        unknowns = parse_unknowns(f"{beside},{text}", missions=missions or ())
+        table = SourceTable(Problem(own, rows, source, unknowns, epoch))
+        try:
+            if table.single:
+                inverted(table.sums.normal.sum(axis=0))
+            else:
+                table.solve(np.ones(len(own)))
+        except LinkError:
+            continue
+        return text
+    frame = f"the frame of {mission}" if mission else "the satellite's frame"
+    raise LinkError(f"the tables determine neither the orientation nor the spin of {frame}")

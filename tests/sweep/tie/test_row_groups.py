@@ -1,0 +1,134 @@
+"""Millions of quasars by row groups: the numbers of the whole table, the same bits on any workers, in little memory."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from click.testing import CliRunner
+from pyarrow import parquet
+
+from sweep.cli import main
+from sweep.contract import SweepError
+from sweep.tie import row_groups
+from sweep.tie.link_tables import tie
+
+SPIN = (0.03, -0.02, 0.05)
+
+
+def quasars(path, n=3000, group=700, **changes):
+    """Write made quasars whose satellite frame spins by -SPIN, with a few outliers, in row groups."""
+    rng = np.random.default_rng(6)
+    ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
+    x, y, z = SPIN
+    motion = np.array(
+        [
+            -(-np.sin(dec) * (np.cos(ra) * x + np.sin(ra) * y) + np.cos(dec) * z),
+            -(np.sin(ra) * x - np.cos(ra) * y),
+        ]
+    )
+    motion += rng.normal(0.0, 0.3, (2, n)) + 50.0 * (rng.random(n) < 0.01)
+    columns = {"source_id": np.arange(n), "ra": np.degrees(ra), "dec": np.degrees(dec), "ref_epoch": np.full(n, 2016.0)}
+    columns |= {"pmra": motion[0], "pmdec": motion[1], "pmra_pmdec_corr": rng.uniform(-0.4, 0.4, n)}
+    columns |= {"pmra_error": np.full(n, 0.3), "pmdec_error": np.full(n, 0.3)}
+    columns["phot_g_mean_mag"] = rng.uniform(15.0, 21.0, n)
+    parquet.write_table(pa.table(columns | changes), path, row_group_size=group)
+    return path
+
+
+@pytest.fixture
+def by_groups(monkeypatch):
+    monkeypatch.setattr(row_groups, "FROM_ROWS", 1000)
+
+
+OPTIONS = [
+    {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"},
+    {"unknowns": "spin,glide", "clip": "rayleigh", "errors": "sandwich,bootstrap"},
+    {"unknowns": "spin", "clip": "huber:3", "weights": "variance", "bins": ("phot_g_mean_mag", [17.0, 19.0])},
+    {"known_spin": SPIN},
+]
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
+    path = quasars(tmp_path / "quasars.parquet")
+    whole = tie(path, "zero-motion", **options)
+    monkeypatch.setattr(row_groups, "FROM_ROWS", 1000)
+    found = tie(path, "zero-motion", **options)
+    error = whole.errors.sel(error_kind="formal").values
+    np.testing.assert_allclose(found.estimate / error, whole.estimate / error, atol=1e-9)
+    np.testing.assert_allclose(found.errors.sel(error_kind="formal"), error, rtol=1e-9)
+    if "cells" in options.get("errors", ""):
+        np.testing.assert_allclose(found.error, whole.error, rtol=1e-8)
+    np.testing.assert_allclose(found.weight_factor, whole.weight_factor, atol=1e-9)
+    np.testing.assert_allclose(found.discrepancy, whole.discrepancy, rtol=1e-7, atol=1e-9)
+    assert int(found.n_sources) == int(whole.n_sources)
+    assert float(found.chi2_expected) == pytest.approx(float(whole.chi2_expected))
+    assert found.attrs["satellite_sha256"] == whole.attrs["satellite_sha256"]
+    assert found.source.values.tolist() == list(range(1, 3001))
+
+
+def test_the_bits_are_the_same_on_any_workers(tmp_path, by_groups):
+    path = quasars(tmp_path / "quasars.parquet")
+    options = {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"}
+    here, there = (tie(path, "zero-motion", workers=workers, **options) for workers in (None, 2))
+    for name in here.data_vars:
+        np.testing.assert_array_equal(here[name].values, there[name].values, err_msg=name)
+
+
+def test_a_scheduler_elsewhere_gives_the_same_bits(tmp_path, by_groups):
+    from distributed import LocalCluster
+
+    path = quasars(tmp_path / "quasars.parquet")
+    with LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp", host="127.0.0.1"
+    ) as cluster:
+        there = tie(path, "zero-motion", "spin", scheduler=cluster.scheduler_address)
+    np.testing.assert_array_equal(there.estimate, tie(path, "zero-motion", "spin").estimate)
+
+
+def test_one_row_group_after_the_other_is_in_memory(tmp_path, by_groups, monkeypatch):
+    path = quasars(tmp_path / "quasars.parquet")
+    read = []
+    monkeypatch.setattr(
+        row_groups,
+        "read_row_group",
+        lambda *arguments, real=row_groups.read_row_group: read.append(arguments[1:]) or real(*arguments),
+    )
+    tie(path, "zero-motion", "spin")
+    assert {number for number, _ in read} == {0, 1, 2, 3, 4}
+    assert all("source_id" not in columns and "phot_g_mean_mag" not in columns for _, columns in read)
+
+
+def test_a_heavy_quasar_is_named(tmp_path, by_groups):
+    error = np.full(3000, 0.3)
+    error[2345] = 0.003
+    path = quasars(tmp_path / "quasars.parquet", pmra_error=error, pmdec_error=error)
+    notes = tie(path, "zero-motion", "spin").attrs["notes"]
+    assert any("2346 (" in note and "of the weight in spin" in note for note in notes)
+
+
+def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
+    dec = np.zeros(3000)
+    dec[1500] = 95.0
+    path = quasars(tmp_path / "quasars.parquet", dec=dec)
+    found = CliRunner().invoke(main, ["tie", str(path), "zero-motion"])
+    assert found.exit_code == 2
+    assert "the 700 rows from row 1401 on: a dec outside -90..90 deg in row 101" in found.output
+
+
+def test_workers_for_tables_that_are_solved_at_once_are_refused(tmp_path):
+    found = CliRunner().invoke(main, ["tie", "psrpi", "psrpi", "--workers", "2"])
+    assert found.exit_code == 2
+    assert "workers are for quasars" in found.output
+    path = quasars(tmp_path / "quasars.parquet")
+    with pytest.raises(SweepError, match="100,000 rows"):
+        tie(path, "zero-motion", workers=2)
+
+
+def test_the_command_takes_workers(tmp_path, by_groups):
+    path = quasars(tmp_path / "quasars.parquet")
+    found = CliRunner().invoke(
+        main, ["tie", str(path), "zero-motion", "--workers", "2", "-o", str(tmp_path / "t.zarr")]
+    )
+    assert found.exit_code == 0, found.output
+    assert "read in 5 row groups" in found.output
+    assert CliRunner().invoke(main, ["show", str(tmp_path / "t.zarr")]).exit_code == 0
