@@ -6,7 +6,8 @@ This is the public interface; what is not listed in ``__all__`` may change witho
 `run`, `open`, `plot`                      run a study, read the results in a store, draw them
 `tie`, `forecast`                          link two real tables, plan what to observe next
 `load_study`, `Study`                      read and check a study without running it
-`Experiment`, `Parameter`, `Output`        declare an experiment of your own
+`experiment`, `Parameter`, `Output`        declare more of a function than its signature says
+`Experiment`                               declare an experiment of additive sums
 `Point`                                    the type of one point's parameters, for annotations
 `fit_power_law`, `fit_levelling`           laws along an axis
 `find`, `interpolate`, `ratio`             where a limit is crossed, values between points, ratios
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from sweep.api import open, plot, run  # noqa: A004
     from sweep.contract import Experiment, Output, Parameter, Point, SweepError
     from sweep.executing.execute import Limits
+    from sweep.functions.declared import experiment
     from sweep.studies.reader import load_study
     from sweep.studies.study import Study
     from sweep.tie.link_tables import tie
@@ -55,6 +57,7 @@ __all__ = [
     "Point",
     "Study",
     "SweepError",
+    "experiment",
     "find",
     "fit_levelling",
     "fit_power_law",
@@ -74,6 +77,7 @@ _MODULES = {
     "sweep.api": ("open", "plot", "run"),
     "sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
     "sweep.executing.execute": ("Limits",),
+    "sweep.functions.declared": ("experiment",),
     "sweep.studies.reader": ("load_study",),
     "sweep.studies.study": ("Study",),
     "sweep.tie.link_tables": ("tie",),

@@ -1,21 +1,28 @@
 """The platform as functions, for scripts and notebooks."""
 
 import logging
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
+from sweep.contract import Experiment, SweepError
 from sweep.executing.choose import Resources
 from sweep.executing.execute import GUARD, NO_LIMITS, Limits
 from sweep.executing.pools import PoolName
 from sweep.executing.upstream import is_reading_main
+from sweep.running.notebook import NotebookProgress, in_notebook
+from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
 from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset
-from sweep.studies.reader import load_study, study_from_dict
+from sweep.studies.live import live_study, study_of_function
+from sweep.studies.reader import load_study
+from sweep.studies.source import reference_in
 from sweep.studies.study import Study
 from sweep.tie.stored import result_at
 
@@ -26,9 +33,13 @@ log = logging.getLogger("linksweep")
 
 
 def run(
-    study: str | Path | Mapping[str, Any] | Study,
+    study: str | Path | Mapping[str, Any] | Study | Callable[..., Any],
     store: Where | None = None,
     *,
+    axes: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    sampling: Mapping[str, Any] | None = None,
+    title: str | None = None,
     workers: int | None = None,
     pool: PoolName | None = None,
     scheduler: str | None = None,
@@ -38,14 +49,22 @@ def run(
     accept_code: bool = False,
     fresh: bool = False,
 ) -> xr.Dataset:
-    """Run a study and return its results; the same call after an interruption goes on where it stopped.
+    """Run a study, or sweep a function, and return the results; the same call after an interruption goes on where it
+    stopped.
 
     Points that failed are NaN in the dataset; its variable ``status`` and its attribute ``failures`` tell why, and a
     warning is logged.
 
     Args:
-        study: the name of a built-in study, the path of a TOML file, a mapping of the same shape, or a `Study`.
-        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` unless given.
+        study: a function; or the name of a built-in study, the path of a TOML file, a mapping of the same shape (whose
+            experiment may be a function), or a `Study`.
+        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` unless given.  What has no name of its own gets one of
+            the function and a digest of all that is asked for.
+        axes: of a function, the values of each parameter that is swept: lists, arrays, ranges or pandas indexes, or a
+            range as a study writes it.
+        fixed: of a function, values of other parameters.
+        sampling: of a function that takes ``rng``: n_sim, seed, precision, max_n_sim.
+        title: of a function, for tables and figures.
         workers: how many processes or threads; as many as there are cores unless given.
         pool: what to run on in this machine; "processes" unless the work is small.
         scheduler: the address of a Dask scheduler to run on instead.
@@ -54,7 +73,7 @@ def run(
         accept_code: continue a store that other code made, and say for each point which code made it; such a store
             is refused otherwise.
         fresh: replace the store.
-        progress: is told how the run goes; nothing is printed unless it does.
+        progress: is told how the run goes; by default a bar in terminals and notebooks, and nothing elsewhere.
 
     Returns:
         The outputs of the study over its axes, in memory, as `open` gives them.
@@ -72,13 +91,17 @@ def run(
         >>> ds = run(study, "quasars15.zarr", pool="serial")
         >>> ds.sigma_spin.sizes["model"], ds.sigma_spin.units
         (2, 'mas / yr')
+        >>> def area(width: float, height: float = 1.0):
+        ...     return width * height
+        >>> run(area, axes={"width": [1.0, 2.0]}, fixed={"height": 3.0}, pool="serial").area.values.tolist()
+        [3.0, 6.0]
     """
     _leave_a_worker_that_runs_its_script()
-    loaded = _study(study)
+    loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title})
     place = located(store or Path("results") / f"{loaded.name}.zarr")
     resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
-    watching = progress or Silent()
-    dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
+    with _watching(loaded, progress) as watching:
+        dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
     if failures:
         log.warning("%s: %s", place, failed_points(failures))
     return dataset
@@ -122,7 +145,7 @@ def plot(
         over: the axis along which curves go, the two of a map, or the two components of a scatter.
 
     Returns:
-        A Matplotlib figure that belongs to no window; ``figure.savefig("name.svg")`` writes it.
+        A Matplotlib figure that belongs to no window; ``figure.savefig("name.svg")`` writes it, a notebook shows it.
 
     Raises:
         SweepError: for a kind that the dataset cannot have, naming those that it can, and for unknown variables.
@@ -137,14 +160,34 @@ def plot(
         >>> figure.savefig("more.svg")
     """
     from sweep.plots.figure import draw_figure
+    from sweep.plots.shown import shown
 
-    return draw_figure(dataset, kind, variables, over)
+    return shown(draw_figure(dataset, kind, variables, over))
 
 
-def _study(study: str | Path | Mapping[str, Any] | Study) -> Study:
+def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], given: dict[str, Any]) -> Study:
+    reference = reference_in(study) if isinstance(study, str) else None
+    if reference is not None or callable(study) or isinstance(study, Experiment):
+        return study_of_function(reference or study, **given)  # type: ignore[arg-type]
+    if told := [name for name, value in given.items() if value is not None]:
+        raise SweepError(f"{', '.join(told)}: go with a function; a study says them itself")
     if isinstance(study, Study):
         return study
-    return study_from_dict(study) if isinstance(study, Mapping) else load_study(str(study))
+    return live_study(study) if isinstance(study, Mapping) else load_study(str(study))
+
+
+@contextmanager
+def _watching(study: Study, progress: Progress | None) -> Iterator[Progress]:
+    """Give who watches a run: the one that was given, or a bar where somebody sees it."""
+    if progress is not None:
+        yield progress
+    elif in_notebook():
+        yield NotebookProgress()
+    elif sys.stderr is not None and sys.stderr.isatty():
+        with TerminalProgress(study) as bar:
+            yield bar
+    else:
+        yield Silent()
 
 
 def _leave_a_worker_that_runs_its_script() -> None:

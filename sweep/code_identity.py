@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sweep.contract import Experiment
 from sweep.load import sources_of
+from sweep.session import SessionFunction
 from sweep.sources import INSTALLED, OURS, Sources, read_sources
 
 
@@ -21,13 +22,13 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     """
     code: dict[str, str] = {}
     place = reference.rpartition(":")[0]
-    sources = sources_of(reference, digest)
+    sources: Sources | SessionFunction | None = sources_of(reference, digest)
     if sources is None and place.partition(".")[0] not in OURS:
         sources = _sources_of_module(place)
         if sources is None:
             code |= {f"package {name}": _version(name) for name in _distributions_of(place.partition(".")[0])}
     if sources is not None:
-        code |= {f"file {name}": text for name, text in sources.digests.items()}
+        code |= sources.parts
         defaults = {p.name: json.dumps(p.written_default(), default=str) for p in experiment.parameters}
         code |= {f"default of {name}": text for name, text in defaults.items()}
     return code | {f"package {name}": _version(name) for name in experiment.packages}
@@ -42,7 +43,7 @@ def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, n
             continue
         if before is None or after is None:
             phrases.append(f"{name} is only {was if after is None else now}")
-        elif name.startswith("file "):
+        elif name.startswith(("file ", "function ", "value ")):
             phrases.append(f"{name} has changed")
         else:
             phrases.append(f"{name} is {before} {was}, {after} {now}")

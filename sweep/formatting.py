@@ -9,11 +9,11 @@ from typing import Any
 MOST_DECIMALS = 9
 
 
-def with_error(value: float, error: float) -> str:
+def with_error(value: Any, error: float) -> str:
     """Return a number and its error with two digits of the error.
 
     Args:
-        value: Any number; NaN gives an empty string.
+        value: Any number; NaN gives an empty string.  Texts, truth values and integers stand as they are.
         error: One standard error; the number stands alone where it is not positive.
 
     Examples:
@@ -27,7 +27,7 @@ def with_error(value: float, error: float) -> str:
     return f"{rounded(value, error)} ± {rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
 
 
-def rounded(value: float, error: float = 0.0) -> str:
+def rounded(value: Any, error: float = 0.0) -> str:
     """Return a number to two digits of its error, or to four digits of its own where it has none; '' for NaN.
 
     Examples:
@@ -36,6 +36,8 @@ def rounded(value: float, error: float = 0.0) -> str:
     """
     if is_missing(value):
         return ""
+    if isinstance(value, str | int):
+        return str(value)
     if error > 0.0:
         decimals = max(0, 1 - math.floor(math.log10(error)))
         return f"{value:.{decimals}f}" if decimals <= MOST_DECIMALS else f"{value:.3g}"

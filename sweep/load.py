@@ -12,6 +12,9 @@ from types import ModuleType
 from typing import Any
 
 from sweep.contract import Experiment, SweepError, shown
+from sweep.functions.adapter import experiment_of, is_plain_function
+from sweep.session import SESSION, SessionFunction, session_function
+from sweep.session import provide as provide_function
 from sweep.sources import INSTALLED, Sources, forget_module, make_module, read_sources
 
 SOURCES = "__linksweep_sources__"
@@ -22,15 +25,22 @@ _provided: dict[tuple[str, str], Sources] = {}
 
 
 def load_experiment(reference: str, folder: Path | None = None, digest: str | None = None) -> Experiment:
-    """Return the Experiment that a reference names; a file's path is relative to ``folder``.
+    """Return the Experiment that a reference names, or the plain function there as one; a file's path is relative to
+    ``folder``.
 
     With the ``digest`` of its sources those are taken that were provided, if any were, whatever the file holds now.
     Raises SweepError where the module, the file or the attribute does not exist or is something else.
     """
-    _, found = _find(reference, folder, digest)
-    if not isinstance(found, Experiment):
-        raise _is_no("an Experiment", reference, found)
-    return found
+    own = session_function(reference)
+    found = _find(reference, folder, digest)[1] if own is None else own.function
+    if isinstance(found, Experiment):
+        return found
+    if not is_plain_function(found):
+        raise _is_no("an Experiment or a function", reference, found)
+    try:
+        return experiment_of(found)
+    except SweepError as error:
+        raise SweepError(error.problems, f"{reference.rpartition(':')[2] if own is None else error.where}") from error
 
 
 def read_experiment(reference: str, folder: Path) -> Experiment:
@@ -42,7 +52,7 @@ def read_experiment(reference: str, folder: Path) -> Experiment:
     except ValueError:  # no path, as loading it will say
         absolute = reference
     loaded = sources_of(absolute)
-    if loaded is not None and _read(Path(loaded.path)).digest != loaded.digest:
+    if isinstance(loaded, Sources) and _read(Path(loaded.path)).digest != loaded.digest:
         forget(absolute)
     return load_experiment(reference, folder)
 
@@ -147,9 +157,13 @@ def absolute_reference(reference: str, folder: Path) -> str:
     return f"{(folder / place).resolve()}:{attribute}" if place.endswith(".py") else reference
 
 
-def sources_of(reference: str, digest: str | None = None) -> Sources | None:
-    """Return what a loaded experiment's file and local modules were when they were loaded; None for one of a module."""
+def sources_of(reference: str, digest: str | None = None) -> Sources | SessionFunction | None:
+    """Return what a loaded experiment's file and local modules were when they were loaded, or the function of a
+    session; None for one of a module.
+    """
     place, _, _ = reference.rpartition(":")
+    if place == SESSION:
+        return session_function(reference)
     if not place.endswith(".py"):
         return None
     for key in (place, f"{place}@{digest}"):
@@ -165,8 +179,11 @@ def source_digest(reference: str) -> str | None:
     return None if sources is None else sources.digest
 
 
-def provide(sources: Sources) -> None:
-    """Let this process load an experiment from sources that another one has sent."""
+def provide(sources: Sources | SessionFunction) -> None:
+    """Let this process load an experiment from what another one has sent."""
+    if isinstance(sources, SessionFunction):
+        provide_function(sources)
+        return
     _provided[sources.path, sources.digest] = sources
 
 

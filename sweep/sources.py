@@ -37,6 +37,11 @@ class Sources:
         return {name: hashlib.sha256(content).hexdigest()[:12] for name, content in self.files.items()}
 
     @property
+    def parts(self) -> dict[str, str]:
+        """What a store records of it: the digest of each file by its name in words."""
+        return {f"file {name}": digest for name, digest in self.digests.items()}
+
+    @property
     def digest(self) -> str:
         """The digest of all: that of the file where it imports nothing local."""
         if len(self.digests) == 1:

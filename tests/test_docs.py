@@ -172,3 +172,41 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     assert "#SBATCH --account=astro" in scripts["slurm.toml"]
     assert "#PBS -l select=1:ncpus=8:mem=16GB" in scripts["pbs.yaml"]
     assert "--nworkers 8" in scripts["pbs.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("document", "file"),
+    [("function-series.md", "sir.py"), ("function-quantile.md", "waiting.py"), ("function-package.md", "window.py")],
+)
+def test_the_functions_of_the_documents_run(document, file, tmp_path, sweep):
+    (tmp_path / file).write_text(code(document, "python")[0])
+    run_commands(document, sweep, tmp_path)
+    if file == "sir.py":
+        ds = xr.open_zarr(tmp_path / "sir.zarr")
+        assert ds.infected.dims == ("beta", "time")
+        assert ds.peak.values.tolist() == ds.infected.max("time").values.tolist()
+        assert (tmp_path / "infected.png").stat().st_size > 1000
+    if file == "waiting.py":
+        ds = xr.open_zarr(tmp_path / "waiting.zarr").load()
+        assert (ds.n_sim_done == 1000).all()
+        assert (ds.wait_q95 > ds.wait_mean).all()
+
+
+def test_the_notebook_of_the_document_runs(tmp_path):
+    """As a kernel does: cell by cell in one namespace, without a file to be imported from."""
+    cells = code("function-notebook.md", "python")
+    shown = "\nprint(ds.end.values.tolist()[0], more.end.values.tolist()[0], figure._repr_png_()[:4])\n"
+    script = "\n".join(cells).replace("linksweep.plot", "figure = linksweep.plot") + shown
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "[2.0] 2.0 b'\\x89PNG'\n"
+    assert len(list((tmp_path / "results").glob("growth-*.zarr"))) == 2
+
+
+def test_the_functions_of_the_readme_run(tmp_path, sweep):
+    text = (ROOT / "README.md").read_text()
+    (example,) = re.findall(r"```python\n(def decay.*?)```", text, flags=re.DOTALL)
+    (tmp_path / "decay.py").write_text(example)
+    (command,) = re.findall(r"^sweep run decay.py:decay.*$", text, flags=re.MULTILINE)
+    status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
+    assert status == 0, err

@@ -21,6 +21,7 @@ from sweep.analysis.quantity import (
 from sweep.analysis.selection import place_in_words
 from sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
+from sweep.studies.provenance import outer_draw_of
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ def _errors_in_words(dataset: xr.Dataset, known: bool, covariance: xr.DataArray 
     if unknown:
         return (
             "not known, as points share random numbers and the store has no covariance of them "
-            f"(it needs {FEWEST_SAMPLES} catalogues, or as many blocks of one, and no `precision`)"
+            f"(it needs {FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`)"
         )
     if not known:
         return "none: points weigh the same, errors come from the scatter"

@@ -9,6 +9,10 @@ import xarray as xr
 
 from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
 from sweep.planning.point_status import Status
+from sweep.studies.provenance import FUNCTION, outer_draw_of
+
+COUNTS = ("status", "n_sim_done", "code")
+"""Integers of every dataset that are no results."""
 
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
@@ -50,12 +54,18 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return a sentence for every part of the error of a variable that is not known at points that are done."""
     done = dataset["status"] == Status.DONE
-    words = {"mc_error": "its Monte-Carlo error", "catalogue_error": "the choice of catalogues"}
+    draw = outer_draw_of(dataset.attrs)
+    words = {"mc_error": "its Monte-Carlo error", "catalogue_error": f"the choice of {draw}s"}
+    noun = "realisations" if FUNCTION in dataset.attrs else f"{draw}s"
     return [
-        f"{variable}: {words[suffix]} is not in the error, as {FEWEST_SAMPLES} catalogues are needed to know it"
+        f"{variable}: {words[suffix]} is not in the error, as {_needed(dataset)} {noun} are needed to know it"
         for suffix in ERROR_SUFFIXES
         if f"{variable}_{suffix}" in dataset and bool((dataset[f"{variable}_{suffix}"].isnull() & done).any())
     ]
+
+
+def _needed(dataset: xr.Dataset) -> str:
+    return "more" if FUNCTION in dataset.attrs else str(FEWEST_SAMPLES)
 
 
 def has_old_errors(dataset: xr.Dataset) -> bool:
@@ -137,11 +147,17 @@ def prediction_name(names: Container[Hashable], variable: str) -> str:
 def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers, with one value a point, no errors or predictions."""
     axes = set(dataset["status"].dims)
-    numbers = [str(n) for n, v in dataset.data_vars.items() if v.dtype.kind == "f" and axes <= set(v.dims)]
+    numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
     covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
     attached = (*ERROR_SUFFIXES, *covariances, *PREDICTION_SUFFIXES, "published", "published_rounding")
     beside = {f"{name}_{suffix}" for name in numbers for suffix in attached}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
+
+
+def _is_number(dataset: xr.Dataset, name: str) -> bool:
+    """Return whether a variable holds numbers; those of a plain function may be integers and truth values."""
+    kind = dataset[name].dtype.kind
+    return kind == "f" or (kind in "ib" and FUNCTION in dataset.attrs and name not in COUNTS)
 
 
 def main_quantity(dataset: xr.Dataset) -> str:
@@ -162,10 +178,12 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
 
 
 def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return the coordinates of numbers along which a variable has at least two points, longest first."""
+    """Return the coordinates of numbers along which a variable has at least two points, longest first: axes of the
+    study, and dimensions of its own.
+    """
     dims = dataset[variable].dims
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in "if"]
-    axes = [n for n in names if dataset[n].size > 1 and dataset[n].dims[0] in dataset["status"].dims]
+    axes = [n for n in names if dataset[n].size > 1]
     return sorted(axes, key=lambda n: (-dataset[n].size, n not in dims, n))
 
 

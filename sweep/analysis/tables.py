@@ -7,11 +7,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name
 from sweep.formatting import is_missing, plain, rounded, to_json, with_error
 from sweep.planning.point_status import Status
+from sweep.studies.provenance import FUNCTION
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -36,7 +38,7 @@ MOST_ROWS = 1000
 
 def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
     """Return columns {name: (unit, values)} with one row a point: the axes, then every variable without further
-    dimensions.
+    dimensions; of a plain function also those with some, each value a list.
     """
     dimensions = axes_of(dataset)
     flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
@@ -45,11 +47,34 @@ def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
         variable = dataset[name]
         template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
         values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)
-        columns[str(name)] = (variable.attrs.get("units", ""), values.tolist())
+        columns[str(name)] = (variable.attrs.get("units", ""), _listed(values))
+    for name in array_outputs(dataset):
+        variable = dataset[name].transpose(*dimensions, ...)
+        values = variable.values.reshape(-1, *variable.shape[len(dimensions) :])
+        columns[name] = (variable.attrs.get("units", ""), _listed(values))
     status = columns["status"][1]
     words = [code.word for code in Status]
     columns["status"] = ("", [words[code] for code in status])
     return columns
+
+
+def array_outputs(dataset: xr.Dataset) -> list[str]:
+    """Return the outputs of a plain function that have dimensions of their own."""
+    axes = set(axes_of(dataset))
+    return [str(n) for n, v in dataset.data_vars.items() if set(v.dims) - axes] if FUNCTION in dataset.attrs else []
+
+
+def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
+    """Return the dimensions of an output that are no axes of the study."""
+    return [str(d) for d in dataset[name].dims if d not in axes_of(dataset)]
+
+
+def _listed(values: Any) -> list[Any]:
+    """Return values as Python has them, times as texts."""
+    if values.dtype.kind == "M":
+        values = np.where(np.isnat(values), "", np.datetime_as_string(values, unit="auto").astype(object))
+    listed: list[Any] = values.tolist()
+    return listed
 
 
 def axes_of(dataset: xr.Dataset) -> list[str]:
@@ -64,7 +89,8 @@ def as_csv(dataset: xr.Dataset) -> str:
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()])
     for row in zip(*(values for _, values in columns.values()), strict=True):
-        writer.writerow(["" if is_missing(cell) else cell for cell in row])
+        cells = (json.dumps(cell) if isinstance(cell, list) else cell for cell in row)
+        writer.writerow(["" if is_missing(cell) else cell for cell in cells])
     return out.getvalue()
 
 
@@ -75,6 +101,9 @@ def as_ecsv(dataset: xr.Dataset) -> str:
     table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
     for name, (unit, values) in long_table(dataset).items():
         mask = [is_missing(v) for v in values]
+        if values and isinstance(values[0], list):
+            table[name] = MaskedColumn(np.array(values), unit=unit or None)
+            continue
         table[name] = (
             MaskedColumn(values, mask=mask, unit=unit or None) if any(mask) else MaskedColumn(values, unit=unit or None)
         )
@@ -88,7 +117,14 @@ def as_json(dataset: xr.Dataset) -> str:
     columns = long_table(dataset)
     cells = zip(*(values for _, values in columns.values()), strict=True)
     rows = [dict(zip(columns, row, strict=True)) for row in cells]
-    return to_json({"units": {name: unit for name, (unit, _) in columns.items()}, "rows": rows})
+    arrays = {
+        name: {"dims": dims, "coordinates": {dim: _listed(dataset[dim].values) for dim in dims}}
+        for name in array_outputs(dataset)
+        for dims in [own_dimensions(dataset, name)]
+    }
+    units = {name: unit for name, (unit, _) in columns.items()}
+    units |= {dim: dataset[dim].attrs.get("units", "") for told in arrays.values() for dim in told["dims"]}
+    return to_json({"units": units, **({"arrays": arrays} if arrays else {}), "rows": rows})
 
 
 def as_text(dataset: xr.Dataset) -> "Table":
@@ -138,6 +174,9 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     ]
     for name in filter(long.__contains__, _headline(dataset)):
         unit, values = long[name]
+        if name in array_outputs(dataset):
+            columns.append(Column(name, unit, [_span(value) for value in values], [str(value) for value in values]))
+            continue
         errors = long[f"{name}_mc_error"][1] if f"{name}_mc_error" in long else [0.0] * len(values)
         columns.append(Column(name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)], values))
         if (predicted := long.get(prediction_name(long, name))) is not None:
@@ -150,6 +189,24 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
             columns.append(Column("difference", "", [_difference(*p) for p in pairs], [_relative(*p) for p in pairs]))
     status = long["status"][1]
     return columns if finished else [*columns, Column("status", "", status, status)]
+
+
+def arrays_in_words(dataset: xr.Dataset) -> list[str]:
+    """Return a sentence for each output of a plain function that the table for reading has not, or only in part."""
+    sentences = []
+    for name in array_outputs(dataset):
+        along = " and ".join(f"{dataset.sizes[dim]:,} along {dim}" for dim in own_dimensions(dataset, name))
+        sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --format json` has them")
+    return sentences
+
+
+def _span(values: Any) -> str:
+    """Return an array of one point in short: its least and its largest number."""
+    flat = np.array(values).reshape(-1)
+    if flat.dtype.kind not in "biuf":
+        return f"{flat[0]} ..."
+    known = flat[np.isfinite(flat)]
+    return f"{rounded(float(known.min()))} to {rounded(float(known.max()))}" if known.size else ""
 
 
 def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float]) -> list[Column]:

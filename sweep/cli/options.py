@@ -194,9 +194,12 @@ def load(
     from sweep.running.trust import require_trust_of_study
     from sweep.stores.location import located
     from sweep.studies.reader import load_study
-    from sweep.studies.source import find_study
+    from sweep.studies.source import find_study, reference_in
 
-    require_trust_of_study(find_study(study), trust)
+    if (function := reference_in(study)) is None:
+        require_trust_of_study(find_study(study), trust)
+    elif (file := function.rpartition(":")[0]).endswith(".py"):
+        require_trust_of_study(Path(file), trust)
     loaded = load_study(study, settings, axes)
     return loaded, store or located(Path("results") / f"{loaded.name}.zarr")
 

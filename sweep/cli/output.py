@@ -43,19 +43,29 @@ def print_plan(
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     from sweep.running.eta import in_words
 
-    done = report["realisations"] - report["realisations_pending"]
     cores = f"{report['cores']} core{'' if report['cores'] == 1 else 's'}"
     return {
         "study": report["title"],
         "grid": report["grid"],
         "points": f"{report['points']:,}, {report['points_done']:,} of them done",
-        "realisations": f"{report['realisations']:,}, {done:,} of them done",
+        **_realisations_in_words(report),
         "work": f"{report['blocks_pending']:,} blocks in about {report['tasks_about']:,} tasks",
         "memory": f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
         f"{report['ledger_mb']:,.3g} MB of ledger",
-        "time": f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone",
+        **(
+            {"time": f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone"}
+            if "seconds" in report
+            else {}
+        ),
         "store": report["store"],
     }
+
+
+def _realisations_in_words(report: dict[str, Any]) -> dict[str, str]:
+    if "realisations" not in report:
+        return {}
+    done = report["realisations"] - report["realisations_pending"]
+    return {"realisations": f"{report['realisations']:,}, {done:,} of them done"}
 
 
 def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:
@@ -68,6 +78,8 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
             click.echo("\n".join(["", *lines, ""]))
         for sentence in filter(None, [*tables.warnings_of(dataset), components.condition_warning(dataset)]):
             click.echo(f"warning: {sentence}")
+        for sentence in tables.arrays_in_words(dataset):
+            click.echo(sentence)
         if left_out := tables.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):

@@ -44,7 +44,8 @@ def problems(experiment: Any) -> list[str]:
     dimensions = _labels(experiment.coordinates, "coordinates", found)
     units = _labels(experiment.component_units, "component_units", found, unique=False)
     for parameter in parameters:
-        found += [f"parameter {parameter.name!r}: {text}" for text in _parameter_problems(parameter)]
+        texts = [*_not_of_a_signature(parameter), *parameter_problems(parameter)]
+        found += [f"parameter {parameter.name!r}: {text}" for text in texts]
     for output in (*outputs, *samples):
         found += [f"output {output.name!r}: {text}" for text in _output_problems(output, dimensions)]
     for name, of_labels in units.items():
@@ -60,7 +61,7 @@ def problems(experiment: Any) -> list[str]:
     found += _listed("shared", experiment.shared, [parameter.name for parameter in parameters], "parameter")
     if isinstance(experiment.sums, Mapping):
         found += _listed("nan_sums", experiment.nan_sums, [str(name) for name in experiment.sums], "sum")
-    found += _packages(experiment.packages)
+    found += packages_problems(experiment.packages)
     return found
 
 
@@ -98,17 +99,26 @@ def _labels(given: object, what: str, found: list[str], unique: bool = True) -> 
     return good
 
 
-def _parameter_problems(parameter: Parameter) -> Iterator[str]:
+def _not_of_a_signature(parameter: Parameter) -> Iterator[str]:
+    """Yield what only the signature of a plain function can say of a parameter."""
+    if parameter.required:
+        yield "required is for the signatures of plain functions"
+    if not all(isinstance(choice, str) for choice in parameter.choices):
+        yield f"choices = {shown(parameter.choices)}: must be a tuple of texts"
+    elif parameter.choices and parameter.kind != "str":
+        yield f"choices are for texts, not for a {parameter.kind}"
+
+
+def parameter_problems(parameter: Parameter) -> Iterator[str]:
+    """Yield what is wrong with a parameter by itself."""
     if parameter.kind not in get_args(Kind):
         yield f"the kind {shown(parameter.kind)} is none{suggest(str(parameter.kind), get_args(Kind))}"
         return
     if text := unit_problem(parameter.unit):
         yield text
-    if isinstance(parameter.choices, str) or not all(isinstance(choice, str) for choice in parameter.choices):
+    if isinstance(parameter.choices, str):
         yield f"choices = {shown(parameter.choices)}: must be a tuple of texts"
         return
-    if parameter.choices and parameter.kind != "str":
-        yield f"choices are for texts, not for a {parameter.kind}"
     bounds = (parameter.minimum, parameter.above, parameter.maximum)
     if any(bound is not None and not isinstance(bound, (int, float)) for bound in bounds):
         yield f"minimum, above and maximum must be numbers, not {shown(bounds)}"
@@ -127,6 +137,8 @@ def _parameter_problems(parameter: Parameter) -> Iterator[str]:
 def _output_problems(output: Output, dimensions: Mapping[str, Sequence[str]]) -> Iterator[str]:
     if text := unit_problem(output.unit):
         yield text
+    if output.coords is not None or output.statistics:
+        yield "coords and statistics are for plain functions; an Experiment has coordinates and summarise"
     if isinstance(output.dims, str):
         yield f"dims = {output.dims!r}: must be a tuple; one of one name needs a comma at its end"
         return
@@ -206,7 +218,8 @@ def _listed(what: str, given: object, known: Sequence[str], kind: str) -> Iterat
             yield f"{what}: {shown(name)} is no {kind}{suggest(str(name), known)}"
 
 
-def _packages(given: object) -> Iterator[str]:
+def packages_problems(given: object) -> Iterator[str]:
+    """Yield what is wrong with names of distributions."""
     if isinstance(given, str) or not isinstance(given, (tuple, list)):
         yield f"packages = {shown(given)}: must be a tuple of names; one of one name needs a comma at its end"
         return

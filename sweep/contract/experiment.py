@@ -76,8 +76,9 @@ class Experiment:
     prints and stores them.  ``samples``, for studies that keep them, returns what ``evaluate`` does and the
     realisations that it adds up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names
     parameters that do not change the random numbers that a block draws, only what is made of them.  ``packages`` are
-    distributions whose versions decide the numbers.  A new ``version`` says that the same parameters now give other
-    numbers: stores of another version are not continued.
+    distributions whose versions decide the numbers.  ``cost_unit`` says in words what ``cost`` counts, ``outer_draw``
+    what the draws are called that several realisations share, ``citation`` what to cite beside linksweep.  A new
+    ``version`` says that the same parameters now give other numbers: stores of another version are not continued.
 
     Raises SweepError with all that is wrong in the declaration.
     """
@@ -100,11 +101,42 @@ class Experiment:
     shared: tuple[str, ...] = ()
     nan_sums: tuple[str, ...] = ()
     packages: tuple[str, ...] = ()
+    cost_unit: str = ""
+    outer_draw: str = "outer draw"
+    citation: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise SweepError with all that is wrong in the declaration."""
         if found := problems(self):
             raise SweepError(found, f"experiment {shown(self.name)}")
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether a point is computed once, without random numbers."""
+        return False
+
+    @property
+    def undeclared(self) -> bool:
+        """Whether the first result is still to say what the outputs are."""
+        return False
+
+    @property
+    def keeps_samples(self) -> bool:
+        """Whether realisations are kept because results are made of them, whatever a study says."""
+        return False
+
+    @property
+    def further_width(self) -> int:
+        """Number of floats that are made of the kept realisations of a point."""
+        return 0
+
+    def of_samples(self, samples: Array) -> Array:
+        """Return what is made of the kept realisations of a point, (further_width,)."""
+        return np.empty(0)
+
+    def added(self, total: Array, row: Array) -> Array:
+        """Return the sums of a point (width,) with those of one block more; ``total`` is 0 before the first."""
+        return total + row
 
     def parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError with a suggestion for an unknown name."""

@@ -1,6 +1,8 @@
 """A declared output of an experiment."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -9,12 +11,19 @@ class Output:
 
     ``headline`` outputs are the columns of the printed table; pictures show the ``symbol`` where there is one.  A
     number that is NaN or infinite fails its point unless ``nan`` says that it is a value.
+
+    Of a plain function (`linksweep.experiment`) only the name is needed.  One dimension may be a string; ``coords``
+    gives the coordinate of each, values or (values, unit), of numbers, texts or times.  Where the function draws random
+    numbers, ``statistics`` are what is made of its realisations: "mean", "std", "min", "max", "count" (of those that
+    are true), and quantiles such as "q95".
     """
 
     name: str
-    unit: str
-    meaning: str
-    dims: tuple[str, ...] = ()
+    unit: str = ""
+    meaning: str = ""
+    dims: tuple[str, ...] | str = ()
     headline: bool = False
     symbol: str = ""
     nan: bool = False
+    coords: Mapping[str, Any] | None = field(default=None, compare=False)
+    statistics: Sequence[str] = field(default=(), compare=False)

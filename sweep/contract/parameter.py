@@ -15,7 +15,10 @@ Point = Mapping[str, Any]
 HUGE = 1e300
 """No parameter is as large: beyond it arithmetic overflows."""
 
-Kind = Literal["float", "int", "str", "bool", "vector", "map", "file"]
+LARGEST_INT = 2**63 - 1
+"""Beyond it no array of integers holds a value."""
+
+Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
 
 
 class Function(Protocol):
@@ -68,25 +71,30 @@ class Define(Protocol):
 class Parameter:
     """One parameter: its kind, unit (as astropy writes it), default, allowed values and a one-line meaning.
 
-    A default of None means that the experiment decides (the meaning says how).  ``minimum`` and ``maximum`` are
-    inclusive, ``above`` is not.  A "vector" has three components, a "map" is a table of strings, and of a "file" the
-    experiment gets an object that gives the columns of the table in it.  With ``define`` a study may define further
+    A default of None means that the experiment decides (the meaning says how); a ``required`` parameter has no default,
+    and every study sets it.  ``minimum`` and ``maximum`` are inclusive, ``above`` is not.  "any" is a number, text or
+    truth value as the study writes it; a "vector" has three components, a "map" is a table of strings, and of a "file"
+    the experiment gets an object that gives the columns of the table in it.  With ``define`` a study may define further
     choices of a "str"; ``defined`` are those of one study, and the experiment gets them as they stand there.  Pictures
     show the ``symbol`` where there is one, as Matplotlib sets it.
+
+    In the signature of a plain function, ``Annotated[float, Parameter("contact rate", unit="1/d", above=0)]``, the
+    first argument is the meaning; name, kind and default are those of the signature.
     """
 
     name: str
-    kind: Kind
-    default: Value
-    meaning: str
+    kind: Kind = "any"
+    default: Value = None
+    meaning: str = ""
     unit: str = ""
-    choices: tuple[str, ...] = ()
+    choices: tuple[Any, ...] = ()
     minimum: float | None = None
     maximum: float | None = None
     above: float | None = None
     symbol: str = ""
     define: Define | None = field(default=None, compare=False, repr=False)
     defined: tuple[Named, ...] = ()
+    required: bool = False
 
     @property
     def may_be_axis(self) -> bool:
@@ -99,7 +107,7 @@ class Parameter:
             return dict(self.default) if self.kind == "map" else list(self.default)
         return self.default.item() if isinstance(self.default, np.generic) else self.default
 
-    def parse(self, raw: object) -> Value:
+    def parse(self, raw: object) -> Value:  # noqa: PLR0911, PLR0912 (one for each kind)
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if self.kind == "str":
             known = (*self.choices, *(named.name for named in self.defined))
@@ -109,6 +117,10 @@ class Parameter:
                     f"{self.name} = {shown(raw)}: must be {self.allowed()}{hint if 'did you mean' in hint else ''}"
                 )
             return next((named for named in self.defined if named.name == raw), raw)
+        if self.choices and (type(raw), raw) not in [(type(choice), choice) for choice in self.choices]:
+            raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+        if self.kind == "any":
+            return self._as_written(raw)
         if self.kind == "bool":
             if not isinstance(raw, bool):
                 raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")
@@ -126,12 +138,25 @@ class Parameter:
                 raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
             return tuple(self._number(x) for x in raw)
         number = self._number(raw)
-        return int(number) if self.kind == "int" else number
+        if self.kind != "int":
+            return number
+        if isinstance(raw, int) and abs(raw) > LARGEST_INT:
+            raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}, of 64 bits at most")
+        return int(raw) if isinstance(raw, int) else int(number)
+
+    def _as_written(self, raw: object) -> Value:
+        if isinstance(raw, str | bool):
+            return raw
+        if isinstance(raw, int) and abs(raw) <= LARGEST_INT:
+            return int(raw)
+        if isinstance(raw, float) and abs(raw) < HUGE:
+            return float(raw) + 0.0
+        raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
 
     def _number(self, raw: object) -> float:
         if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # NaN is not < either
             number = float(raw) + 0.0  # no negative zero: it would be another point
-            whole = self.kind != "int" or (number == raw and number.is_integer())
+            whole = self.kind != "int" or isinstance(raw, int) or number.is_integer()
             above_floor = self.minimum is None or number >= self.minimum
             above_open = self.above is None or number > self.above
             if whole and above_floor and above_open and (self.maximum is None or number <= self.maximum):
@@ -149,6 +174,7 @@ class Parameter:
             "int": "an integer",
             "str": "a string",
             "bool": "true or false",
+            "any": "a finite number, a string, true or false",
             "vector": "a list of three finite numbers",
             "map": 'a table of strings, { quantity = "column" }',
             "file": "the path of a table",

@@ -1,6 +1,7 @@
 """Whether a text is a unit that readers of results will understand: one that astropy knows."""
 
 import re
+from functools import lru_cache
 
 FAMILIAR = frozenset(
     [
@@ -47,3 +48,16 @@ def unit_problem(text: object) -> str | None:
         hint = str(error).partition("Did you mean ")[2].partition("?")[0]
         return f"the unit {text!r} is none that astropy knows{f'; did you mean {hint}?' if hint else ''}"
     return None
+
+
+@lru_cache(maxsize=256)
+def same_unit(one: str, other: str) -> bool:
+    """Return whether two texts are the same unit."""
+    if one == other:
+        return True
+    from astropy.units import Unit
+
+    try:
+        return bool(Unit(one) == Unit(other))
+    except (ValueError, TypeError):
+        return False

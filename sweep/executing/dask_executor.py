@@ -1,5 +1,6 @@
 """Runs tasks on a Dask client, and goes on when its workers die."""
 
+import pickle
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -81,7 +82,9 @@ class DaskExecutor:
         reference = self._study.experiment_reference
         try:
             self._client.register_plugin(TaskPlugin(), name=PLUGIN)
-            if (sources := sources_of(reference)) is not None:
+            in_this_process = str(self._client.scheduler_info()["address"]).startswith("inproc://")
+            if (sources := sources_of(reference)) is not None and not in_this_process:
+                pickle.dumps(sources)  # raises for a function that cannot leave this process
                 self._client.register_plugin(SourcesPlugin(sources))
             # Where there is no worker yet, an adaptive cluster starts one for this.
             probe = self._client.submit(identity, reference, source_digest(reference), pure=False)

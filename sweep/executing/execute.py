@@ -102,8 +102,12 @@ def measured_first(
     """
     with ExitStack() as stack:
         here = stack.enter_context(serial(study))
+        moved: list[Executor] = []
 
         def run(take: Take) -> Results:
+            if moved:
+                yield from moved[0](take)
+                return
             done = busy = 0.0
             for works, result in here[1](take):
                 yield works, result
@@ -112,6 +116,7 @@ def measured_first(
                 left = max(0.0, cost - done) * busy / max(done, 1e-9)
                 if left * (1.0 - 1.0 / cores) > WORKERS_START_S:
                     place, executor = stack.enter_context(elsewhere())
+                    moved.append(executor)
                     say(f"the first points took long enough: the rest is done on {place.words}")
                     if place.dashboard:
                         say(f"Dask dashboard: {place.dashboard}")

@@ -27,6 +27,7 @@ from sweep.executing.worker import (
     run_units,
     too_long,
 )
+from sweep.functions.adapter import FunctionExperiment
 from sweep.load import load_experiment, provide, sources_of
 
 TRIES = 2
@@ -182,8 +183,11 @@ def child() -> None:
         answers.send(error)
         return
     with threadpool_limits(1):
-        for result in run_units(task, Deadlines()):
-            answers.send(result)
+        experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
+        alone = isinstance(experiment, FunctionExperiment) and experiment.vectorised
+        for part in [replace(task, units=(unit,)) for unit in task.units] if alone else [task]:
+            for result in run_units(part, Deadlines()):
+                answers.send(result)
     answers.send(None)
 
 

@@ -26,7 +26,7 @@ def identity(reference: str, digest: str | None = None) -> Identity:
     deciding = {name: _version(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
     for name, text in code_of(reference, experiment, digest).items():
-        deciding[name] = f"with digest {text}" if name.startswith("file ") else text
+        deciding[name] = f"with digest {text}" if name.startswith(("file ", "function ", "value ")) else text
     others = {"python": platform.python_version(), "machine": platform.machine()}
     return Identity(deciding, others | {name: _version(name) for name in OTHERS})
 

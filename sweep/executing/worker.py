@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from sweep.contract import Experiment, NotFiniteError, Point, ResultError, check_finite, checked
 from sweep.executing.captured import Captured, captured
 from sweep.executing.deadlines import Deadlines, TimeLimitError
+from sweep.functions.adapter import FunctionExperiment
+from sweep.functions.results import Flat
 from sweep.load import load_experiment
 from sweep.planning.plan import Block, generators
 
@@ -71,6 +73,8 @@ class TaskResult:
 
     ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
     samples are kept to these, (realisations, width), ``said`` the first row of a unit to what was printed in it.
+    Of a plain function ``values`` are the results by row; the client makes sums of them, since only it knows what they
+    are to be like.  ``texts`` are those in them, by their digests.
     """
 
     sums: NDArray[np.float64]
@@ -78,6 +82,8 @@ class TaskResult:
     failures: dict[int, Failure] = field(default_factory=dict)
     samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     said: dict[int, Captured] = field(default_factory=dict)
+    values: dict[int, Flat] = field(default_factory=dict)
+    texts: dict[bytes, str] = field(default_factory=dict)
 
 
 def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
@@ -99,6 +105,11 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     """Yield the result of each unit of a task; no more of a point that took too long is tried."""
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     defaults = experiment.defaults()
+    if isinstance(experiment, FunctionExperiment) and experiment.vectorised and len(task.units) > 1:
+        together = _together(experiment, task, deadlines)
+        if not together.failures:
+            yield together
+            return
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in task.units:
         result = failed(len(unit.points), experiment.sums_width)
@@ -120,6 +131,26 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
         yield result
 
 
+def _together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult:
+    """Return the results of all points of a task from one call of a vectorised function."""
+    defaults = experiment.defaults()
+    points = [defaults | unit.points[0] for unit in task.units]
+    result = failed(len(points), experiment.sums_width)
+    begun = time.perf_counter()
+    with captured() as said:
+        try:
+            with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(points)):
+                result.values.update(enumerate(experiment.many(points)))
+        except (KeyboardInterrupt, GeneratorExit):
+            raise
+        except BaseException as error:  # who is to blame is found out one by one
+            result.failures.update(dict.fromkeys(range(len(points)), failure_of(error)))
+    if said.printed or said.warnings:
+        result.said[0] = said
+    result.seconds[:] = (time.perf_counter() - begun) / len(points)
+    return result
+
+
 def _try(
     experiment: Experiment,
     points: Sequence[Point],
@@ -132,6 +163,10 @@ def _try(
     """Compute some points of a unit into these rows of its result; return whether that went well."""
     try:
         with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
+            if isinstance(experiment, FunctionExperiment):
+                values = function_values(experiment, points, unit.stream, unit.block, task.seed)
+                result.values.update(zip(rows, values, strict=True))
+                return True
             sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
     except TimeLimitError:
         result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
@@ -147,6 +182,18 @@ def _try(
     for row in rows:
         result.failures.pop(row, None)
     return True
+
+
+def function_values(
+    experiment: FunctionExperiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
+) -> list[Flat]:
+    """Return the results of a plain function at points: of one evaluation each, or of a block of realisations.
+
+    Raises ResultError for what is no result, and whatever the function raises.
+    """
+    if experiment.vectorised:
+        return experiment.many(points)
+    return experiment.block(points, block.n_sim, (rng for rng, _ in _streams(stream, block, seed)))
 
 
 def failure_of(error: BaseException) -> Failure:
@@ -179,6 +226,7 @@ def joined(results: Sequence[TaskResult]) -> TaskResult:
         {first + row: why for first, r in zip(starts, results, strict=False) for row, why in r.failures.items()},
         {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
         {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
+        {first + row: value for first, r in zip(starts, results, strict=False) for row, value in r.values.items()},
     )
 
 

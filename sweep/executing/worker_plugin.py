@@ -12,6 +12,7 @@ from sweep.executing.isolated import run_guarded
 from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import Task, TaskResult, run_task
 from sweep.load import provide
+from sweep.session import SessionFunction
 from sweep.sources import Sources
 
 PLUGIN = "linksweep"
@@ -43,7 +44,7 @@ class SourcesPlugin(WorkerPlugin):
 
     idempotent = True
 
-    def __init__(self, sources: Sources) -> None:
+    def __init__(self, sources: Sources | SessionFunction) -> None:
         self._sources = sources
         self.name = f"{PLUGIN}-{sources.path}-{sources.digest}"
 

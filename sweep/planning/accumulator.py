@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,6 +35,7 @@ class _Round:
     group: int = 0
     part: int = 0
     early: dict[tuple[int, int], Array] = field(default_factory=dict)
+    kept: list[Array] = field(default_factory=list)
 
 
 class Accumulator:
@@ -42,7 +43,8 @@ class Accumulator:
 
     Those of a point are added in their own order, not in that of their arrival, so that its sums are bitwise the same
     however it was computed; only blocks that come early are kept.  ``total`` (points, width), ``realisations`` and
-    ``status`` (points,) are indexed as the grid.
+    ``status`` (points,) are indexed as the grid.  Where an experiment makes something of kept realisations it stands
+    behind the sums in ``total``.
     """
 
     def __init__(
@@ -52,14 +54,18 @@ class Accumulator:
         sums: Array,
         failed: Collection[bytes] = (),
         only: Collection[bytes] | None = None,
+        samples: Callable[[bytes], Array] | None = None,
     ) -> None:
         """Start with the ``rows`` of a ledger and their ``sums``, and the points (by digest) that ``failed``.
 
-        With ``only`` nothing is missing but these points.  Raises SweepError for a plan of too many blocks.
+        With ``only`` nothing is missing but these points; ``samples`` gives the kept realisations of a row.  Raises
+        SweepError for a plan of too many blocks.
         """
         grid = plan.grid
+        self._samples = samples if grid.study.experiment.further_width else None
         self.plan, self._rows, self._failed, self._only = plan, rows, failed, only
-        self.total = np.zeros((len(grid), grid.study.experiment.sums_width))
+        experiment = grid.study.experiment
+        self.total = np.zeros((len(grid), experiment.sums_width + experiment.further_width))
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self._rounds: dict[int, _Round] = {}
@@ -106,7 +112,8 @@ class Accumulator:
                     left += size
                 else:
                     held += size
-                    more += self.add(point, block, sums[row])
+                    kept = None if self._samples is None else self._samples(work.ledger_keys()[0])
+                    more += self.add(point, block, sums[row], kept)
             blocks = more
         one = PlanSize(1, 0, 0, 0.0)
         return (held, left + one) if left.blocks else (held + one, left)
@@ -119,9 +126,11 @@ class Accumulator:
     def _is_wanted(self, point: GridPoint) -> bool:
         return self.status[point.index] == Status.MISSING and (self._only is None or point.digest in self._only)
 
-    def add(self, point: GridPoint, block: Block, row: Array) -> list[Block]:
-        """Add one block's sums; return the blocks that the point needs beyond those known so far."""
-        index = point.index
+    def add(self, point: GridPoint, block: Block, row: Array, kept: Array | None = None) -> list[Block]:
+        """Add one block's sums, and what is ``kept`` of its realisations; return the blocks that the point needs beyond
+        those known so far.
+        """
+        index, experiment = point.index, self.plan.grid.study.experiment
         self.realisations[index] += block.realisations
         if self.status[index] != Status.MISSING:
             return []
@@ -129,12 +138,14 @@ class Accumulator:
         round_ = self._rounds.get(index)
         if round_ is None:
             round_ = self._rounds[index] = _Round(range(self.plan.parts(cost)))
+        if kept is not None and experiment.further_width:
+            round_.kept.append(kept)
         if (block.group, block.part) != (round_.group, round_.part):
             round_.early[block.group, block.part] = row
             return []
         ready: Array | None = row
         while ready is not None:
-            self.total[index] += ready
+            self.total[index, : len(ready)] = experiment.added(self.total[index, : len(ready)], ready)
             round_.part += 1
             if round_.part == round_.parts.stop:
                 round_.part = round_.parts.start
@@ -156,9 +167,13 @@ class Accumulator:
     def _finish_round(self, point: GridPoint, parts: int) -> list[Block]:
         """Say that a point is done, or begin the round that its precision needs."""
         cost = self.plan.cost(point.parameters)
+        kept = self._rounds[point.index].kept
+        if kept:
+            experiment = self.plan.grid.study.experiment
+            self.total[point.index, experiment.sums_width :] = experiment.of_samples(np.concatenate(kept))
         wanted = self._wanted_parts(point.index, parts, cost)
         if wanted > parts:
-            self._rounds[point.index] = _Round(range(parts, wanted), part=parts)
+            self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept)
             return list(self._blocks(point))
         del self._rounds[point.index]
         self.status[point.index] = Status.DONE
@@ -181,6 +196,8 @@ class Accumulator:
         with np.errstate(divide="ignore", invalid="ignore"):
             errors = [np.abs(results[e] / results[value]) for value, e in study.experiment.errors_of_headline()]
         worst = max(float(np.max(error)) for error in errors)
+        if study.experiment.further_width and math.isnan(worst):
+            return min(2 * parts, self.plan.parts(cost, sampling.most))  # too few for the error of a quantile
         if math.isnan(worst) or worst <= precision:
             return parts
         needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sweep.contract import SweepError
+from sweep.functions.adapter import FunctionExperiment
 from sweep.planning.grid import Grid, GridPoint
 from sweep.planning.point_cache import PointCache
 
@@ -177,13 +178,22 @@ class Plan:
 
     def cost(self, parameters: dict[str, Any]) -> float:
         """Return the random numbers that one realisation of a point takes, at least 1."""
+        if self._costs_nothing_special:
+            return 1.0
         return max(1.0, self._cost(parameters))
+
+    @cached_property
+    def _costs_nothing_special(self) -> bool:
+        """Whether all points cost the same, which needs no look at them."""
+        return isinstance(self.grid.study.experiment, FunctionExperiment)
 
     def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
         """Return the axes on which the cost of a point depends, and the cost by their values; None where that is a
         long table.
         """
         grid = self.grid
+        if self._costs_nothing_special:
+            return (), {(): 1.0}
         if (found := self._cost.table()) is None and len(grid) <= MOST_COSTS:
             names = tuple(grid.study.axes)
             found = names, {tuple(p[n] for n in names): self._cost(p) for _, p in grid.parameters()}

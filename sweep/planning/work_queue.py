@@ -91,7 +91,7 @@ class Pending:
         per_second = self._measured_cost / max(self._measured_s, 1e-9)
         cost = max(min(TASK_S * per_second, self._left / (self._tasks_out + 1)), SHORTEST_TASK_S * per_second)
         # Samples are as large as the random numbers that make them, and travel in one message.
-        return min(cost, TARGET) if self._plan.grid.study.sampling.keep_samples else cost
+        return min(cost, TARGET) if self._plan.grid.study.keeps_samples else cost
 
     def _next(self) -> Work | None:
         while self._known:

@@ -86,6 +86,7 @@ def _scatter(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> 
 def _one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     """Return the axis to draw along: as asked for, or the longest of numbers, or the longest."""
     axes = [str(n) for n, c in dataset.coords.items() if c.dims and c.dims[0] in dataset["status"].dims and c.ndim == 1]
+    axes += [name for name in numeric_axes(dataset, variable) if name not in axes]
     if over:
         if len(over) > 1 or over[0] not in axes:
             raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(axes)}")
@@ -113,7 +114,7 @@ def _two_components(dataset: xr.Dataset, dimension: str) -> tuple[str, str]:
     return str(known[0]), str(known[1])
 
 
-LINES = GridFigure(lambda dataset, variable: bool(dataset["status"].ndim), _lines)
+LINES = GridFigure(lambda dataset, variable: bool(dataset["status"].ndim or numeric_axes(dataset, variable)), _lines)
 LAW = GridFigure(lambda dataset, variable: bool(numeric_axes(dataset, variable)), _law)
 MAP = GridFigure(lambda dataset, variable: len({dataset[a].dims[0] for a in numeric_axes(dataset, variable)}) > 1, _map)
 SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter)

@@ -13,6 +13,7 @@ from sweep.analysis.selection import place_in_words
 from sweep.contract import Array, SweepError
 from sweep.formatting import with_error
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
+from sweep.studies.provenance import outer_draw_of
 
 ERRORS_ALLOWED = 3.0
 """A value agrees with its prediction if it is so many of its errors from it."""
@@ -46,11 +47,15 @@ def headline(dataset: xr.Dataset) -> list[str]:
 
 def answers(dataset: xr.Dataset) -> list[Answer]:
     """Return what the results say of each headline quantity, of each of its components where it has any."""
-    return [
-        Answer(name, str(dataset[variable].attrs.get("long_name", "")), list(_sentences(part, variable, unit)))
-        for variable in headline(dataset)
-        for name, unit, part in _components(dataset, variable)
-    ]
+    found = []
+    for variable in headline(dataset):
+        meaning = str(dataset[variable].attrs.get("long_name", ""))
+        if array := _own_axes(dataset, variable):
+            found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, array)]))
+            continue
+        parts = _components(dataset, variable)
+        found += [Answer(name, meaning, list(_sentences(part, variable, unit))) for name, unit, part in parts]
+    return found
 
 
 def completeness(dataset: xr.Dataset) -> list[str]:
@@ -70,6 +75,28 @@ def completeness(dataset: xr.Dataset) -> list[str]:
 def failed(dataset: xr.Dataset) -> int:
     """Return the number of points that failed."""
     return int(np.sum(dataset["status"].values == Status.FAILED))
+
+
+def _own_axes(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Return the dimensions of a variable along which it is a function of numbers, and not a list of components."""
+    own = [str(d) for d in dataset[variable].dims if d not in dataset["status"].dims]
+    return own if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own) else []
+
+
+def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
+    array = dataset[variable]
+    values = array.values.astype(float)
+    if not np.isfinite(values).any():
+        return "No point has a value yet."
+    unit = str(array.attrs.get("units", ""))
+    unit = f" {unit}" if unit else ""
+    ends = []
+    for flat in (np.nanargmin(values), np.nanargmax(values)):
+        index = dict(zip(map(str, array.dims), map(int, np.unravel_index(flat, values.shape)), strict=True))
+        place = {d: dataset[d].values[i].item() for d, i in index.items() if d in dataset.coords}
+        ends.append(f"{with_error(float(values.reshape(-1)[flat]), 0.0)}{unit}, at {place_in_words(place)}")
+    along = " and ".join(f"{dataset.sizes[d]} values along {d}" for d in own)
+    return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
 
 
 def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
@@ -98,7 +125,9 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     if sentence := _what_changes_it(dims, values):
         yield sentence
     stated = [suffix for suffix in ERROR_WORDS if f"{variable}_{suffix}" in part]
-    parts = [ERROR_WORDS[suffix] for suffix in stated if bool(part[f"{variable}_{suffix}"].notnull().any())]
+    draw = outer_draw_of(part.attrs)
+    known_ones = [suffix for suffix in stated if bool(part[f"{variable}_{suffix}"].notnull().any())]
+    parts = [ERROR_WORDS[suffix].replace("catalogue", draw) for suffix in known_ones]
     if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
         yield sentence
     for sentence in unknown_parts(part, variable):

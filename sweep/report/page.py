@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import json
 import os
 from collections.abc import Sequence
 from importlib.resources import files
@@ -21,12 +22,15 @@ from sweep.report.link_section import link_section
 from sweep.report.section import Section, section
 from sweep.stores.location import Location, Where, located
 from sweep.stores.store import open_dataset
+from sweep.studies.provenance import CITATION, is_of_the_link
 from sweep.tie.stored import result_at
 
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
 """Begins every report: a file that does not is not replaced."""
 
 TEMPLATES = "templates"
+
+MESSAGE = "If you use these results, please cite what made them."
 
 
 def report_of(stores: Sequence[Where]) -> str:
@@ -63,8 +67,8 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         style=Markup(_file("page.css")),
         scripts=[Markup(script) for script in scripts],
         cite=[text for version in versions for text in citations(version)[-1:]],
-        cite_first=citations(versions[0])[:-1],
-        cite_message=message(),
+        cite_first=_cited([dataset for _, dataset in datasets], versions[0]),
+        cite_message=message() if any(map(_is_ours, (dataset for _, dataset in datasets))) else MESSAGE,
     )
     return MARK + body
 
@@ -110,6 +114,20 @@ def _totals(sections: Sequence[Section]) -> list[str]:
     open_ones = sum(bool(one.gaps) for one in sections)
     sentences = [f"Published numbers and claims: {summary_line(comparisons)}."] if comparisons else []
     return [*sentences, f"Incomplete: {open_ones} of {len(sections)} studies."] if open_ones else sentences
+
+
+def _is_ours(dataset: xr.Dataset) -> bool:
+    """Return whether results are of what comes with linksweep."""
+    return is_link(dataset) or is_of_the_link(dataset.attrs)
+
+
+def _cited(datasets: Sequence[xr.Dataset], version: str) -> list[str]:
+    """Return what to cite beside the software: what experiments ask for, of our own the paper."""
+    found: list[str] = []
+    for dataset in datasets:
+        own = citations(version)[:-1] if _is_ours(dataset) else json.loads(dataset.attrs.get(CITATION, "[]"))
+        found += [text for text in own if text not in found]
+    return found
 
 
 def _file(name: str) -> str:

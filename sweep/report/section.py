@@ -16,6 +16,7 @@ from sweep.analysis.verdicts import Comparison
 from sweep.report.answer import Answer, answers, completeness, failed, headline
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, pictures
+from sweep.studies.provenance import FUNCTION, outer_draw_of
 
 MOST_ROWS = 2000
 """A table has at most so many rows in the page, some 0.5 MB."""
@@ -90,7 +91,11 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
     attributes = dataset.attrs
     failures = json.loads(attributes.get("failures", "{}"))
     versions = json.loads(attributes.get("versions", "{}"))
-    known = {label: str(attributes[key]) for key, label in PROVENANCE.items() if attributes.get(key, "") != ""}
+    known = {
+        _worded(label, attributes): str(attributes[key])
+        for key, label in PROVENANCE.items()
+        if attributes.get(key, "") != ""
+    }
     title = str(attributes.get("title", store))
     return Section(
         store=store,
@@ -121,6 +126,13 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         study=str(attributes.get("study", "")) or _document(attributes),
         version=str(versions.get("linksweep", "unknown")),
     )
+
+
+def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
+    """Return what an attribute is called, in the words of its experiment."""
+    if FUNCTION in attributes:
+        return label.replace("each catalogue", "each point").replace("catalogues of each point", "outer draws")
+    return label.replace("catalogue", outer_draw_of(attributes))
 
 
 def _document(attributes: Mapping[Any, Any]) -> str:

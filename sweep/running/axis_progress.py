@@ -109,7 +109,8 @@ def folded(segments: Sequence[AxisSegment], most: int = MOST_LINES) -> list[Axis
 def as_lines(completion: Mapping[str, Sequence[AxisSegment]], units: Mapping[str, str]) -> list[str]:
     """Return the completion as aligned text; what is nowhere is left out."""
     headers = ["", "points done", "realisations", "failed", "excluded"]
-    shown = [True, True, True, *(any(getattr(s, n) for ss in completion.values() for s in ss) for n in headers[3:])]
+    partly = any(s.realisations != s.points for segments in completion.values() for s in segments)
+    shown = [True, True, partly, *(any(getattr(s, n) for ss in completion.values() for s in ss) for n in headers[3:])]
     rows: list[list[str]] = []
     for segments in completion.values():
         names = [f"{name} [{unit}]" if (unit := units.get(name, "")) else name for name in segments[0].first]

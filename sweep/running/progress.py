@@ -41,6 +41,7 @@ class TerminalProgress:
     def __init__(self, study: Study, bar: bool = True) -> None:
         """Prepare to show a run of this study, with a bar on a terminal if ``bar``."""
         self._study = study
+        self._once = study.experiment.deterministic
         self._console = Console(stderr=True)
         self._with_bar = bar and self._console.is_terminal
         self._bar: Progress | None = None
@@ -65,7 +66,9 @@ class TerminalProgress:
         partly = (
             ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
         )
-        to_do = counted(pending.realisations, "realisation")
+        to_do = counted(
+            pending.points if self._once else pending.realisations, "point" if self._once else "realisation"
+        )
         self.say(f"{counted(total.points, 'point')}{held}{partly}; {to_do} to do on {where}")
         if self._with_bar and pending.blocks:
             columns = (BarColumn(), TextColumn("{task.description}"), _Left(self._eta))
@@ -120,7 +123,9 @@ class TerminalProgress:
     def stopped(self, signal: str, store: object) -> None:
         """Say what an interrupted run leaves, and how to go on."""
         self._end_bar()
-        kept = f"{self._summary.done.realisations:,} realisations of this run are kept in {store}"
+        done_so_far = self._summary.done
+        what = counted(done_so_far.points, "point") if self._once else f"{done_so_far.realisations:,} realisations"
+        kept = f"{what} of this run {'is' if what == '1 point' else 'are'} kept in {store}"
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
@@ -142,8 +147,9 @@ class TerminalProgress:
     def _description(self) -> str:
         assert self._begun is not None, "a run starts before it is described"
         elapsed = max(time.monotonic() - self._begun, 1e-9)
-        rate = self._summary.done.realisations / elapsed
-        return f"{self._points:,}/{self._all_points:,} points, {rate:,.0f} realisations/s"
+        done = self._summary.done
+        rate, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
+        return f"{self._points:,}/{self._all_points:,} points, {rate / elapsed:,.0f} {noun}/s"
 
     def _end_bar(self) -> None:
         if self._bar is not None:

@@ -8,13 +8,15 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from sweep.contract import Experiment, SweepError, shown, suggest
-from sweep.executing.worker import run_block
+from sweep.contract import Experiment, ResultError, SweepError, shown, suggest
+from sweep.executing.worker import TaskResult, function_values, run_block
+from sweep.functions.adapter import FunctionExperiment
 from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
 from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
+from sweep.running.first_result import as_rows
 from sweep.running.results import assemble
 from sweep.running.trust import foreign_code, require_trust
 from sweep.stores.code import differences_of_code
@@ -22,6 +24,7 @@ from sweep.stores.location import Where
 from sweep.stores.opened import OpenStore
 from sweep.studies.axes import parse_places, parse_value
 from sweep.studies.reader import study_of_attributes
+from sweep.studies.record import as_recorded
 from sweep.studies.study import Study
 
 MAX_NAMED = 10
@@ -82,6 +85,7 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
     fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}
     alone = replace(study, axes={}, zipped=(), excluded=(), fixed=fixed | own, published=None, claims=())
+    alone = as_recorded(alone, opened.attributes)
     result = compute(Plan(Grid(alone)))
     stored = opened.dataset().isel(_indices(study, place))
     status = Status(int(stored["status"]))
@@ -95,6 +99,8 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
 
 def compute(plan: Plan) -> xr.Dataset:
     """Return the dataset of a plan, computed in this process; an exception of the experiment is not caught."""
+    if isinstance(plan.grid.study.experiment, FunctionExperiment):
+        return _compute_function(plan, plan.grid.study.experiment)
     accumulator = Accumulator(plan, {}, np.empty((0, 0)))
     pending = Pending(plan, accumulator)
     study = plan.grid.study
@@ -108,6 +114,35 @@ def compute(plan: Plan) -> xr.Dataset:
     for problem in failing(accumulator, np.flatnonzero(accumulator.status == Status.DONE).tolist()).values():
         raise problem
     return assemble(plan, accumulator)
+
+
+def _compute_function(plan: Plan, experiment: FunctionExperiment) -> xr.Dataset:
+    """Return the dataset of a plan of a plain function, whose results may be known only after the first."""
+    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+    pending = Pending(plan, accumulator)
+    texts: dict[bytes, str] = {}
+    with threadpool_limits(1):
+        while tasks := pending.take(1):
+            for work in tasks[0]:
+                points = [point.parameters for point in work.points]
+                flats = function_values(
+                    experiment, points, work.points[0].stream, work.block, plan.grid.study.sampling.seed
+                )
+                if experiment.undeclared:
+                    study = replace(plan.grid.study, experiment=experiment.with_layout(flats[0].layout))
+                    return compute(Plan(replace(plan.grid, study=study)))
+                rows = as_rows(
+                    experiment,
+                    [work],
+                    TaskResult(np.empty((0, 0)), np.zeros(len(flats)), values=dict(enumerate(flats))),
+                )
+                for failure in rows.failures.values():
+                    raise ResultError(failure.message)
+                texts |= rows.texts
+                for row, point in enumerate(work.points):
+                    more = accumulator.add(point, work.block, rows.sums[row], rows.samples.get(row))
+                    pending.add(plan.work((point,), block) for block in more)
+    return assemble(plan, accumulator, texts)
 
 
 def place_of(study: Study, at: str, where: str) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The labelled dataset of a study, assembled from the sums in its ledger."""
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sweep.contract import Array, Output, Parameter
+from sweep.functions.adapter import FunctionExperiment
+from sweep.functions.typed import typed_array
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
@@ -15,10 +18,11 @@ from sweep.planning.point_status import Status
 from sweep.studies.study import Published, printed_rounding
 
 
-def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
-    """Return the dataset of a plan from what its accumulator holds.
+def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
+    """Return the dataset of a plan from what its accumulator holds, and the ``texts`` in that by their digests.
 
-    A point has values when all its blocks are there; all others are NaN with a ``status`` that says why.
+    A point has values when all its blocks are there; all others are missing (`typed_array`) with a ``status`` that says
+    why.
     """
     grid = plan.grid
     study = grid.study
@@ -32,14 +36,13 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already
-        shape = tuple(len(experiment.coordinates[dim]) for dim in output.dims)
-        values = np.full((len(grid), *shape), np.nan)
-        if output.name in results:
-            values[done] = results[output.name]
+        shape = experiment.shape_of(output)
+        values = typed_array(results.get(output.name), done, shape, texts)
         variables[output.name] = _variable(grid, values, output)
-    variables["n_sim_done"] = _variable(
-        grid, accumulator.realisations.copy(), Output("n_sim_done", "", "realisations done, over all catalogues")
-    )
+    if not experiment.deterministic:
+        over = "" if isinstance(experiment, FunctionExperiment) else f", over all {experiment.outer_draw}s"
+        meaning = f"realisations done{over}"
+        variables["n_sim_done"] = _variable(grid, accumulator.realisations.copy(), Output("n_sim_done", "", meaning))
     variables["status"] = _variable(grid, accumulator.status.copy(), Output("status", "", "state of the point"))
     variables["status"][2].update(flag_values=list(map(int, Status)), flag_meanings=" ".join(s.word for s in Status))
     variables |= _published(grid)
@@ -89,6 +92,8 @@ def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[s
     attributes = _attributes(output)
     if output.headline:
         attributes["headline"] = 1
+    if values.dtype.kind == "M":
+        del attributes["units"]  # xarray has its own for times
     return (*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes
 
 
@@ -104,12 +109,19 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)
-            text = parameter.kind == "str"
+            text = parameter.kind == "str" or isinstance(study.axes[name][0], str)
             values = np.array(
                 [str(v) for v in study.axes[name]] if text else study.axes[name], object if text else None
             )
             coordinates[name] = (dimension, values, _attributes(parameter))
+    layout = experiment.layout if isinstance(experiment, FunctionExperiment) else None
+    for coordinate in layout.coordinates if layout is not None else ():
+        unit = {} if coordinate.type == "datetime" else {"units": coordinate.unit}
+        about = {**unit, "long_name": coordinate.name.replace("_", " ")}
+        coordinates[coordinate.name] = (coordinate.name, coordinate.array(), about)
     for dimension, labels in experiment.coordinates.items():
+        if dimension in coordinates:
+            continue
         coordinates[dimension] = (
             dimension,
             np.array(labels, dtype=object),

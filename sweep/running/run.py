@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -11,20 +12,23 @@ from sweep.contract import SweepError
 from sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
 from sweep.executing.execute import Executor, Place
 from sweep.executing.worker import TaskResult
+from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
 from sweep.planning.accumulator import Accumulator, Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan, Work
 from sweep.planning.work_queue import Pending
+from sweep.running.first_result import Done, as_rows, first_results
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import check_code, record_code
 from sweep.stores.fresh import replace_store
-from sweep.stores.location import Where
+from sweep.stores.location import Where, located
 from sweep.stores.lock import locked
+from sweep.stores.root import find_root
 from sweep.stores.store import Store, create_store, find_store, open_store
 from sweep.studies.provenance import provenance
-from sweep.studies.record import RECORD, recorded
+from sweep.studies.record import RECORD, as_recorded, recorded
 from sweep.studies.study import Study
 
 
@@ -64,6 +68,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
     input, and for a store that other code made unless ``accept_code``.
     """
+    study = _as_stored(study, store)
     plan = Plan(make_grid(study))
     opened = open_store(find_store(store, study), study)
     if opened is not None and not accept_code:
@@ -91,6 +96,7 @@ def run_study(
     everything that was finished in the store.
     """
     progress = progress or Silent()
+    study = study if fresh else _as_stored(study, store)
     plan = Plan(make_grid(study))
     for sentence in plan.grid.warnings:
         progress.say(f"warning: {sentence}")
@@ -109,48 +115,49 @@ def run_study(
             check_code(opened, study)
         if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:
             return _left_alone(part, store, progress)
-        again = None
-        if retry:
-            again = _clear_failures(opened, plan)
-            if not again:
-                progress.say(f"no point in {store} has failed")
+        again = _clear_failures(opened, plan, progress) if retry else None
         accumulator = _accumulator(plan, opened, again)
         pending = accumulator.survey.pending
         where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
         place, run = stack.enter_context(where)
-        if opened is None:
-            opened = Store(create_store(store, study, told | {RECORD: recorded(study, plan.costs())}), study)
-            opened.keep_copy()
-        opened.verify()
+        progress.start(accumulator.survey, place.words, place.workers)
+        study, first = first_results(study, Pending(plan, accumulator), run)
+        if first:
+            plan = Plan(replace(plan.grid, study=study))
+        opened = _opened(store, opened, plan)
         record_code(opened, study, progress.say)
+        accumulator = _accumulator(plan, opened, again) if first else accumulator
         if unused := len(opened.rows) - accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-        return _computed(plan, accumulator, opened, place, run, progress, interruptions.held)
+        return _computed(plan, accumulator, opened, first, place, run, progress, interruptions.held)
 
 
 def _computed(
     plan: Plan,
     accumulator: Accumulator,
     store: Store,
+    first: Sequence[Done],
     place: Place,
     run: Executor,
     progress: Progress,
     held: Callable[[], AbstractContextManager[None]],
 ) -> tuple[xr.Dataset, dict[str, str]]:
-    """Compute what is pending into an open store, and return the dataset and the failures."""
+    """Compute what is pending into an open store, after the results that came first, and return the dataset and the
+    failures.
+    """
     pending = Pending(plan, accumulator)
     writer = Writer(plan, accumulator, pending, store, held)
     try:
-        progress.start(accumulator.survey, place.words, place.workers)
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
+        for works, result in first:
+            _take(writer, progress, works, result)
         results = run(pending.take)
         if accumulator.survey.pending.blocks:
             writer.write()  # so that there is a labelled, if empty, dataset from the start
         with writer:
             for given, result in results:
-                works = pending.settle(given, result.seconds)
-                progress.advance(works, result, writer.take(works, result))
+                _take(writer, progress, pending.settle(given, result.seconds), result)
         dataset = writer.write(final=True)
         progress.written()
         return dataset, writer.failures()
@@ -163,21 +170,59 @@ def _computed(
         raise
 
 
+def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: TaskResult) -> None:
+    """Put a task's result into the ledger."""
+    experiment = writer.plan.grid.study.experiment
+    if isinstance(experiment, FunctionExperiment):
+        result = as_rows(experiment, works, result)
+    progress.advance(works, result, writer.take(works, result))
+
+
+def _as_stored(study: Study, store: Where) -> Study:
+    """Return a study of a plain function with the layout of results that its store holds."""
+    if not study.experiment.undeclared:
+        return study
+    root = find_root(located(store))
+    return study if root is None else as_recorded(study, root["attributes"])
+
+
+def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
+    """Return the store of a plan: the one that is there, or a new one.
+
+    One without results that was made when nothing was known of them is begun anew where that is known now; its failures
+    stay.
+    """
+    study = plan.grid.study
+    begun = store is not None and store.study.experiment.undeclared and not study.experiment.undeclared
+    if store is None or begun:
+        told = provenance(study) | {RECORD: recorded(study, plan.costs())}
+        made = replace_store(place, study, told) if begun else create_store(place, study, told)
+        failures = {} if store is None else dict(store.failures)
+        store = Store(made or create_store(place, study, told), study)
+        store.keep_copy()
+        for digest, record in failures.items():
+            store.fail(digest, record)
+    store.verify()
+    return store
+
+
 def _left_alone(part: xr.Dataset, store: Where, progress: Progress) -> tuple[xr.Dataset, dict[str, str]]:
     progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
     return part, {}
 
 
-def _clear_failures(store: Store | None, plan: Plan) -> frozenset[bytes]:
-    """Forget the failures of a plan's points, and return their digests."""
-    if store is None:
-        return frozenset()
-    failed = frozenset(store.failures.keys() & {point.digest for point in plan.grid.points()})
-    store.clear_failures(failed)
+def _clear_failures(store: Store | None, plan: Plan, progress: Progress) -> frozenset[bytes]:
+    """Forget the failures of a plan's points, and return their digests; say so where there are none."""
+    failed: frozenset[bytes] = frozenset()
+    if store is not None:
+        failed = frozenset(store.failures.keys() & {point.digest for point in plan.grid.points()})
+        store.clear_failures(failed)
+    if not failed:
+        progress.say(f"no point in {store.location if store else 'the store'} has failed")
     return failed
 
 
 def _accumulator(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Accumulator:
     if store is None:
         return Accumulator(plan, {}, np.empty((0, 0)))
-    return Accumulator(plan, store.rows, store.sums(), store.failures, only)
+    return Accumulator(plan, store.rows, store.sums(), store.failures, only, store.samples)

@@ -77,12 +77,15 @@ class RunSummary:
         """Return what there is to say at the end of a run that took ``elapsed`` seconds; nothing if it did nothing."""
         if not self.done.blocks:
             return []
-        rate = self.done.realisations / max(elapsed, 1e-9)
+        experiment = self._study.experiment
+        once = experiment.deterministic
+        rate = (self.done.points if once else self.done.realisations) / max(elapsed, 1e-9)
+        realisations = "" if once else f" and {counted(self.done.realisations, 'realisation')}"
         took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
         lines = [
-            f"{counted(self.done.points, 'point')} and {counted(self.done.realisations, 'realisation')} in {took}: "
-            f"{rate:,.0f} realisations/s, {self.busy:,.1f} s of work by all workers together, "
-            f"worth {self.done.cost:.2g} random numbers"
+            f"{counted(self.done.points, 'point')}{realisations} in {took}: "
+            f"{rate:,.0f} {'points' if once else 'realisations'}/s, {self.busy:,.1f} s of work by all workers together"
+            + (f", worth {self.done.cost:.2g} {experiment.cost_unit}" if experiment.cost_unit else "")
         ]
         if len(self._seconds) > 1:
             slowest = (

@@ -43,7 +43,8 @@ def status_report(store: Where) -> dict[str, Any]:
             raise SweepError(f"{UNFINISHED} ({'; '.join(error.problems)})", str(opened.location)) from error
         axes, units, status, realisations = _of_dataset(dataset)
         note = {"note": f"as of the last writing: {'; '.join(error.problems)}"}
-    wanted = int(attributes["n_sim"]) * int(attributes["n_cat"])
+    random = "n_sim" in attributes
+    wanted = int(attributes["n_sim"]) * int(attributes["n_cat"]) if random else 1
     return {
         "title": attributes["title"],
         **note,
@@ -52,7 +53,7 @@ def status_report(store: Where) -> dict[str, Any]:
         "last written": attributes.get("finished", "never"),
         "points": {code.word: n for code, n in count_status(status).items()},
         "blocks in the ledger": len(ledger.ledger.rows),
-        "realisations done": int(realisations.sum()),
+        **({"realisations done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),
         "units": units,
         "failures": json.loads(attributes.get("failures", "{}")),
@@ -106,7 +107,13 @@ def _of_dataset(dataset: xr.Dataset) -> Progress:
     dimensions = [str(dimension) for dimension in dataset["status"].dims]
     axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
     units = {d: str(dataset[d].attrs.get("units", "")) for d in dimensions}
-    return axes, units, dataset["status"].values, dataset["n_sim_done"].values
+    status = dataset["status"].values
+    return (
+        axes,
+        units,
+        status,
+        dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int),
+    )
 
 
 def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
@@ -116,7 +123,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     plan, survey = plan_study(study, store, accept_code)
     grid = plan.grid
     floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
-    samples = study.experiment.samples_width * survey.total.realisations if study.sampling.keep_samples else 0
+    samples = study.experiment.samples_width * survey.total.realisations if study.keeps_samples else 0
     result_mb = 8e-6 * (floats + samples)
     ledger_mb = 8e-6 * (study.experiment.sums_width * survey.total.blocks + samples)
     tasks = math.ceil(survey.pending.cost / TARGET)
@@ -126,14 +133,24 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
         "grid": " x ".join(f"{name} {len(study.axes[name])}" for name in grid.dimensions) or "one point",
         "points": survey.total.points,
         "points_done": survey.total.points - survey.pending.points,
-        "realisations": survey.total.realisations,
-        "realisations_pending": survey.pending.realisations,
+        **(
+            {}
+            if study.experiment.deterministic
+            else {
+                "realisations": survey.total.realisations,
+                "realisations_pending": survey.pending.realisations,
+            }
+        ),
         "blocks_pending": survey.pending.blocks,
         "tasks_about": tasks,
         "result_mb": round(result_mb, 3),
         "ledger_mb": round(ledger_mb, 3),
         "memory_mb": round(result_mb + ledger_mb, 3),
-        "seconds": round(survey.pending.cost / (_normals_per_second() * cores), 1),
+        **(
+            {"seconds": round(survey.pending.cost / (_normals_per_second() * cores), 1)}
+            if study.experiment.cost_unit
+            else {}
+        ),
         "cores": cores,
         "store": str(store),
         "warnings": list(grid.warnings),

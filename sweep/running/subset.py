@@ -40,13 +40,15 @@ def part_of_larger(store: OpenStore, grid: Grid) -> xr.Dataset | None:
     if not bool((part["status"] == Status.DONE).all()) or set(part["status"].dims) != set(grid.dimensions):
         return None
     fewer = part["status"].size < dataset["status"].size
-    less = any(dataset.attrs[key] > getattr(study.sampling, key) for key in ("n_sim", "n_cat"))
+    less = any(dataset.attrs[key] > number for key, number in study.numbers().items())
     less |= dataset.attrs.get("precision") != study.sampling.precision
     return part.transpose(*grid.dimensions, ...) if fewer or less else None
 
 
 def _enough_realisations(attributes: dict[str, Any], grid: Grid) -> bool:
     sampling = grid.study.sampling
+    if grid.study.experiment.deterministic:
+        return True
     stored = attributes.get("precision")
     if stored is not None or sampling.precision is not None:  # by how much a point was realised depends on all of these
         fine_enough = stored is not None and sampling.precision is not None and stored <= sampling.precision

@@ -105,9 +105,8 @@ class Writer:
                     ends = self._fail(point, failure)
                 else:
                     good.append(row)
-                    added += [
-                        self.plan.work((point,), more) for more in self.accumulator.add(point, block, result.sums[row])
-                    ]
+                    more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
+                    added += [self.plan.work((point,), one) for one in more]
                     ends = self.accumulator.status[point.index] == Status.DONE
                 if ends:
                     ended.append(point)
@@ -115,7 +114,7 @@ class Writer:
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.status[p.index] == Status.DONE])
             self._pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
-            self.store.append([keys[row] for row in good], result.sums[good], samples)
+            self.store.append([keys[row] for row in good], result.sums[good], samples, result.texts)
             self._unflushed = True
             if clock - self._flushed > FLUSH_EVERY_S:
                 self.flush()
@@ -129,7 +128,7 @@ class Writer:
         study = self.plan.grid.study
         with self._held():
             self.flush()
-        dataset = assemble(self.plan, self.accumulator)
+        dataset = assemble(self.plan, self.accumulator, self.store.texts)
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:

@@ -16,7 +16,7 @@ def identity(study: Study) -> dict[str, Any]:
         "linksweep_format": FORMAT,
         "study_meaning": json.dumps(study.meaning(), default=content_digest),
         "study_axes": json.dumps(list(study.axes)),
-        "ledger": json.dumps(shapes_of(study.experiment, keep_samples=study.sampling.keep_samples)),
+        "ledger": json.dumps(shapes_of(study.experiment, keep_samples=study.keeps_samples)),
     }
 
 

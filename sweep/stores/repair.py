@@ -17,6 +17,7 @@ from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.stores.lock import holder, locked
 from sweep.stores.opened import UNFINISHED
 from sweep.stores.root import COPY, FORMAT, ROOT, UNBOUND, damaged_copy, find_root, is_bound, is_new, readable_copy
+from sweep.stores.texts import Texts
 
 NOT_BOUND = (
     f"has store format {UNBOUND}, in which nothing says of a chunk where it belongs: files that were exchanged are not "
@@ -103,6 +104,7 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], dict[str, Column
     keys = location.keys()
     columns = columns_of(location, json.loads(attributes["ledger"]), keys)
     documents = location.get_all([COPY, failures.FILE, *(column.description for column in columns.values())])
+    report.ledger.update(Texts(location, keys).damaged)
     report.ledger.update(damaged_descriptions(columns.values(), documents))
     has_begun = root is None or not is_new(root) or any(column.chunks for column in columns.values())
     if documents[COPY] is None:

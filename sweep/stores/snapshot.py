@@ -71,10 +71,17 @@ def encode(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, Encoded]]:
     empty, so that one that is missing was lost.
     """
     files: dict[str, Any] = {}
-    encoding = {
+    encoding: dict[Any, dict[str, Any]] = {
         name: {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "chunks": chunk_shape(variable)}
         for name, variable in dataset.variables.items()
     }
+    for name, variable in dataset.variables.items():
+        if variable.dtype.kind == "M":  # to the last nanosecond
+            encoding[name] |= {
+                "units": "nanoseconds since 1970-01-01",
+                "calendar": "proleptic_gregorian",
+                "dtype": "int64",
+            }
     dataset.drop_encoding().to_zarr(
         MemoryStore(files), mode="w", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
     )

@@ -5,11 +5,14 @@ The ledger is the truth.  Only the client writes, under the lock of `sweep.store
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import xarray as xr
 
 from sweep.contract import Array, SweepError
+from sweep.functions.adapter import FunctionExperiment
+from sweep.functions.results import TEXT_BYTES
 from sweep.stores import failures, snapshot
 from sweep.stores.checksums import group_document, sealed
 from sweep.stores.chunked_rows import DamagedError
@@ -19,6 +22,7 @@ from sweep.stores.location import Where, located, reading, writing
 from sweep.stores.opened import OpenStore, damaged_ledger
 from sweep.stores.origin import ORIGIN, origin
 from sweep.stores.root import COPY, ROOT, find_root, is_bound
+from sweep.stores.texts import Texts
 from sweep.studies.study import Study
 
 RESERVED = {"blocks", "failures"}
@@ -50,6 +54,8 @@ class Store:
         ledger = opened.ledger()
         self._ledger, self.failures, self._copied, keys = ledger.ledger, ledger.failures, ledger.copy, ledger.keys
         self.rows = self._ledger.rows
+        self.texts = Texts(self.location, keys)
+        self._leave_out_rows_without_texts()
         self._failures_changed = False
         self._unwritten = 0
         try:
@@ -64,6 +70,17 @@ class Store:
         """What the root document says."""
         attributes: dict[str, Any] = self.root["attributes"]
         return attributes
+
+    def _leave_out_rows_without_texts(self) -> None:
+        """Count rows as missing whose texts are, so that these points are computed again."""
+        experiment = self.study.experiment
+        if not isinstance(experiment, FunctionExperiment) or not (places := experiment.text_places()):
+            return
+        sums = self._ledger.sums()
+        for key, row in list(self.rows.items()):
+            content = sums[row].tobytes()
+            if any(content[start : start + TEXT_BYTES] not in self.texts for start in places):
+                del self.rows[key]
 
     def sums(self) -> Array:
         """Return all rows of the ledger, (rows, width); `rows` says which is whose."""
@@ -88,10 +105,19 @@ class Store:
         except DamagedError as error:
             raise damaged_ledger(self.location, error.files) from error
 
-    def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array] = ()) -> None:
-        """Add finished blocks, with their samples if the study keeps them; they are durable after the next `flush`."""
+    def append(
+        self,
+        keys: Sequence[bytes],
+        sums: Array,
+        samples: Sequence[Array] = (),
+        texts: Mapping[bytes, str] = MappingProxyType({}),
+    ) -> None:
+        """Add finished blocks, with their samples if the study keeps them, and the texts in them by their digests; they
+        are durable after the next `flush`.
+        """
         if not keys:
             return
+        self.texts.add(texts)
         self._ledger.append(keys, sums, samples)
         self._unwritten += sums.nbytes + sum(kept.nbytes for kept in samples)
         if self._unwritten > MOST_UNWRITTEN:
@@ -114,6 +140,7 @@ class Store:
                 document = group_document({"failures": failures.as_json(self.failures)})
                 self.location.put(failures.FILE, sealed(document, failures.FILE))
                 self._failures_changed = False
+            self.texts.flush()  # before the rows that speak of them
             self._ledger.flush()
             self._unwritten = 0
 

@@ -5,11 +5,13 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import Study
 from sweep.tablefile import content_digest
 
@@ -19,6 +21,16 @@ ERROR_CONVENTION = 2
 """How the errors in a dataset were made (docs/errors.md): 2 since catalogues are what is independent; no attribute
 before that.
 """
+
+
+OUTER_DRAW, CITATION = "outer_draw", "citation"
+"""Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON."""
+
+OF_THE_LINK = ("core.", "sweep.tie.")
+"""Modules of experiments that come with linksweep and share catalogues."""
+
+FUNCTION = "function"
+"""The attribute of results of a plain function: its name."""
 
 
 def provenance(study: Study) -> dict[str, Any]:
@@ -31,12 +43,13 @@ def provenance(study: Study) -> dict[str, Any]:
         "study_overrides": " ".join(study.overrides),
         "study_digest": study.digest(),
         "experiment": study.experiment_reference,
-        "seed": study.sampling.seed,
-        "n_sim": study.sampling.n_sim,
-        "n_cat": study.sampling.n_cat,
+        **({FUNCTION: study.experiment.name} if isinstance(study.experiment, FunctionExperiment) else {}),
+        **({} if study.experiment.deterministic else {"seed": study.sampling.seed}),
+        **study.numbers(),
         **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
         "error_convention": ERROR_CONVENTION,
         **(_common(study) if study.sampling.common_random_numbers else {}),
+        **_words(study),
         "study_document": json.dumps(study.document),
         "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
         "host": host(),
@@ -57,6 +70,25 @@ def provenance(study: Study) -> dict[str, Any]:
     if commit := git_commit():
         attributes["git_commit"] = commit
     return attributes
+
+
+def is_of_the_link(attributes: Mapping[Any, Any]) -> bool:
+    """Return whether results with these attributes are of an experiment that comes with linksweep."""
+    return str(attributes.get("experiment", OF_THE_LINK[0])).startswith(OF_THE_LINK)
+
+
+def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
+    """Return what results with these attributes call draws that several realisations share."""
+    return str(attributes.get(OUTER_DRAW, "catalogue" if is_of_the_link(attributes) else "outer draw"))
+
+
+def _words(study: Study) -> dict[str, str]:
+    """Return the words of an experiment of a user's that are not those of all."""
+    experiment = study.experiment
+    if is_of_the_link({"experiment": study.experiment_reference}):
+        return {}
+    own = {OUTER_DRAW: experiment.outer_draw} if experiment.outer_draw != "outer draw" else {}
+    return own | ({CITATION: json.dumps(experiment.citation)} if experiment.citation else {})
 
 
 def _common(study: Study) -> dict[str, Any]:

@@ -20,16 +20,20 @@ from sweep.studies.form import Form, known_keys
 from sweep.studies.problems import Problems
 from sweep.studies.published import read_published
 from sweep.studies.rules import check_sampling, zipped_axes
-from sweep.studies.source import Place, find_study, parsed, read_text
-from sweep.studies.study import Claim, Study
+from sweep.studies.source import Place, find_study, parsed, read_text, reference_in
+from sweep.studies.study import Claim, Sampling, Study
 from sweep.tablefile import TableFile, table_file
+
+ONCE = Sampling(n_sim=1)
+"""The sampling of what is computed once."""
 
 
 def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[str] = ()) -> Study:
     """Return the study of a built-in name or a TOML file, read and checked.
 
     Args:
-        name_or_path: the name of a built-in study, or the path of a file.
+        name_or_path: the name of a built-in study, the path of a file, or ``file.py:function`` and
+            ``module:function``, which are studies by themselves.
         settings: ``KEY=VALUE``, laid over the file as ``sweep run --set`` does.
         axes: ``NAME=SPEC``, laid over the file as ``sweep run --axis`` does.
 
@@ -44,9 +48,13 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
         >>> study.axes["v_max"], study.sampling.n_sim
         ((14.0, 14.5, 15.0, 15.5, 16.0), 50)
     """
-    path = find_study(name_or_path)
-    text = read_text(path)
-    document = parsed(text, path)
+    if (function := reference_in(name_or_path)) is not None:
+        path, text = Path.cwd() / f"{function.rpartition(':')[2]}.toml", ""
+        document: dict[str, Any] = {"title": path.stem, "experiment": function}
+    else:
+        path = find_study(name_or_path)
+        text = read_text(path)
+        document = parsed(text, path)
     problems: list[str] = []
     overridden: dict[Place, str] = {}
     for setting in settings:
@@ -54,14 +62,14 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
     for axis in axes:
         overridden[override(document, axis, problems, as_axis=True)] = f"--axis {_option(axis)}"
     overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes])
-    return _Reader(document, text, path, problems, overrides, overridden).study()
+    return _Reader(document, text, path, problems, overrides, overridden, where=function).study()
 
 
-def study_from_dict(document: Mapping[str, Any], name: str = "study") -> Study:
-    """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError as
-    `load_study`.
+def study_from_dict(document: Mapping[str, Any], name: str = "study", where: str | None = None) -> Study:
+    """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError, which says
+    ``where``, as `load_study`.
     """
-    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}).study()
+    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", [], (), {}, where=where).study()
 
 
 def study_of_attributes(
@@ -103,20 +111,25 @@ class _Reader:
         overrides: tuple[str, ...],
         overridden: Mapping[Place, str],
         experiment: Callable[[str], Experiment] | None = None,
+        where: str | None = None,
     ) -> None:
         self.find_experiment = experiment
         self.document, self.text, self.path = document, text, path
-        self.problems = Problems(text, path, problems, overridden)
+        self.where = where or str(path)
+        self.problems = Problems(text, Path(self.where), problems, overridden)
         self.overrides, self.overridden = overrides, overridden
 
     def study(self) -> Study:
         form = self._form()
         experiment = None if form is None else self._experiment(form)
         if form is None or experiment is None:
-            raise SweepError(self.problems.found, str(self.path))
+            raise SweepError(self.problems.found, self.where)
+        if experiment.deterministic:
+            form = self._without_sampling_of_parameters(form, experiment)
         experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.problems.add)
         axes = {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
         fixed = {name: self._fixed(experiment, form, name, raw) for name, raw in form.fixed.items()}
+        self._check_required(experiment, form)
         zipped = zipped_axes(form.grid.zip, axes, self.problems)
         value = partial(self._value, experiment)
         excluded = tuple(
@@ -136,11 +149,11 @@ class _Reader:
             experiment=experiment,
             axes={name: values for name, values in axes.items() if values is not None},
             fixed=fixed,
-            sampling=form.sampling,
+            sampling=ONCE if experiment.deterministic else form.sampling,
             zipped=zipped,
             excluded=excluded,
             published=published,
-            source=str(self.path),
+            source=self.where,
             claims=claims,
             text=self.text,
             overrides=self.overrides,
@@ -157,6 +170,30 @@ class _Reader:
             file = str((self.path.parent / form.published.file).resolve())
             document["published"] = document["published"] | {"file": file}
         return document
+
+    def _without_sampling_of_parameters(self, form: Form, experiment: Experiment) -> Form:
+        """Return the form of a deterministic experiment in which ``--set seed=3`` has set its own parameter seed."""
+        names = {parameter.name for parameter in experiment.parameters}
+        moved = {
+            key: value
+            for key, value in form.sampling.model_dump(include=form.sampling.model_fields_set).items()
+            if key in names and self.overridden.get(("sampling", key))
+        }
+        if not moved:
+            return form
+        rest = {key: value for key, value in self.document["sampling"].items() if key not in moved}
+        fixed = {**self.document.get("fixed", {}), **moved}
+        axes = {key: value for key, value in self.document.get("axes", {}).items() if key not in moved}
+        self.document = {**self.document, "sampling": rest, "fixed": fixed, "axes": axes}
+        if not rest:
+            del self.document["sampling"]
+        return Form.model_validate(self.document)
+
+    def _check_required(self, experiment: Experiment, form: Form) -> None:
+        for parameter in experiment.parameters:
+            if parameter.required and parameter.name not in {**form.axes, **form.fixed}:
+                sentence = f"{parameter.name} has no default: the study must set it, here or in [axes]"
+                self.problems.add(("fixed", parameter.name), sentence)
 
     def _form(self) -> Form | None:
         try:
@@ -233,6 +270,14 @@ class _Reader:
                 return None
         if len(self.problems.found) > before:
             return None
+        if parameter.kind == "any":
+            kinds = {type(value) for value in values}
+            if kinds == {int, float}:
+                values = [float(value) for value in values]
+            elif len(kinds) > 1:
+                named = ", ".join(sorted(kind.__name__ for kind in kinds))
+                self.problems.add(where, f"has values of several types ({named}); an axis is of one")
+                return None
         repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
         if repeated:
             more = ", ..." if len(repeated) > 10 else ""

@@ -2,10 +2,11 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError
+from sweep.functions.adapter import FunctionExperiment, experiment_of_record, layout_of_record
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.study import Study
 from sweep.tablefile import as_json
@@ -28,10 +29,11 @@ def recorded(study: Study, costs: Costs | None) -> str:
             "outputs": [_declared(output) for output in experiment.outputs],
             "sample_outputs": [_declared(output) for output in experiment.sample_outputs],
             "sums": dict(experiment.sums),
-            "coordinates": dict(experiment.coordinates),
+            "coordinates": dict({} if isinstance(experiment, FunctionExperiment) else experiment.coordinates),
             "component_units": dict(experiment.component_units),
             "shared": list(experiment.shared),
             "nan_sums": list(experiment.nan_sums),
+            **({"function": experiment.as_record()} if isinstance(experiment, FunctionExperiment) else {}),
             **({} if costs is None else {"cost_axes": costs[0], "costs": {_key(k): v for k, v in costs[1].items()}}),
         }
     )
@@ -53,7 +55,19 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
         raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
 
 
+def as_recorded(study: Study, attributes: Mapping[str, Any]) -> Study:
+    """Return a study of a plain function whose results are known to be like those that a store holds, if it says so."""
+    experiment = study.experiment
+    if not isinstance(experiment, FunctionExperiment) or RECORD not in attributes:
+        return study
+    layout = layout_of_record(json.loads(attributes[RECORD]))
+    return study if layout is None else replace(study, experiment=experiment.with_layout(layout))
+
+
 def _experiment(record: Mapping[str, Any]) -> Experiment:
+    if "function" in record:
+        parameters = tuple(_made(Parameter, parameter) for parameter in record["parameters"])
+        return experiment_of_record(record, parameters)
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
     return Experiment(
         name=record["name"],

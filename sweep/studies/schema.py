@@ -68,6 +68,7 @@ def _value(parameter: Parameter) -> Schema:
         "vector": {"type": "array", "items": number, "minItems": 3, "maxItems": 3},
         "map": {"type": "object", "additionalProperties": {"type": "string"}},
         "file": {"type": "string"},
+        "any": {"type": ["number", "string", "boolean"]},
     }
     default = {} if parameter.default is None else {"default": parameter.written_default()}
     return {**_described(parameter), **kinds[parameter.kind], **default}

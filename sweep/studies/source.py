@@ -16,6 +16,9 @@ DEEPEST = 100
 
 TOO_DEEP = "not valid TOML: nested too deeply"
 
+REFERENCE = re.compile(r"(?P<place>[^:\n]+\.py|[A-Za-z_][\w.]*):[A-Za-z_]\w*")
+"""``file.py:NAME`` and ``module:NAME``."""
+
 Place = tuple[str | int, ...]
 """Keys and indices that lead to a value of the document."""
 
@@ -28,6 +31,12 @@ def built_in_studies() -> dict[str, Path]:
         for p in sorted(folder.iterdir(), key=str)
         if p.name.endswith(".toml")
     }
+
+
+def reference_in(name_or_path: str) -> str | None:
+    """Return ``file.py:NAME`` or ``module:NAME`` where that is what a study is called by; None for a file."""
+    found = REFERENCE.fullmatch(name_or_path)
+    return None if found is None or Path(name_or_path).exists() else name_or_path
 
 
 def find_study(name_or_path: str) -> Path:

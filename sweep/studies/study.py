@@ -189,6 +189,11 @@ class Study:
     overrides: tuple[str, ...] = ()
     document: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
+    @property
+    def keeps_samples(self) -> bool:
+        """Whether the ledger holds realisations: the study or the experiment asks for them."""
+        return self.sampling.keep_samples or self.experiment.keeps_samples
+
     def meaning(self) -> dict[str, Any]:
         """Return what the numbers of any point mean beside its own parameters: if this differs, results cannot be
         mixed.
@@ -197,18 +202,23 @@ class Study:
         return {
             "experiment": self.experiment.name,
             "experiment_version": self.experiment.version,
-            "seed": self.sampling.seed,
+            **({} if self.experiment.deterministic else {"seed": self.sampling.seed}),
             **({"keep_samples": True} if self.sampling.keep_samples else {}),
             **({"common_random_numbers": True} if self.sampling.common_random_numbers else {}),
             "fixed": {k: v for k, v in sorted(self.fixed.items()) if v != defaults[k]},
         }
 
+    def numbers(self) -> dict[str, int]:
+        """Return how many realisations there are, nothing where a point is computed once."""
+        if self.experiment.deterministic:
+            return {}
+        return {"n_sim": self.sampling.n_sim, "n_cat": self.sampling.n_cat}
+
     def digest(self) -> str:
         """Return a SHA-256 of everything that decides the results, whatever the layout of the file."""
         whole = self.meaning() | {
             "axes": self.axes,
-            "n_sim": self.sampling.n_sim,
-            "n_cat": self.sampling.n_cat,
+            **self.numbers(),
             **({} if self.sampling.precision is None else {"precision": [self.sampling.precision, self.sampling.most]}),
             "zip": self.zipped,
             "exclude": [[vars(c) for c in clause] for clause in self.excluded],

@@ -2,7 +2,8 @@
 
 import json
 
-from sweep.contract import Experiment
+from sweep.contract import Experiment, Parameter
+from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import Sampling
 
 SAMPLING = {
@@ -33,16 +34,17 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         "# NAME = { start = 1.0, stop = 2.0, step = 0.5 }",
         '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
         *(f"{name} = {_toml(values)}" for name, values in axes.items()),
-        "",
-        "[sampling]",
     ]
+    if not experiment.deterministic:
+        lines += ["", "[sampling]"]
     useless = _useless(experiment)
     for name, field in Sampling.model_fields.items():
-        if name in useless:
+        if name in useless or experiment.deterministic:
             continue
         given = SUGGESTED.get(name, field.default)
         mark = "# " if name in SUGGESTED else ""
-        lines.append(f"{mark}{name} = {_toml(given)}  # {SAMPLING[name]}")
+        draw = "point" if isinstance(experiment, FunctionExperiment) else experiment.outer_draw
+        lines.append(f"{mark}{name} = {_toml(given)}  # {SAMPLING[name].replace('catalogue', draw)}")
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
     unused = _unused(experiment, axes)
     for parameter in experiment.parameters:
@@ -52,14 +54,32 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         why = f" ({NOT_HERE} {unused[parameter.name]})" if parameter.name in unused else ""
         words = f"# {parameter.meaning}{unit}; {parameter.allowed()}{why}".split()
         lines += ["", "".join(c for c in " ".join(words) if c.isprintable())]
+        if parameter.required:
+            lines.append(f"{parameter.name} = {_toml(_example(parameter))}  # has no default")
+            continue
         default = "" if parameter.default is None else f" {_toml(parameter.written_default())}"
         lines.append(f"# {parameter.name} ={default}")
     return "\n".join(lines) + "\n"
 
 
+def _example(parameter: Parameter) -> object:
+    """Return a value that a parameter without a default may have."""
+    tried = [*parameter.choices, 1.0, 1, True, "text", parameter.minimum, parameter.maximum]
+    tried += [bound for edge in (parameter.above,) if edge is not None for bound in (edge + 1, 1.5 * edge)]
+    for value in tried:
+        try:
+            parameter.parse(value)
+        except ValueError:
+            continue
+        return int(value) if parameter.kind == "int" and isinstance(value, float) else value
+    return 1.0
+
+
 def _useless(experiment: Experiment) -> set[str]:
     """Return what of [sampling] the experiment has nothing for."""
+    function = isinstance(experiment, FunctionExperiment)
     needed = {
+        **({"n_cat": False} if function else {}),
         "precision": experiment.errors_of_headline(),
         "max_n_sim": experiment.errors_of_headline(),
         "keep_samples": experiment.samples,

@@ -236,5 +236,7 @@ tie = Experiment(
     unused=unused,
     warn=warn,
     cost=cost,
+    cost_unit="random numbers",
+    outer_draw="catalogue",
     nan_sums=tuple(name for name in SUMS if name != "kept"),
 )

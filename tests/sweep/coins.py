@@ -26,4 +26,5 @@ experiment = Experiment(
     outputs=(Output("share", "", "share of heads", headline=True),),
     evaluate=toss,
     summarise=summary,
+    cost_unit="random numbers",
 )

@@ -289,7 +289,7 @@ STUDIES = {
     "unknown module": (f'experiment = "no_such:x"\n{GOOD}', "'no_such:x': cannot be imported: ModuleNotFoundError: No"),
     "relative module": (f'experiment = ".:x"\n{GOOD}', "experiment (line 1): '.:x': cannot be imported"),
     "unknown attribute": (f'experiment = "math:taux"\n{GOOD}', "'math:taux': the module has no attribute 'taux'"),
-    "not an experiment": (f'experiment = "math:tau"\n{GOOD}', "has a float, not an Experiment, at 'tau'"),
+    "not an experiment": (f'experiment = "math:tau"\n{GOOD}', "has a float, not an Experiment or a function, at 'tau'"),
     "experiment file missing": (f'experiment = "no.py:x"\n{GOOD}', "experiment (line 1): there is no file", "no.py"),
     "experiment file with a NUL": (f'experiment = "a\\u0000.py:x"\n{GOOD}', "experiment (line 1)", r"a\x00.py:x': "),
     # published
@@ -393,7 +393,7 @@ def test_bad_published_table(here: Path, content: str | bytes, phrase: str) -> N
         ("def f(:\n", "cannot be imported: SyntaxError: invalid syntax"),
         ("import sys; sys.exit(0)", "cannot be imported: SystemExit: 0"),
         ("def __getattr__(name): raise ImportError(name)", "cannot be imported: ImportError: experiment"),
-        ("experiment = 1", "has a int, not an Experiment, at 'experiment'"),
+        ("experiment = 1", "has a int, not an Experiment or a function, at 'experiment'"),
     ],
 )
 def test_bad_experiment_file(here: Path, monkeypatch: pytest.MonkeyPatch, statement: str, phrase: str) -> None:

@@ -246,7 +246,7 @@ def test_mutants_of_every_study_are_planned_or_refused(folder: Path, count: int)
             result = CliRunner().invoke(main, ["plan", "study.toml"])
         check_answer(result, what)
         codes[result.exit_code] += 1
-    assert min(codes[0], codes[2]) > count // 10  # the mutations are neither too gentle nor too wild
+    assert min(codes[0], codes[2]) > count // 20  # the mutations are neither too gentle nor too wild
 
 
 @pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.slow)])

@@ -1,0 +1,265 @@
+"""A plain function as an `Experiment`, so that one road leads from a study to a store."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Any, TypeGuard
+
+import numpy as np
+
+from sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
+from sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
+from sweep.functions.layout import SLOTS, Layout, layout_of_json
+from sweep.functions.realisations import Realisations
+from sweep.functions.results import Declared, Flat, flatten, split_points
+from sweep.functions.signature import Signature, name_of, signature_of
+
+COUNT = 1
+"""Numbers in front of each row: of how many evaluations it is.  So no row is all NaN, which means one that is lost."""
+
+
+@dataclass(frozen=True)
+class PlainFunction:
+    """A function with what is known of it before it is called."""
+
+    call: Callable[..., Any]
+    signature: Signature
+    declaration: Declaration
+
+    @cached_property
+    def declared(self) -> Declared:
+        """What results are held to."""
+        names = tuple(parameter.name for parameter in self.signature.parameters)
+        outputs, name = self.declaration.outputs, self.signature.name
+        single = outputs[0].name if len(outputs) == 1 else "result" if name in ("function", *names) else name
+        return Declared(name, single, outputs, names)
+
+
+@dataclass(frozen=True)
+class FunctionExperiment(Experiment):
+    """The experiment that a plain function is.
+
+    ``layout`` is what its results are, None before the first.  ``declared`` are the outputs that the function declares,
+    ``rng`` says whether it takes a generator; without one it is evaluated once at each point.  One that a store has
+    recorded has no ``function`` and computes nothing.
+    """
+
+    function: PlainFunction | None = None
+    declared: tuple[Output, ...] = ()
+    rng: bool = False
+    layout: Layout | None = None
+
+    def __post_init__(self) -> None:
+        """Do nothing: `experiment_of` checks the declaration."""
+
+    @property
+    def deterministic(self) -> bool:
+        """Whether a point is evaluated once, without random numbers."""
+        return not self.rng
+
+    @property
+    def undeclared(self) -> bool:
+        """Whether the first result is still to say what the outputs are."""
+        return self.layout is None
+
+    @property
+    def vectorised(self) -> bool:
+        """Whether the function takes many points at once."""
+        return self.function is not None and self.function.declaration.vectorised
+
+    def with_layout(self, layout: Layout) -> "FunctionExperiment":
+        """Return the experiment whose results are known to be such."""
+        made = self.realisations.outputs(layout) if self.rng else _outputs(layout, self.declared)
+        known = {coordinate.name: coordinate for coordinate in layout.coordinates}
+        return replace(
+            self,
+            layout=layout,
+            outputs=made,
+            sums={"row": (COUNT + (self.realisations.width(layout) if self.rng else layout.width),)},
+            coordinates={name: coordinate.values for name, coordinate in known.items()},
+            nan_sums=("row",),
+        )
+
+    @cached_property
+    def realisations(self) -> Realisations:
+        """What is kept of random realisations."""
+        return Realisations(self.declared)
+
+    def block(self, points: Sequence[Point], n_sim: int, rng: Iterator[np.random.Generator]) -> list[Flat]:
+        """Return the result of each point: of one evaluation, or of ``n_sim`` realisations with the next generator.
+
+        Raises ResultError for what is no result, and whatever the function raises.
+        """
+        assert self.function is not None, "the record of an experiment computes nothing"
+        call, declared = self.function.call, self.function.declared
+        if not self.rng:
+            return [flatten(call(**point), declared) for point in points]
+        signature, generator = self.function.signature, next(rng)
+        return [self.realisations.drawn(call, signature, declared, point, n_sim, generator) for point in points]
+
+    def many(self, points: Sequence[Point]) -> list[Flat]:
+        """Return the results of points from one call of a vectorised function; raises as `block`."""
+        assert self.function is not None, "the record of an experiment computes nothing"
+        columns = {name: np.array([point[name] for point in points]) for name in points[0]}
+        return split_points(self.function.call(**columns), len(points), self.function.declared, "points")
+
+    def text_places(self) -> list[int]:
+        """Return where in a row, in bytes, the digests of texts begin."""
+        if self.layout is None or self.rng:
+            return []
+        fields = [field for field in self.layout.fields if field.type == "text"]
+        spans = (self.layout.places[field.name] for field in fields)
+        return [8 * (COUNT + number) for span in spans for number in range(span.start, span.stop, SLOTS["text"])]
+
+    def added(self, total: Array, row: Array) -> Array:
+        """Return what is known of a point with one block more: a single evaluation as it is, moments merged."""
+        if not self.rng or total[0] == 0.0:
+            return row
+        assert self.layout is not None, "rows have a layout"
+        return self.realisations.merged(self.layout, total, row)
+
+    @cached_property
+    def sums_width(self) -> int:
+        """Number of floats in one block's row."""
+        return sum(math.prod(shape) for shape in self.sums.values())
+
+    @property
+    def keeps_samples(self) -> bool:
+        """Whether realisations are kept, for quantiles."""
+        return self.rng and self.layout is not None and self.realisations.kept_width(self.layout) > 0
+
+    @property
+    def samples_width(self) -> int:
+        """Number of floats of one kept realisation."""
+        return self.realisations.kept_width(self.layout) if self.rng and self.layout is not None else 0
+
+    @property
+    def further_width(self) -> int:
+        """Number of floats that kept realisations add to what is known of a point."""
+        return self.realisations.further_width(self.layout) if self.rng and self.layout is not None else 0
+
+    def of_samples(self, samples: Array) -> Array:
+        """Return what the kept realisations (n, samples_width) of a point add, (further_width,)."""
+        assert self.layout is not None, "samples have a layout"
+        return self.realisations.of_samples(self.layout, samples)
+
+    def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
+        """Return every output of rows as `added` makes them, texts by their digests."""
+        if self.layout is None:
+            return {}
+        if self.rng:
+            return self.realisations.results(self.layout, rows)
+        return self.layout.values(rows[:, COUNT:])
+
+    def nan_outputs(self) -> list[str]:
+        """Return all outputs: results are checked where they come in."""
+        return [output.name for output in self.outputs]
+
+    def errors_of_headline(self) -> list[tuple[str, str]]:
+        """Return the headline outputs that have a Monte-Carlo error, and its name."""
+        if self.layout is None and self.rng:
+            return [("results", "results_mc_error")]  # mean and the like always have one
+        return super().errors_of_headline()
+
+    def as_record(self) -> dict[str, Any]:
+        """Return what a store records of it beside what it does of every experiment."""
+        return {
+            "rng": self.rng,
+            "layout": None if self.layout is None else self.layout.as_json(),
+            "outputs": [_recorded(output) for output in self.declared],
+        }
+
+
+def _recorded(output: Output) -> dict[str, Any]:
+    told = {one.name: getattr(output, one.name) for one in fields(output) if one.name != "coords"}
+    return {**told, "dims": _tuple(output.dims), "statistics": _tuple(output.statistics)}
+
+
+def _tuple(names: Any) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter, ...]) -> FunctionExperiment:
+    """Return the experiment that a store has recorded, which computes nothing."""
+    told = record["function"]
+    outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in told["outputs"])
+    empty = _undeclared(record["name"], parameters, outputs, told["rng"])
+    return empty if told["layout"] is None else empty.with_layout(layout_of_json(told["layout"]))
+
+
+def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
+    """Return the layout of results that a store has recorded; None where there is none."""
+    layout = record.get("function", {}).get("layout")
+    return None if layout is None else layout_of_json(layout)
+
+
+def is_plain_function(found: object) -> TypeGuard[Callable[..., Any]]:
+    """Return whether something may be swept as a function: it can be called and is no experiment."""
+    return callable(found) and not isinstance(found, Experiment)
+
+
+def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
+    """Return a plain function as an experiment; raises SweepError with all that keeps it from being one."""
+    try:
+        return _known(function)
+    except TypeError:  # it has no hash
+        return _made(function)
+
+
+@lru_cache(maxsize=64)
+def _known(function: Callable[..., Any]) -> FunctionExperiment:
+    return _made(function)
+
+
+def _made(function: Callable[..., Any]) -> FunctionExperiment:
+    declaration = declaration_of(function)
+    if not hasattr(function, ATTRIBUTE) and (found := problems(function, declaration)):
+        raise SweepError(found, f"function {name_of(function)}")
+    signature = signature_of(function)
+    made = _undeclared(signature.name, signature.parameters, declaration.outputs, signature.rng)
+    return replace(
+        made,
+        function=PlainFunction(function, signature, declaration),
+        packages=tuple(declaration.packages),
+        citation=declaration.citation,
+    )
+
+
+def _undeclared(
+    name: str, parameters: tuple[Parameter, ...], outputs: tuple[Output, ...], rng: bool
+) -> FunctionExperiment:
+    return FunctionExperiment(
+        name=name,
+        version=1,
+        parameters=parameters,
+        sums={"row": (COUNT,)},
+        outputs=(),
+        evaluate=_not_additive,
+        summarise=_not_additive,
+        declared=outputs,
+        rng=rng,
+    )
+
+
+def _not_additive(*_arguments: Any, **_named: Any) -> Any:
+    raise TypeError("a plain function has no sums")
+
+
+def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
+    """Return the outputs of a layout; those without dimensions are the headline where none is declared so."""
+    by_name = {output.name: output for output in declared}
+    headline = {output.name for output in declared if output.headline}
+    headline = headline or {field.name for field in layout.fields if not field.dims}
+    headline = headline or {field.name for field in layout.fields}
+    return tuple(
+        replace(
+            by_name.get(field.name, Output(field.name)),
+            unit=field.unit,
+            meaning=field.meaning or field.name.replace("_", " "),
+            dims=field.dims,
+            headline=field.name in headline,
+            coords=None,
+        )
+        for field in layout.fields
+    )

@@ -1,0 +1,172 @@
+"""`linksweep.experiment`: what a plain function declares beside its signature."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from sweep.contract import Output, ResultError, SweepError, shown
+from sweep.contract.declaration import GOOD_NAME, RESERVED, packages_problems, parameter_problems
+from sweep.contract.units import unit_problem
+from sweep.functions.results import coordinate_of
+from sweep.functions.signature import Signature, signature_of
+from sweep.functions.statistics import statistic_problem
+
+ATTRIBUTE = "__linksweep__"
+"""Where a function keeps its declaration."""
+
+AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What a plain function declares: outputs, whether it takes arrays of points, and packages whose versions count."""
+
+    outputs: tuple[Output, ...] = ()
+    vectorised: bool = False
+    packages: tuple[str, ...] = ()
+    citation: tuple[str, ...] = ()
+
+
+def experiment(
+    *,
+    outputs: Sequence[Output | str] = (),
+    vectorised: bool = False,
+    packages: Sequence[str] = (),
+    citation: str | Sequence[str] = (),
+) -> Callable[[AnyFunction], AnyFunction]:
+    """Declare more of a function than its signature says.  The function stays what it is and can be called as before.
+
+    Args:
+        outputs: units, meanings, dimensions and coordinates of results, and which statistics are made of them where the
+            function takes ``rng``.  Results that are not declared are kept all the same.
+        vectorised: the function takes arrays of points, one of each parameter and all of one length, and returns arrays
+            of that length; it is called for many points at once.
+        packages: distributions whose versions decide the results; with another version a store is not continued.
+        citation: what to cite who uses the results, for reports.
+
+    Returns:
+        A decorator that returns the function itself.
+
+    Raises:
+        SweepError: with all that is wrong in the declaration and in the signature.
+
+    Example:
+        >>> import numpy as np
+        >>> @experiment(outputs=[Output("range", unit="m")])
+        ... def throw(speed: float = 10.0, angle: float = 45.0):
+        ...     return {"range": speed**2 * np.sin(2.0 * np.radians(angle)) / 9.81}
+        >>> round(float(throw()["range"]), 2)
+        10.19
+    """
+
+    def declare(function: AnyFunction) -> AnyFunction:
+        given = [_output(one) for one in _sequence(outputs)]
+        cited = (citation,) if isinstance(citation, str) else tuple(citation)
+        declaration = Declaration(tuple(given), vectorised, tuple(_sequence(packages)), cited)
+        if found := problems(function, declaration):
+            name = getattr(function, "__name__", type(function).__name__)
+            raise SweepError(found, f"function {name}")
+        setattr(function, ATTRIBUTE, declaration)
+        return function
+
+    return declare
+
+
+def _sequence(given: Any) -> Sequence[Any]:
+    return (given,) if isinstance(given, str | Output) else tuple(given)
+
+
+def _output(given: Any) -> Any:
+    """Return an output, of a name alone too, with its dimensions as a tuple."""
+    output = Output(given) if isinstance(given, str) else given
+    return replace(output, dims=tuple(output.dims)) if isinstance(getattr(output, "dims", None), list) else output
+
+
+def declaration_of(function: Callable[..., Any]) -> Declaration:
+    """Return what a function declares, nothing by default."""
+    while not hasattr(function, ATTRIBUTE) and hasattr(function, "func"):  # a partial
+        function = function.func
+    found = getattr(function, ATTRIBUTE, None)
+    return found if isinstance(found, Declaration) else Declaration()
+
+
+def problems(function: Callable[..., Any], declaration: Declaration) -> list[str]:
+    """Return a sentence for each mistake in a function's signature and declaration."""
+    found: list[str] = []
+    try:
+        signature = signature_of(function)
+    except SweepError as error:
+        found += error.problems
+        signature = Signature("", ())
+    names = [parameter.name for parameter in signature.parameters]
+    for parameter in signature.parameters:
+        found += [f"parameter {parameter.name!r}: {text}" for text in _problems_of_parameter(parameter)]
+    known: set[str] = set()
+    for output in declaration.outputs:
+        if not isinstance(output, Output):
+            found.append(f"outputs: {shown(output)} is no Output")
+            continue
+        found += [f"output {shown(output.name)}: {text}" for text in _problems_of_output(output, signature, names)]
+        if output.name in known:
+            found.append(f"output {output.name!r}: is declared twice")
+        known.add(output.name)
+    found += _problems_of_coordinates([o for o in declaration.outputs if isinstance(o, Output)], names)
+    found += packages_problems(declaration.packages)
+    if declaration.vectorised and signature.rng:
+        found.append(
+            "vectorised: a function of rng is called for one point; take n_sim to get all realisations of it at once"
+        )
+    return found
+
+
+def _problems_of_parameter(parameter: Any) -> Iterator[str]:
+    if parameter.name in RESERVED:
+        yield "the platform gives this name in every dataset; take another"
+    yield from parameter_problems(parameter)
+
+
+def _problems_of_output(output: Output, signature: Signature, parameters: Sequence[str]) -> Iterator[str]:
+    if not isinstance(output.name, str) or not GOOD_NAME.fullmatch(output.name):
+        yield "a name begins with a letter and has letters, digits and any of _ . - only"
+    elif output.name in RESERVED:
+        yield "the platform gives this name in every dataset; take another"
+    elif output.name in parameters:
+        yield "is the name of a parameter too"
+    if wrong_unit := unit_problem(output.unit):
+        yield wrong_unit
+    dims = (output.dims,) if isinstance(output.dims, str) else tuple(output.dims)
+    if not all(isinstance(dim, str) for dim in dims) or len(set(dims)) < len(dims):
+        yield f"dims = {shown(output.dims)}: must be different names"
+        return
+    for dim in dims:
+        if not GOOD_NAME.fullmatch(dim) or dim in RESERVED:
+            yield f"the dimension {shown(dim)} cannot be named so"
+    for dim in output.coords or {}:
+        if dim not in dims:
+            yield f"coords: {shown(dim)} is none of its dimensions ({', '.join(dims) or 'it has none'})"
+    if output.statistics and not signature.rng:
+        yield "statistics are made of realisations, and the function takes no rng"
+    for name in (output.statistics,) if isinstance(output.statistics, str) else output.statistics:
+        if text := statistic_problem(name):
+            yield text
+
+
+def _problems_of_coordinates(outputs: Sequence[Output], parameters: Sequence[str]) -> Iterator[str]:
+    known: dict[str, Any] = {}
+    for output in outputs:
+        for dim, given in (output.coords or {}).items():
+            try:
+                coordinate = coordinate_of(dim, given)
+            except ResultError as error:
+                text = str(error)
+                yield f"output {output.name!r}: " + (text if "coordinate" in text else f"the coordinate {dim!r} {text}")
+                continue
+            if known.setdefault(dim, coordinate) != coordinate:
+                yield f"output {output.name!r}: the coordinate {dim!r} has other values than of another output"
+            if coordinate.unit and (wrong := unit_problem(coordinate.unit)):
+                yield f"output {output.name!r}: the coordinate {dim!r}: {wrong}"
+        for dim in (output.dims,) if isinstance(output.dims, str) else output.dims:
+            if dim in parameters:
+                yield f"output {output.name!r}: the dimension {dim!r} is the name of a parameter too"
+            if dim in [other.name for other in outputs]:
+                yield f"output {output.name!r}: the dimension {dim!r} is the name of an output too"

@@ -1,0 +1,79 @@
+"""What the results of a plain function are like: the first one says so, and later ones are held to it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sweep.executing.execute import Executor
+from sweep.executing.worker import Failure, TaskResult
+from sweep.functions.adapter import COUNT, FunctionExperiment
+from sweep.functions.layout import differences, held
+from sweep.functions.results import Flat
+from sweep.planning.plan import Work
+from sweep.planning.work_queue import Pending
+from sweep.studies.study import Study
+
+Done = tuple[list[Work], TaskResult]
+
+
+def first_results(study: Study, pending: Pending, run: Executor) -> tuple[Study, list[Done]]:
+    """Return a study with the layout of the first result, and all work done to get one; as it is where its outputs are
+    declared.
+
+    One task is given out at a time.  Where every point fails nothing is known of the results, and the study stays as it
+    is.
+    """
+    experiment = study.experiment
+    if not isinstance(experiment, FunctionExperiment) or not experiment.undeclared:
+        return study, []
+    done: list[Done] = []
+    out = False
+
+    def take(_count: int) -> list[list[Work]]:
+        nonlocal out
+        if out:
+            return []
+        tasks = pending.take(1)
+        out = bool(tasks)
+        return tasks
+
+    for given, result in run(take):
+        out = False
+        done.append((pending.settle(given, result.seconds), result))
+        if result.values:
+            first = result.values[min(result.values)]
+            return replace(study, experiment=experiment.with_layout(first.layout)), done
+    return study, done
+
+
+def as_rows(experiment: FunctionExperiment, works: Sequence[Work], result: TaskResult) -> TaskResult:
+    """Return the result of a task with a row for each value that is like the first; others fail."""
+    sums = np.full((len(result.seconds), experiment.sums_width), np.nan)
+    failures, samples, texts = dict(result.failures), {}, {}
+    counts = [work.block.realisations for work in works for _ in work.points]
+    for row, value in result.values.items():
+        if row in failures:
+            continue
+        content = _held(experiment, value)
+        if isinstance(content, Failure):
+            failures[row] = content
+            continue
+        sums[row, :COUNT] = counts[row]
+        sums[row, COUNT:] = np.frombuffer(content, dtype="<f8")
+        texts.update(value.texts)
+        if value.kept is not None:
+            samples[row] = value.kept
+    return replace(result, sums=sums, failures=failures, samples=samples, texts=texts)
+
+
+def _held(experiment: FunctionExperiment, value: Flat) -> bytes | Failure:
+    expected = experiment.layout
+    assert expected is not None, "the first value says what it is"
+    if value.layout is expected or value.layout == expected:
+        return value.row
+    if wrong := differences(expected, value.layout):
+        return Failure("exception", f"{experiment.name}: not as at the first point: {'; '.join(wrong)}")
+    if (row := held(value.row, value.layout, expected)) is None:
+        return Failure("exception", f"{experiment.name}: an integer beyond 2**53 where the first point has a float")
+    return row

@@ -1,0 +1,81 @@
+"""Studies from Python objects: functions and experiments in place of references, arrays as axes."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from sweep.contract import Experiment, SweepError, shown
+from sweep.functions.adapter import is_plain_function
+from sweep.functions.signature import name_of
+from sweep.session import importable, keep
+from sweep.studies.reader import study_from_dict
+from sweep.studies.study import Study
+from sweep.tablefile import content_digest
+
+Mentioned = Callable[..., Any] | Experiment
+
+
+def study_of_function(
+    function: Mentioned | str,
+    axes: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    sampling: Mapping[str, Any] | None = None,
+    title: str | None = None,
+) -> Study:
+    """Return the study of a function, named after it; raises SweepError as `load_study`."""
+    document: dict[str, Any] = {"experiment": function}
+    document |= {} if title is None else {"title": title}
+    tables = {"axes": axes, "fixed": fixed, "sampling": sampling}
+    return live_study(document | {name: table for name, table in tables.items() if table})
+
+
+def live_study(document: Mapping[str, Any]) -> Study:
+    """Return the study that a mapping of the shape of a study file describes.
+
+    Its experiment may be a function or an `Experiment`, its axes may be arrays, ranges or pandas indexes, and it needs
+    no title.  Two such studies have the same name only where they are about the same function and say the same.
+    """
+    plain = {str(key): _plain(value) for key, value in document.items() if key != "experiment"}
+    given = document.get("experiment", "core.experiment:link")
+    plain["experiment"] = given if isinstance(given, str) else reference_of(given)
+    name = plain["experiment"].rpartition(":")[2] if isinstance(given, str) else _name_of(given)
+    plain.setdefault("title", name)
+    text = json.dumps(plain, sort_keys=True, default=_digest)
+    return study_from_dict(plain, f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}", where=name)
+
+
+def reference_of(function: Mentioned) -> str:
+    """Return the reference by which a function or experiment is found, here and on workers."""
+    if not isinstance(function, Experiment) and not is_plain_function(function):
+        raise SweepError(f"{shown(function)} is neither a function nor an Experiment")
+    return importable(function) or keep(function)
+
+
+def _name_of(function: Mentioned) -> str:
+    return function.name if isinstance(function, Experiment) else name_of(function)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.generic):
+        return value.item()
+    if hasattr(value, "tolist"):  # of NumPy, pandas and xarray's arrays
+        return _plain(value.tolist())
+    if hasattr(value, "values") and hasattr(value.values, "tolist"):
+        return _plain(value.values.tolist())
+    if isinstance(value, list | tuple | range | set | frozenset):
+        items = sorted(value) if isinstance(value, set | frozenset) else value
+        return [_plain(item) for item in items]
+    return value
+
+
+def _digest(value: object) -> str:
+    try:
+        return content_digest(value)
+    except TypeError:
+        return repr(value)

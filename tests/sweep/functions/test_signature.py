@@ -1,0 +1,140 @@
+"""Parameters come from the signature alone; what cannot be swept is refused with what to do instead."""
+
+import functools
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+import pytest
+
+from sweep.contract import Output, Parameter, SweepError
+from sweep.functions.adapter import experiment_of
+from sweep.functions.declared import experiment
+from sweep.functions.signature import signature_of
+
+
+def several(
+    beta: Annotated[float, Parameter("contact rate", unit="1/d", above=0)],
+    n: int = 1000,
+    solver: Literal["RK45", "LSODA"] = "RK45",
+    order: Literal[1, 2] = 1,
+    damped: bool = False,
+    name: str = "x",
+    shift: float | None = None,
+    factor=0.5,
+    anything=None,
+    options: dict = {},  # noqa: B006
+):
+    return beta
+
+
+def test_name_type_default_unit_meaning_and_bounds():
+    found = {parameter.name: parameter for parameter in signature_of(several).parameters}
+    kinds = {name: parameter.kind for name, parameter in found.items()}
+    assert kinds == {
+        **{"beta": "float", "n": "int", "solver": "str", "order": "int", "damped": "bool", "name": "str"},
+        **{"shift": "float", "factor": "float", "anything": "any"},
+    }  # options stays at its default
+    beta = found["beta"]
+    assert (beta.required, beta.meaning, beta.unit, beta.above) == (True, "contact rate", "1/d", 0)
+    assert found["solver"].choices == ("RK45", "LSODA")
+    assert found["n"].default == 1000
+    assert found["order"].parse(2) == 2
+    for name, wrong in (("order", 3), ("order", True), ("solver", "RK"), ("beta", 0.0), ("n", 0.5), ("n", 2**63)):
+        with pytest.raises(ValueError, match=f"{name} = .*must be"):
+            found[name].parse(wrong)
+    assert found["n"].parse(2**53 + 1) == 2**53 + 1
+
+
+class Thing:
+    def method(self, x: float):
+        return x
+
+    def __call__(self, x: float = 1.0):
+        return x
+
+
+async def waiting(x: float):
+    return x
+
+
+def yielding(x: float):
+    yield x
+
+
+REFUSED = {
+    "positional-only": (math.sin, "x is positional-only"),
+    "any arguments": (lambda *args: 1, r"takes \*args; parameters need names"),
+    "any names": (lambda **options: 1, r"takes \*\*options; parameters need names"),
+    "a ufunc": (np.hypot, r"is a NumPy ufunc.*def hypot\(x1: float, x2: float\): return numpy.hypot\(x1, x2\)"),
+    "a builtin without a signature": (max, "its signature|parameters need names"),
+    "a class": (Thing, "is a class, not a function"),
+    "a method of a class": (Thing.method, "is a method and takes self"),
+    "async": (waiting, "is async"),
+    "a generator": (yielding, "is a generator"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_swept_is_refused(what):
+    function, sentence = REFUSED[what]
+    with pytest.raises(SweepError, match=sentence):
+        experiment_of(function)
+
+
+def test_a_type_that_is_none_is_refused_by_name():
+    def wrong(x: list, y: complex, status: float = 1.0):
+        return 1.0
+
+    with pytest.raises(SweepError) as caught:
+        experiment_of(wrong)
+    text = str(caught.value)
+    assert "parameter x: the type list is none of float, int, bool, str or Literal" in text
+    assert "parameter y: the type complex" in text
+
+
+def test_methods_of_objects_partials_and_callable_objects_are_functions():
+    assert [p.name for p in signature_of(Thing().method).parameters] == ["x"]
+    assert [p.name for p in signature_of(Thing()).parameters] == ["x"]
+    part = functools.partial(several, beta=0.2)
+    found = {p.name: p for p in signature_of(part).parameters}
+    assert found["beta"].default == 0.2
+    assert signature_of(part).name == "several"
+
+
+def test_all_mistakes_of_a_declaration_are_told_at_once():
+    outputs = [
+        Output("speed", unit="furlong/fortnight"),
+        Output("x"),
+        Output("a b"),
+        Output("status"),
+        Output("curve", dims=("time", "x"), coords={"tme": [1.0]}),
+        Output("twice"),
+        Output("twice", statistics=["men"]),
+        Output("bad", dims="k", coords={"k": [1.0, np.nan]}),
+    ]
+    with pytest.raises(SweepError) as caught:
+        experiment(outputs=outputs, packages="no", vectorised=False)(lambda x=1.0, code=2: x)
+    text = str(caught.value)
+    for sentence in (
+        "parameter 'code': the platform gives this name",
+        "output 'speed': the unit 'furlong/fortnight' is none",
+        "output 'x': is the name of a parameter too",
+        "output 'a b': a name begins with a letter",
+        "output 'status': the platform gives this name",
+        "output 'curve': the dimension 'x' is the name of a parameter too",
+        "output 'curve': coords: 'tme' is none of its dimensions (time, x)",
+        "output 'twice': is declared twice",
+        "statistics are made of realisations, and the function takes no rng",
+        "the statistic 'men' is none; did you mean 'mean'?",
+        "output 'bad': the coordinate 'k' has values that are not finite",
+    ):
+        assert sentence in text
+
+
+def test_a_decorated_function_stays_what_it_is():
+    @experiment(outputs=["y"])
+    def double(x: float = 1.0):
+        return {"y": 2.0 * x}
+
+    assert double(3.0) == {"y": 6.0}

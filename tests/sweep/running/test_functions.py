@@ -1,0 +1,353 @@
+"""Plain functions from a study to a store: once at each point, to the last bit, held to the first result."""
+
+import json
+import logging
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import linksweep
+from linksweep import Output, SweepError, experiment
+from sweep.running.reproduce import reproduce
+from sweep.stores.opened import OpenStore
+
+T = np.linspace(0.0, 160.0, 81)
+
+
+@experiment(
+    outputs=[Output("infected", dims="time", coords={"time": (T, "d")}), Output("peak", headline=True, meaning="peak")]
+)
+def sir(beta: float = 0.3, gamma: float = 0.1, n: int = 1000):
+    s, i, curve = n - 1.0, 1.0, []
+    for _ in T:
+        curve.append(i)
+        new = 2.0 * beta * s * i / n
+        s, i = s - new, i + new - 2.0 * gamma * i
+    return {"infected": np.array(curve), "peak": max(curve), "day": int(np.argmax(curve)), "phase": f"ß{beta:g}"}
+
+
+def run(function, store, **given):
+    return linksweep.run(function, store=store, pool="serial", **given)
+
+
+def test_a_function_is_evaluated_once_and_its_results_are_stored_to_the_last_bit(tmp_path):
+    calls = []
+
+    def odd(k: int):
+        calls.append(k)
+        return {
+            "x": (0.1 + k) * (-1.0 if k else -0.0),
+            "big": 2**62 + k,
+            "neg": -1,
+            "yes": k > 1,
+            "text": "" if k else "ü",
+            "when": np.datetime64("2024-01-01T00:00:00.000000001") + k,
+        }
+
+    ds = run(odd, tmp_path / "s.zarr", axes={"k": range(4)})
+    assert calls == [0, 1, 2, 3]
+    stored = xr.open_zarr(tmp_path / "s.zarr").load()
+    for found in (ds, linksweep.open(tmp_path / "s.zarr"), stored):
+        for k in range(4):
+            for name, value in odd(k).items():
+                assert found[name].values[k] == value
+        assert [found[name].dtype.kind for name in ("x", "big", "neg", "yes", "when")] == ["f", "i", "i", "b", "M"]
+        assert np.signbit(found.x.values[0])
+    told = OpenStore(tmp_path / "s.zarr").attributes
+    assert not {"n_sim", "n_cat", "seed"} & told.keys()
+    assert "n_sim_done" not in ds
+    before = len(calls)
+    assert run(odd, tmp_path / "s.zarr", axes={"k": range(4)}).equals(ds)
+    assert len(calls) == before
+    more = run(odd, tmp_path / "s.zarr", axes={"k": range(6)})
+    assert calls[before:] == [4, 5]
+    assert more.isel(k=slice(4)).drop_attrs().equals(ds.drop_attrs())
+
+
+def test_two_thousand_points_of_a_series_come_back_whole(tmp_path):
+    def series(a: float, b: int):
+        return xr.DataArray(np.sin(a * T) + b, {"time": ("time", T, {"units": "d"})}, name="y", attrs={"units": "m"})
+
+    axes = {"a": np.linspace(0.01, 1.0, 200), "b": pd.Index(range(10))}
+    run(series, tmp_path / "s.zarr", axes=axes)
+    ds = xr.open_zarr(tmp_path / "s.zarr").load()
+    assert ds.y.dims == ("a", "b", "time")
+    assert ds.y.attrs["units"] == "m"
+    assert ds.time.attrs["units"] == "d"
+    a, b = axes["a"], np.arange(10)
+    assert np.array_equal(ds.y.values, np.sin(a[:, None, None] * T) + b[:, None])
+
+
+def test_points_that_are_not_like_the_first_fail_by_name_and_the_rest_goes_on(tmp_path, caplog):
+    def fickle(k: int):
+        return {0: {"y": 1.0, "z": 1}, 1: {"z": 2, "y": 3}, 2: {"y": 1.0}, 3: {"y": 1.0, "z": 0.5}, 4: None}.get(
+            k, {"y": float("nan"), "z": 1}
+        )
+
+    with caplog.at_level(logging.WARNING):
+        ds = run(fickle, tmp_path / "s.zarr", axes={"k": range(6)})
+    failures = json.loads(ds.attrs["failures"])
+    assert failures == {
+        "k=2": "fickle: not as at the first point: 'z' is missing",
+        "k=3": "fickle: not as at the first point: 'z' is of type float, expected int",
+        "k=4": "fickle returns nothing (None); it must return its results",
+        "k=5": "fickle: y is NaN (declare Output(..., nan=True) where that is a value)",
+    }
+    assert ds.y.values[:2].tolist() == [1.0, 3.0]
+    assert ds.z.dtype == float  # integers with gaps
+    assert ds.z.values[:2].tolist() == [1.0, 2.0]
+    assert np.isnan(ds.z.values[2:]).all()
+    assert "4 points failed" in caplog.text
+
+
+def test_large_integers_stay_exact_beside_points_that_failed(tmp_path):
+    def large(k: int):
+        return {"y": 2**60 + k // (k != 1)}
+
+    ds = run(large, tmp_path / "s.zarr", axes={"k": range(3)})
+    assert ds.y.values.tolist() == [2**60, np.iinfo(np.int64).min, 2**60 + 2]
+
+
+def test_where_every_point_fails_the_store_says_why_and_goes_on_later(tmp_path):
+    (tmp_path / "f.py").write_text("import pathlib\ndef f(k: int):\n    return pathlib.Path('ok').read_text()\n")
+    place = tmp_path / "s.zarr"
+    ds = run(f"{tmp_path}/f.py:f", place, axes={"k": [1, 2]})
+    assert set(json.loads(ds.attrs["failures"])) == {"k=1", "k=2"}
+    again = run(f"{tmp_path}/f.py:f", place, axes={"k": [1, 2, 3]})
+    assert again.status.values.tolist() == [2, 2, 2]
+
+
+def test_sys_exit_and_exceptions_fail_their_points_alone(tmp_path):
+    def leaving(k: int):
+        if k == 1:
+            raise SystemExit("enough")
+        return {"y": 1 // k}
+
+    ds = run(leaving, tmp_path / "s.zarr", axes={"k": [0, 1, 2]})
+    failures = json.loads(ds.attrs["failures"])
+    assert failures["k=1"] == "SystemExit: enough"
+    assert failures["k=0"].startswith("ZeroDivisionError")
+    assert ds.status.values.tolist() == [2, 2, 1]
+
+
+def test_a_study_must_say_what_has_no_default_and_nothing_is_sampled(tmp_path):
+    def f(a: float, b: float = 1.0):
+        return a + b
+
+    with pytest.raises(SweepError, match="a has no default: the study must set it"):
+        run(f, tmp_path / "s.zarr", axes={"b": [1.0]})
+    with pytest.raises(SweepError, match=r"f takes no rng .* leave out n_sim"):
+        run(f, tmp_path / "s.zarr", axes={"a": [1.0]}, sampling={"n_sim": 5})
+    with pytest.raises(SweepError, match="unknown parameter 'c'"):
+        run(f, tmp_path / "s.zarr", axes={"a": [1.0]}, fixed={"c": 5})
+    assert not (tmp_path / "s.zarr").exists()
+
+
+def test_a_parameter_without_a_type_takes_what_the_study_writes(tmp_path):
+    ds = run(lambda x: {"y": f"{x}"}, tmp_path / "s.zarr", axes={"x": [1, 2.5]})
+    assert ds.y.values.tolist() == ["1.0", "2.5"]
+    ds = run(lambda x: {"y": x * 2}, tmp_path / "t.zarr", axes={"x": ["a", "b"]})
+    assert ds.y.values.tolist() == ["aa", "bb"]
+    with pytest.raises(SweepError, match=r"several types \(int, str\); an axis is of one"):
+        run(lambda x: x, tmp_path / "u.zarr", axes={"x": [1, "a"]})
+
+
+def test_vectorised_functions_get_arrays_and_single_points_are_to_blame(tmp_path):
+    sizes = []
+
+    @experiment(vectorised=True)
+    def many(a: float, b: float = 2.0):
+        sizes.append(len(a))
+        if (a == 50.0).any():
+            raise ValueError("fifty")
+        return {"y": a * b, "v": np.stack([a, b], axis=1)}
+
+    ds = run(many, tmp_path / "s.zarr", axes={"a": np.arange(400.0)})
+    assert ds.status.values.tolist() == [1] * 50 + [2] + [1] * 349
+    assert np.array_equal(np.delete(ds.y.values, 50), 2.0 * np.delete(np.arange(400.0), 50))
+    assert ds.v.values[7].tolist() == [7.0, 2.0]
+    assert max(sizes) > 100
+
+
+@experiment(
+    outputs=[
+        Output("wait", unit="min", statistics=["mean", "std", "q95", "median", "max", "min"]),
+        Output("long", statistics="count"),
+    ]
+)
+def queue(load: float = 0.5, *, rng):
+    wait = rng.exponential(1.0 / (1.0 - load))
+    return {"wait": wait, "long": wait > 3.0}
+
+
+def test_statistics_are_those_of_all_realisations_and_extend(tmp_path):
+    drawn = []
+
+    def noted(load: float = 0.5, *, rng):
+        result = queue(load, rng=rng)
+        drawn.append(result["wait"])
+        return result["wait"]
+
+    plain = run(noted, tmp_path / "n.zarr", sampling={"n_sim": 1000, "seed": 3})
+    assert plain.noted_mean.item() == pytest.approx(np.mean(drawn), rel=1e-12)
+    assert plain.noted_std.item() == pytest.approx(np.std(drawn, ddof=1), rel=1e-12)
+    place = tmp_path / "q.zarr"
+    short = run(queue, place, sampling={"n_sim": 600, "seed": 3})
+    whole = run(queue, place, sampling={"n_sim": 1000, "seed": 3})
+    at_once = run(queue, tmp_path / "once.zarr", sampling={"n_sim": 1000, "seed": 3})
+    assert whole.drop_attrs().equals(at_once.drop_attrs())
+    assert short.wait_max <= whole.wait_max
+    assert whole.wait_max.item() == max(drawn)
+    assert whole.wait_q95.item() == np.quantile(drawn, 0.95, method="hazen")
+    assert whole.wait_median.item() == np.quantile(drawn, 0.5, method="hazen")
+    assert whole.long_count.item() == sum(np.array(drawn) > 3.0)
+    assert "wait_max_mc_error" not in whole
+    assert whole.wait_q95.attrs["units"] == "min"
+
+
+def test_all_realisations_of_a_block_at_once_give_the_same(tmp_path):
+    def at_once(load: float = 0.5, *, rng, n_sim):
+        return {"wait": rng.exponential(1.0 / (1.0 - load), n_sim)}
+
+    def single(load: float = 0.5, *, rng):
+        return {"wait": rng.exponential(1.0 / (1.0 - load))}
+
+    one, other = (run(f, tmp_path / f.__name__, sampling={"n_sim": 700}) for f in (single, at_once))
+    assert one.wait_mean.item() == other.wait_mean.item()
+    with pytest.raises(SweepError, match="no outer draw"):
+        run(single, tmp_path / "x", sampling={"n_cat": 3})
+
+
+def test_precision_is_reached_for_means_and_quantiles(tmp_path):
+    ds = run(
+        queue, tmp_path / "q.zarr", axes={"load": [0.2, 0.5]}, sampling={"n_sim": 64, "precision": 0.06, "seed": 1}
+    )
+    for name in ("wait_mean", "wait_q95", "long_count"):
+        assert (ds[f"{name}_mc_error"] <= 0.06 * ds[name]).all(), name
+    assert (ds.n_sim_done > 64).all()
+
+
+def test_reproduce_computes_the_same_bits(tmp_path):
+    (tmp_path / "m.py").write_text(
+        "from linksweep import Output, experiment\n"
+        "@experiment(outputs=[Output('w', statistics=['mean', 'q90'])])\n"
+        "def m(load: float = 0.5, *, rng):\n    return {'w': rng.exponential(load)}\n"
+        "def d(load: float = 0.5):\n    return {'w': load * 2, 's': f'{load}'}\n"
+    )
+    for name, sampling in (("m", {"n_sim": 600}), ("d", None)):
+        run(f"{tmp_path}/m.py:{name}", tmp_path / name, axes={"load": [0.5, 1.0]}, sampling=sampling)
+        again = reproduce(tmp_path / name, "load=1.0")
+        assert again.differences == {}
+        assert again.stored == "done"
+
+
+def test_studies_without_a_name_do_not_share_a_store(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def f(a: float = 1.0):
+        return a
+
+    for axes in ([1.0, 2.0], [3.0]):
+        linksweep.run(f, axes={"a": axes}, pool="serial")
+    linksweep.run({"experiment": f, "axes": {"a": np.array([5.0])}}, pool="serial")
+    names = sorted(path.name for path in (tmp_path / "results").iterdir())
+    assert len(names) == 3
+    assert all(name.startswith("f-") for name in names)
+
+
+def test_code_of_a_session_is_known_by_what_it_refers_to(tmp_path):
+    def make(factor):
+        def f(a: float = 1.0):
+            return a * factor
+
+        return f
+
+    run(make(2.0), tmp_path / "s.zarr", axes={"a": [1.0]})
+    assert run(make(2.0), tmp_path / "s.zarr", axes={"a": [1.0, 2.0]}).f.values.tolist() == [2.0, 4.0]
+    with pytest.raises(SweepError, match="value factor has changed"):
+        run(make(3.0), tmp_path / "s.zarr", axes={"a": [1.0, 2.0, 3.0]})
+
+
+def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_path, sweep):
+    (tmp_path / "f.py").write_text(
+        "import pathlib\ndef f(k: int):\n    return len(pathlib.Path('ok').read_text()) + k\n"
+    )
+    command = ("run", "f.py:f", "--axis", "k=1,2,3", "-o", "s.zarr")
+    code, _, err = sweep(*command, cwd=tmp_path)
+    assert code == 1
+    assert "3 points failed: 3 x FileNotFoundError" in err
+    assert sweep(*command, cwd=tmp_path)[0] == 1
+    (tmp_path / "ok").write_text("1234")
+    code, _, err = sweep("retry", "s.zarr", cwd=tmp_path)
+    assert code == 0, err
+    assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [5, 6, 7]
+
+
+WORDS = (
+    "catalogue",
+    "random number",
+    "metz",
+    "geffert",
+    "astrometr",
+    "celestial",
+    "satellite",
+    "mas / yr",
+    "extragalactic",
+)
+
+
+def test_what_is_shown_has_the_words_of_the_experiment_alone(tmp_path, sweep):
+    """The terminal at a run, and the report, but for what the interactive library brings."""
+    (tmp_path / "sir.py").write_text(
+        "from linksweep import Output, experiment\n"
+        "@experiment(outputs=[Output('peak', headline=True)], citation='Kermack & McKendrick (1927)')\n"
+        "def sir(beta: float = 0.3, gamma: float = 0.1):\n    return {'peak': 1.0 - gamma / beta, 'phase': 'wave'}\n"
+        "def noisy(beta: float = 0.3, *, rng):\n    return {'peak': rng.normal(beta)}\n"
+    )
+    for name, setting in (("sir", "gamma=0.05"), ("noisy", "n_sim=50")):
+        said = []
+        for command in (
+            ("run", f"sir.py:{name}", "--axis", "beta=0.1:0.5:0.1", "--set", setting, "-o", f"{name}.zarr"),
+            ("plan", f"sir.py:{name}", "--axis", "beta=0.1:0.5:0.1", "--set", setting, "-o", f"{name}.zarr"),
+            ("status", f"{name}.zarr"),
+            ("show", f"{name}.zarr"),
+            ("report", f"{name}.zarr", "-o", f"{name}.html"),
+        ):
+            code, out, err = sweep(*command, cwd=tmp_path)
+            assert code == 0, err
+            said += [out, err]
+        page = (tmp_path / f"{name}.html").read_text()
+        body = page[page.index("<main>") : page.index("</main>")]
+        for text in (*said, body):
+            assert not [word for word in WORDS if word in text.lower()]
+        assert ("Kermack &amp; McKendrick (1927)" in body) == (name == "sir")
+
+
+@pytest.mark.slow
+def test_statistics_have_the_same_bits_on_any_pool(tmp_path):
+    given = {"axes": {"load": [0.2, 0.5, 0.8]}, "sampling": {"n_sim": 2000, "seed": 5}}
+    serial = run(queue, tmp_path / "serial.zarr", **given).drop_attrs()
+    for pool in ("threads", "processes"):
+        place = tmp_path / f"{pool}.zarr"
+        other = linksweep.run(queue, store=place, pool=pool, workers=2, **given)
+        assert other.drop_attrs().equals(serial)
+
+
+def test_the_dimensions_of_an_output_are_axes(tmp_path, sweep):
+    run(sir, tmp_path / "s.zarr", axes={"beta": [0.2, 0.3, 0.4]})
+    ds = linksweep.open(tmp_path / "s.zarr")
+    crossing = linksweep.find(ds, "infected > 100", along="time")
+    for k, beta in enumerate((0.2, 0.3, 0.4)):
+        curve = sir(beta)["infected"]
+        first = np.argmax(curve > 100.0)
+        assert T[first - 1] < crossing["first"].values[k] < T[first]
+    assert linksweep.plot(ds, variables=["infected"], over=["time"]).axes
+    assert linksweep.plot(ds.isel(beta=0), variables=["infected"]).axes
+    code, out, _ = sweep("show", "s.zarr", "--json", cwd=tmp_path)
+    told = json.loads(out)
+    assert code == 0
+    assert told["rows"][1]["infected"] == sir(0.3)["infected"].tolist()
+    assert told["arrays"]["infected"]["coordinates"]["time"] == T.tolist()
+    assert told["units"]["time"] == "d"
