@@ -136,8 +136,9 @@ class Writer:
         if len(records := records_of(self.store.attributes)) > 1:
             codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
             dataset = dataset.assign(code=code_variable(self.plan, codes))
-        points = int(np.count_nonzero(self.accumulator.status != Status.EXCLUDED))
-        done = int(np.count_nonzero(self.accumulator.status == Status.DONE))
+        status = self.plan.grid.with_repeats(self.accumulator.status)
+        points = int(np.count_nonzero(status != Status.EXCLUDED))
+        done = int(np.count_nonzero(status == Status.DONE))
         dataset.attrs = self._provenance | {
             "finished": now(),
             "points": points,

@@ -5,13 +5,29 @@ from typing import Any
 from pydantic import Field
 
 from sweep.studies.source import Place
-from sweep.studies.study import Claim, Ratio, Reading, Sampling, Section, Slope, Text, Tolerance
+from sweep.studies.study import Claim, Count, Ratio, Reading, Sampling, Section, Seed, Slope, Text, Tolerance
 
 
 class GridForm(Section):
     """The table [grid]."""
 
     zip: list[list[str]] = Field(default_factory=list)
+
+
+class PointsForm(Section):
+    """The table [points]: exactly one of ``file``, ``design`` and ``columns``.
+
+    ``origin`` is what a store remembers of where its columns come from.
+    """
+
+    file: str | None = None
+    design: str | None = None
+    n: Count | None = None
+    seed: Seed = 0
+    ranges: dict[str, Any] = Field(default_factory=dict)
+    columns: dict[str, list[Any]] | None = None
+    units: dict[str, str] = Field(default_factory=dict)
+    origin: dict[str, Any] | None = None
 
 
 class PublishedForm(Section):
@@ -34,6 +50,7 @@ class Form(Section):
     define: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
     sampling: Sampling = Sampling()
     grid: GridForm = GridForm()
+    points: PointsForm | None = None
     exclude: list[dict[str, Any]] = Field(default_factory=list)
     published: PublishedForm | None = None
     claim: list[Claim] = Field(default_factory=list)
@@ -42,7 +59,7 @@ class Form(Section):
 def known_keys(where: Place) -> list[str]:
     """Return the keys that are allowed beside the one at ``where``."""
     sections: dict[str | int, type[Section]] = {
-        **{"sampling": Sampling, "grid": GridForm, "published": PublishedForm, "claim": Claim},
+        **{"sampling": Sampling, "grid": GridForm, "points": PointsForm, "published": PublishedForm, "claim": Claim},
         **{"slope": Slope, "ratio": Ratio, "value": Reading},
     }
     table = next((sections[key] for key in reversed(where[:-1]) if key in sections), Form)

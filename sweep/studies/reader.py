@@ -17,11 +17,12 @@ from sweep.studies.claims import ClaimContext, checked_claim
 from sweep.studies.definitions import defined_values
 from sweep.studies.exclusions import exclusion
 from sweep.studies.form import Form, known_keys
+from sweep.studies.points import read_points
 from sweep.studies.problems import Problems
 from sweep.studies.published import read_published
 from sweep.studies.rules import check_sampling, zipped_axes
 from sweep.studies.source import Place, find_study, parsed, read_text, reference_in
-from sweep.studies.study import Claim, Sampling, Study
+from sweep.studies.study import POINT, Claim, PointTable, Sampling, Study
 from sweep.tablefile import TableFile, table_file
 
 ONCE = Sampling(n_sim=1)
@@ -127,19 +128,21 @@ class _Reader:
         if experiment.deterministic:
             form = self._without_sampling_of_parameters(form, experiment)
         experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.problems.add)
-        axes = {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
+        points, origin, columns = self._points(experiment, form)
+        axes = points | {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
         fixed = {name: self._fixed(experiment, form, name, raw) for name, raw in form.fixed.items()}
-        self._check_required(experiment, form)
-        zipped = zipped_axes(form.grid.zip, axes, self.problems)
+        self._check_required(experiment, form, points)
+        crossed = {name: values for name, values in axes.items() if name in form.axes}
+        zipped = zipped_axes(form.grid.zip, crossed, self.problems)
         value = partial(self._value, experiment)
         excluded = tuple(
-            exclusion(experiment, form, i, clause, self.problems, value) for i, clause in enumerate(form.exclude)
+            exclusion(experiment, {*axes, *form.fixed}, i, clause, self.problems, value) for i, clause in enumerate(form.exclude)
         )
         published = None
         if form.published is not None:
-            published = read_published(form.published, self.path.parent, experiment, form.axes, self.problems)
+            published = read_published(form.published, self.path.parent, experiment, axes, self.problems)
         check_sampling(form.sampling, experiment, self.problems)
-        claims = self._claims(experiment, form, axes)
+        claims = self._claims(experiment, form, crossed)
         self.problems.raise_if_any()
         return Study(
             name=self.path.stem,
@@ -151,21 +154,28 @@ class _Reader:
             fixed=fixed,
             sampling=ONCE if experiment.deterministic else form.sampling,
             zipped=zipped,
+            points=None if form.points is None else PointTable(tuple(points), origin),
             excluded=excluded,
             published=published,
             source=self.where,
             claims=claims,
             text=self.text,
             overrides=self.overrides,
-            document=self._portable(form, fixed) | ({"define": definitions} if definitions else {}),
+            document=self._portable(form, fixed, columns, origin) | ({"define": definitions} if definitions else {}),
         )
 
-    def _portable(self, form: Form, fixed: Mapping[str, Value]) -> dict[str, Any]:
-        """Return the document with places of files that hold from any directory."""
+    def _portable(
+        self, form: Form, fixed: Mapping[str, Value], columns: Mapping[str, list[Any]], origin: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Return the document with places of files that hold from any directory, and the values of a table of points,
+        wherever they come from.
+        """
         document = {**self.document, "experiment": absolute_reference(form.experiment, self.path.parent)}
         if "fixed" in document:
             paths = {name: value.path for name, value in fixed.items() if isinstance(value, TableFile)}
             document["fixed"] = document["fixed"] | paths
+        if form.points is not None:
+            document["points"] = {"columns": dict(columns), **({"origin": dict(origin)} if origin else {})}
         if form.published is not None:
             file = str((self.path.parent / form.published.file).resolve())
             document["published"] = document["published"] | {"file": file}
@@ -189,9 +199,33 @@ class _Reader:
             del self.document["sampling"]
         return Form.model_validate(self.document)
 
-    def _check_required(self, experiment: Experiment, form: Form) -> None:
+    def _points(
+        self, experiment: Experiment, form: Form
+    ) -> tuple[dict[str, tuple[Value, ...] | None], dict[str, Any], Mapping[str, list[Any]]]:
+        """Return the values of a table of points by parameter, where it comes from, and its columns as written."""
+        if form.points is None:
+            return {}, {}, {}
+        names = [o.name for o in (*experiment.parameters, *experiment.outputs)]
+        if POINT in {*names, *experiment.coordinates}:
+            self.problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
+        columns, origin = read_points(form.points, experiment, self.path.parent, self.problems)
+        found: dict[str, tuple[Value, ...] | None] = {}
+        for name, raw_values in columns.items():
+            where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)
+            if name in form.axes or name in form.fixed:
+                self.problems.add(where, f"is {'an axis' if name in form.axes else 'fixed'} too; leave out one of the two")
+            try:
+                if not (parameter := experiment.parameter(name)).may_be_axis:
+                    raise ValueError(f"a {parameter.kind} cannot differ from point to point")
+            except ValueError as error:
+                self.problems.add(where, str(error))
+                continue
+            found[name] = self._values(experiment, where, name, raw_values, row=True)
+        return found, origin, columns
+
+    def _check_required(self, experiment: Experiment, form: Form, points: Mapping[str, object]) -> None:
         for parameter in experiment.parameters:
-            if parameter.required and parameter.name not in {**form.axes, **form.fixed}:
+            if parameter.required and parameter.name not in {**form.axes, **form.fixed, **points}:
                 sentence = f"{parameter.name} has no default: the study must set it, here or in [axes]"
                 self.problems.add(("fixed", parameter.name), sentence)
 
@@ -215,8 +249,8 @@ class _Reader:
         """Return the form without its broken sections, so that the others are checked too."""
         if "experiment" in broken:
             return None
-        if "axes" in broken:
-            broken = broken | {"grid", "claim"}
+        if {"axes", "points"} & broken:
+            broken = broken | {"grid", "claim", "published"}
         if "grid" in broken:
             broken = broken | {"claim"}
         rest = {key: value for key, value in self.document.items() if key not in broken}
@@ -237,14 +271,14 @@ class _Reader:
             self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
         return self._value(experiment, ("fixed", name), name, raw)
 
-    def _value(self, experiment: Experiment, where: tuple[str | int, ...], name: str, raw: object) -> Value:
+    def _value(self, experiment: Experiment, where: Place, name: str, raw: object, which: str = "") -> Value:
         try:
             parameter = experiment.parameter(name)
             value = parameter.parse(raw)
             folder = Path.cwd() if where[:2] in self.overridden else self.path.parent
             return table_file(folder / value) if parameter.kind == "file" else value
         except ValueError as error:
-            self.problems.add(where, str(error))
+            self.problems.add(where, f"{which}{error}")
         except SweepError as error:
             self.problems.add(where, f"{shown(raw)}: {error}")
         return None
@@ -261,16 +295,30 @@ class _Reader:
             return None
         if not raw_values:
             self.problems.add(where, "an axis needs at least one value")
+        if (values := self._values(experiment, where, name, raw_values)) is None:
+            return None
+        repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
+        if repeated:
+            more = ", ..." if len(repeated) > 10 else ""
+            self.problems.add(
+                where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated[:10])}{more}"
+            )
+        return values
+
+    def _values(
+        self, experiment: Experiment, where: Place, name: str, raw_values: Sequence[object], row: bool = False
+    ) -> tuple[Value, ...] | None:
+        """Return the values along an axis, None if any is wrong; problems name the ``row`` of a table, from 1."""
         before = len(self.problems.found)
         values = []
-        for raw in raw_values:
-            values.append(self._value(experiment, where, name, raw))
+        for number, raw in enumerate(raw_values, start=1):
+            values.append(self._value(experiment, where, name, raw, f"row {number}: " if row else ""))
             if len(self.problems.found) >= before + 5:
                 self.problems.add(where, "... and perhaps more values like these")
                 return None
         if len(self.problems.found) > before:
             return None
-        if parameter.kind == "any":
+        if experiment.parameter(name).kind == "any":
             kinds = {type(value) for value in values}
             if kinds == {int, float}:
                 values = [float(value) for value in values]
@@ -278,12 +326,6 @@ class _Reader:
                 named = ", ".join(sorted(kind.__name__ for kind in kinds))
                 self.problems.add(where, f"has values of several types ({named}); an axis is of one")
                 return None
-        repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
-        if repeated:
-            more = ", ..." if len(repeated) > 10 else ""
-            self.problems.add(
-                where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated[:10])}{more}"
-            )
         return tuple(values)
 
     def _claims(
