@@ -7,7 +7,6 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import FEW, SweepError, shown, suggest
-from sweep.studies.study import POINT
 
 
 def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
@@ -27,7 +26,6 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:
     problems: list[str] = []
     found: dict[str, set[int]] = {}
     axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and not str(n).endswith("_unit")]
-    axes += [POINT] if POINT in dataset.dims else []  # its rows are counted
     for name, wanted in places.items():
         if name not in axes:
             problems.append(f"{shown(name)} is not an axis{suggest(name, axes) if axes else '; there are none'}")

@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.analysis.measured_claims import claims_of
-from sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity
+from sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
 from sweep.contract import SweepError, shown, suggest
 from sweep.planning.point_status import Status
 from sweep.plots.kinds import GRID, SCALING
@@ -15,6 +15,7 @@ from sweep.plots.scaling import is_scaling
 from sweep.plots.scatter import sampled
 from sweep.plots.style import value_text
 from sweep.plots.tie.figure import draw_link, is_link
+from sweep.studies.study import POINT
 
 MAP_POINTS = 5
 """A map is drawn unasked where two axes have at least so many points each."""
@@ -77,6 +78,9 @@ def _suits_scatter(dataset: xr.Dataset, variables: Sequence[str], over: Sequence
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
+    varied = varied_parameters(dataset)
+    if POINT in dataset[variable].dims and varied and all(name in varied for name in over):
+        return "points"
     if len(over) == 2:
         return "map"
     laws = {(claim.slope.variable, claim.slope.over) for claim in claims_of(dataset) if claim.slope is not None}

@@ -15,7 +15,7 @@ from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.point_status import Status
-from sweep.studies.study import Published, printed_rounding
+from sweep.studies.study import POINT, Published, printed_rounding
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
@@ -108,6 +108,8 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
     study = grid.study
     experiment = study.experiment
     coordinates: dict[str, Any] = {}
+    if study.points is not None:
+        coordinates[POINT] = (POINT, np.arange(grid.shape[0]), {"units": "", "long_name": "number of the point"})
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from sweep.contract import Experiment, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, read_experiment
-from sweep.studies.axes import axis_values, override
+from sweep.studies.axes import axis_values, override, override_points
 from sweep.studies.claims import ClaimContext, checked_claim
 from sweep.studies.definitions import defined_values
 from sweep.studies.exclusions import exclusion
@@ -29,7 +29,14 @@ ONCE = Sampling(n_sim=1)
 """The sampling of what is computed once."""
 
 
-def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[str] = ()) -> Study:
+def load_study(
+    name_or_path: str,
+    settings: Sequence[str] = (),
+    axes: Sequence[str] = (),
+    points: str | None = None,
+    design: str | None = None,
+    ranges: Sequence[str] = (),
+) -> Study:
     """Return the study of a built-in name or a TOML file, read and checked.
 
     Args:
@@ -37,6 +44,9 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
             ``module:function``, which are studies by themselves.
         settings: ``KEY=VALUE``, laid over the file as ``sweep run --set`` does.
         axes: ``NAME=SPEC``, laid over the file as ``sweep run --axis`` does.
+        points: the file of a table of points, in place of the study's, as ``sweep run --points``.
+        design: ``NAME:N`` or ``NAME:N:SEED``, in place of the study's points, as ``sweep run --design``.
+        ranges: ``NAME=LOW:HIGH``, ``NAME=LOW:HIGH:log`` or ``NAME=A,B,C``, of a design, as ``sweep run --range``.
 
     Returns:
         The study; its parameters have values that the experiment allows.
@@ -62,7 +72,11 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
         overridden[override(document, setting, problems, as_axis=False)] = f"--set {_option(setting)}"
     for axis in axes:
         overridden[override(document, axis, problems, as_axis=True)] = f"--axis {_option(axis)}"
-    overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes])
+    chosen = [("--points", points), ("--design", design), *(("--range", text) for text in ranges)]
+    if laid := [f"{flag} {_option(text)}" for flag, text in chosen if text is not None]:
+        override_points(document, points, design, ranges, problems)
+        overridden[("points",)] = laid[0]
+    overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes] + laid)
     return _Reader(document, text, path, problems, overrides, overridden, where=function).study()
 
 

@@ -185,7 +185,8 @@
       const values = [];
       everything.forEach((rows, number) => {
         const name = series ? String(series.values[number]) : quantity.name;
-        const parts = this.series(figure, rows, { name, number, numeric, factors, logY });
+        const joined = numeric && x.ordered;
+        const parts = this.series(figure, rows, { name, number, numeric, joined, factors, logY });
         if (parts.renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers: parts.renderers }));
         values.push(...parts.values);
       });
@@ -236,7 +237,7 @@
       }
     }
 
-    series(figure, rows, { name, number, numeric, factors, logY }) {
+    series(figure, rows, { name, number, numeric, joined, factors, logY }) {
       const tint = colour(this.element, `series-${number % COLOURS}`);
       const marker = MARKERS[(number + Math.floor(number / COLOURS)) % MARKERS.length];
       const place = (row) => (numeric ? row.x : factors[row.i]);
@@ -260,14 +261,14 @@
         high: (row) => row.value + (row.error > 0 ? row.error : 0),
       });
       const lineOf = (part, options) => {
-        if (!numeric) return;
+        if (!joined) return;
         const y = rows.map((row) => (logY && row[part] <= 0 ? NaN : row[part]));
         if (y.filter(Number.isFinite).length < 2) return;
         renderers.push(figure.line(rows.map(place), y, { line_color: tint, ...options }));
       };
       if (this.quantity.predicted) {
         lineOf("predicted", { line_width: 1.4 });
-        if (!numeric) {
+        if (!joined) {
           const predicted = at("predicted");
           if (predicted.data.x.length) renderers.push(figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 }));
         }
