@@ -211,9 +211,7 @@ def _resources(
     return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit))
 
 
-def load(
-    study: str, overrides: Mapping[str, Any], store: "Location | None", trust: bool
-) -> "tuple[Study, Location]":
+def load(study: str, overrides: Mapping[str, Any], store: "Location | None", trust: bool) -> "tuple[Study, Location]":
     """Return the study with its overrides, and where its store is; a study inside a store must be trusted."""
     from sweep.running.trust import require_trust_of_study
     from sweep.stores.location import located

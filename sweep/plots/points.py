@@ -8,6 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from sweep.analysis.quantity import standard_error
@@ -31,6 +32,9 @@ MOST_PAIRED = 8
 
 FEW_POINTS = 300
 """More points than these are small and without their errors."""
+
+SPREAD, GOLDEN = 0.5, 0.6180339887498949
+"""Width over which points of one text are spread, and the step of that, by which no two stand together."""
 
 MOST_VECTORS = 2000
 """More points than these are one image in the picture."""
@@ -63,7 +67,7 @@ def points_figure(dataset: xr.Dataset, variables: list[str], parameters: list[st
 
 
 def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> Figure:
-    """Return a figure of parameters in pairs, coloured by a variable, with the variable over each on the diagonal.
+    """Return a figure of parameters in pairs, coloured by a variable; on the diagonal is the variable over each.
 
     Raises SweepError for one parameter, for too many, and where a variable has further dimensions.
     """
@@ -80,28 +84,24 @@ def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> F
     known = np.isfinite(values)
     order = np.flatnonzero(known)[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
     for row, column in np.ndindex(n, n):
-        axes = grid[row, column]
+        axes: Any = grid[row, column]
         if column > row:
             axes.set_visible(False)
             continue
-        x, _ = _places(axes, dataset, parameters[column], "x")
+        x = _places(axes, dataset, parameters[column], "x", few_ticks=True)
         if row == column:
-            axes.plot(x, values, color="0.35", **_marks(len(x)))
-            _scale(axes, "y", values)
-            axes.yaxis.tick_right()
-            axes.yaxis.set_label_position("right")
-            axes.set_ylabel(quantity_label(dataset, variable))
+            y = values
+            _scale(axes, "y", values, few_ticks=True)
         else:
-            y, _ = _places(axes, dataset, parameters[row], "y")
-            shades: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": norm, "linewidths": 0.0}
-            size = 10.0 if len(x) <= FEW_POINTS else 4.0
-            drawn = axes.scatter(x[order], y[order], s=size, rasterized=len(x) > MOST_VECTORS, **shades)
+            y = _places(axes, dataset, parameters[row], "y", few_ticks=True)
+        shades: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": norm, "linewidths": 0.0}
+        size = 10.0 if len(x) <= FEW_POINTS else 4.0
+        drawn = axes.scatter(x[order], y[order], s=size, rasterized=len(x) > MOST_VECTORS, **shades)
         axes.set_xlabel(label(dataset[parameters[column]], parameters[column]) if row == n - 1 else "")
-        if row != column:
-            axes.set_ylabel(label(dataset[parameters[row]], parameters[row]) if column == 0 else "")
-            axes.tick_params(labelleft=column == 0)
-        axes.tick_params(labelbottom=row == n - 1)
+        name = quantity_label(dataset, variable) if row == 0 else label(dataset[parameters[row]], parameters[row])
+        axes.set_ylabel(name if column == 0 else "")
         finish(axes)
+        axes.tick_params(labelleft=column == 0, labelbottom=row == n - 1)
     figure.colorbar(drawn, ax=grid[:, -1], label=quantity_label(dataset, variable), shrink=0.7)
     return figure
 
@@ -120,7 +120,7 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
         one = dataset.isel(place)
         text = ", ".join(value_text(dataset, d, one[d].item()) for d in others if d in one.coords)
         y = one[variable].values.astype(float)
-        x, _ = _places(axes, dataset, parameter, "x")
+        x = _places(axes, dataset, parameter, "x")
         style = {"color": COLOURS[number], "label": text or variable, **_marks(len(x), MARKERS[number])}
         if error is not None and len(x) <= FEW_POINTS:
             axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
@@ -131,23 +131,33 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
     finish(axes)
 
 
-def _places(axes: Axes, dataset: xr.Dataset, parameter: str, which: str) -> tuple[NDArray[Any], list[str] | None]:
-    """Return where the values of a parameter stand on an axis, whose scale and ticks are set for them."""
+def _places(
+    axes: Axes, dataset: xr.Dataset, parameter: str, which: str, few_ticks: bool = False
+) -> NDArray[np.float64]:
+    """Return where the values of a parameter stand on an axis, whose scale and ticks are set for them; what has no
+    numbers is spread a little, so that points do not hide each other.
+    """
     array = dataset[parameter]
     if array.dtype.kind in "if":
         x, _ = positions(array)
-        _scale(axes, which, x, str(array.attrs.get("units", "")))
-        return x, None
-    names = list(dict.fromkeys(map(str, array.values.tolist())))
+        _scale(axes, which, x, str(array.attrs.get("units", "")), few_ticks)
+        return x
+    names = sorted(set(map(str, array.values.tolist())))
     (axes.set_xticks if which == "x" else axes.set_yticks)(range(len(names)), names)
     (axes.set_xlim if which == "x" else axes.set_ylim)(-0.5, len(names) - 0.5)
     place = {name: float(k) for k, name in enumerate(names)}
-    return np.array([place[str(value)] for value in array.values.tolist()]), names
+    spread = SPREAD * (np.arange(array.size) * GOLDEN % 1.0 - 0.5)
+    return np.asarray(np.array([place[str(value)] for value in array.values.tolist()]) + spread)
 
 
-def _scale(axes: Axes, which: str, values: Any, unit: str = "") -> None:
-    if is_wide(values, unit):
-        logarithmic(axes, which, values)
+def _scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bool = False) -> None:
+    if not is_wide(values, unit):
+        return
+    logarithmic(axes, which, values)
+    if few_ticks and np.nanmax(values) > 10.0 * np.nanmin(values):
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        axis.set_major_locator(LogLocator(numticks=5))
+        axis.set_minor_locator(NullLocator())
 
 
 def _marks(points: int, marker: str = "o") -> dict[str, Any]:

@@ -33,7 +33,9 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     results: Mapping[str, Array] = {}
     if done.any():
         n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        results = experiment.results(grid.with_repeats(accumulator.total)[done], realisations[done].astype(float), n_cat)
+        results = experiment.results(
+            grid.with_repeats(accumulator.total)[done], realisations[done].astype(float), n_cat
+        )
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already

@@ -72,7 +72,7 @@ DESIGNS: Mapping[str, Design] = {
     "halton": Design(_halton, grows=True),
     "random": Design(_random, grows=True),
     "saltelli": Design(_saltelli, grows=True, counts="base points, of (parameters + 2) points each"),
-    "morris": Design(_morris, grows=False, counts="trajectories, of (parameters + 1) points each"),
+    "morris": Design(_morris, grows=True, counts="trajectories, of (parameters + 1) points each"),
 }
 
 

@@ -40,7 +40,8 @@ def live_study(document: Mapping[str, Any]) -> Study:
     """Return the study that a mapping of the shape of a study file describes.
 
     Its experiment may be a function or an `Experiment`, its axes may be arrays, ranges or pandas indexes, its points a
-    table, and it needs no title.  Two such studies have the same name only where they are about the same function and say the same.
+    table, and it needs no title.  Two such studies have the same name only where they are about the same function and
+    say the same.
     """
     plain: dict[str, Any] = {
         str(key): value if key == "points" else _plain(value) for key, value in document.items() if key != "experiment"
@@ -98,9 +99,14 @@ def _points(given: Any) -> dict[str, Any]:
     if hasattr(given, "columns") and hasattr(given, "to_dict"):
         if twice := given.columns[given.columns.duplicated()].tolist():
             raise SweepError(f"points: two columns are called {shown(twice[0])}")
-        there = given.notna()
-        return {"columns": {str(name): given[name].where(there[name], None).tolist() for name in given.columns}}
+        return {"columns": {str(name): _with_gaps(given[name]) for name in given.columns}}
     raise SweepError(f"points = {shown(given)}: must be a DataFrame, a Table, a mapping of columns, a file or a design")
+
+
+def _with_gaps(series: Any) -> list[Any]:
+    """Return the values of a pandas Series, None where one is missing."""
+    known = zip(series.tolist(), series.notna().tolist(), strict=True)
+    return [value if there else None for value, there in known]
 
 
 def _digest(value: object) -> str:

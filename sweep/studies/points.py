@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Experiment, SweepError, shown, suggest
+from sweep.contract.units import factor_between
 from sweep.studies.designs import DESIGNS, MORRIS_LEVELS, size_of
 from sweep.studies.form import PointsForm
 from sweep.studies.problems import Problems
@@ -105,20 +106,12 @@ def _column(values: list[Any], own: str, unit: str) -> list[Any]:
     if missing.any():
         raise ValueError(f"has no value in row {rows_listed(missing)}")
     values = [value.decode() if isinstance(value, bytes) else value for value in values]
-    factor = _factor(own, unit) if own else 1.0
+    factor = factor_between(own, unit) if own else 1.0
+    if factor is None:
+        raise ValueError(f"its column is in {own}, and the parameter {f'is in {unit}' if unit else 'has no unit'}")
     if factor == 1.0 or not all(isinstance(value, int | float) for value in values):
         return values
     return [factor * value for value in values]
-
-
-def _factor(own: str, wanted: str) -> float:
-    from astropy.units import Unit, UnitsError
-
-    try:
-        return float(Unit(own).to(Unit(wanted)))
-    except (UnitsError, TypeError, ValueError):
-        here = f"is in {wanted}" if wanted else "has no unit"
-        raise ValueError(f"its column is in {own}, and the parameter {here}") from None
 
 
 def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:

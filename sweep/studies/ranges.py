@@ -41,7 +41,8 @@ class Range:
             return [int(self.low) + i for i in _steps(unit, int(self.high) - int(self.low) + 1)]
         if self.log:
             top = self.high + self.whole
-            numbers = [float(f"{x:.12g}") for x in (self.low * (top / self.low) ** unit).tolist()]
+            exponents = math.log(self.low) + unit * (math.log(top) - math.log(self.low))
+            numbers = [float(f"{x:.12g}") for x in np.exp(exponents).tolist()]
         else:
             numbers = (self.low + (self.high - self.low) * unit).tolist()
         numbers = [min(max(x, self.low), self.high) for x in numbers]
@@ -57,7 +58,7 @@ class Range:
             numbers = numbers + 0.5
         top = self.high + self.whole
         if self.log:
-            return np.asarray(np.log(numbers / self.low) / np.log(top / self.low))
+            return np.asarray((np.log(numbers) - math.log(self.low)) / (math.log(top) - math.log(self.low)))
         return np.asarray((numbers - self.low) / (top - self.low))
 
     @property

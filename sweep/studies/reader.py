@@ -149,8 +149,9 @@ class _Reader:
         crossed = {name: values for name, values in axes.items() if name in form.axes}
         zipped = zipped_axes(form.grid.zip, crossed, self.problems)
         value = partial(self._value, experiment)
+        given = {*axes, *form.fixed}
         excluded = tuple(
-            exclusion(experiment, {*axes, *form.fixed}, i, clause, self.problems, value) for i, clause in enumerate(form.exclude)
+            exclusion(experiment, given, i, clause, self.problems, value) for i, clause in enumerate(form.exclude)
         )
         published = None
         if form.published is not None:
@@ -219,15 +220,16 @@ class _Reader:
         """Return the values of a table of points by parameter, where it comes from, and its columns as written."""
         if form.points is None:
             return {}, {}, {}
-        names = [o.name for o in (*experiment.parameters, *experiment.outputs)]
-        if POINT in {*names, *experiment.coordinates}:
+        parameters, outputs = ({one.name for one in ones} for ones in (experiment.parameters, experiment.outputs))
+        if POINT in parameters | outputs | experiment.coordinates.keys():
             self.problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
         columns, origin = read_points(form.points, experiment, self.path.parent, self.problems)
         found: dict[str, tuple[Value, ...] | None] = {}
         for name, raw_values in columns.items():
             where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)
-            if name in form.axes or name in form.fixed:
-                self.problems.add(where, f"is {'an axis' if name in form.axes else 'fixed'} too; leave out one of the two")
+            if name in {**form.axes, **form.fixed}:
+                what = "an axis" if name in form.axes else "fixed"
+                self.problems.add(where, f"is {what} too; leave out one of the two")
             try:
                 if not (parameter := experiment.parameter(name)).may_be_axis:
                     raise ValueError(f"a {parameter.kind} cannot differ from point to point")
