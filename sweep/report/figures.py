@@ -54,7 +54,7 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
     if sampled(dataset) is not None and dataset["status"].size == 1:
         wanted = [("kept samples", ()), *wanted]
-    return [_picture(untitled, name, chosen, f"{number}-{i}") for i, (name, chosen) in enumerate(wanted)]
+    return [drawn(untitled, name, f"{number}-{i}", chosen) for i, (name, chosen) in enumerate(wanted)]
 
 
 def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
@@ -81,7 +81,8 @@ def _varies(array: xr.DataArray) -> bool:
     return bool(finite.size and finite.min() < finite.max())
 
 
-def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str) -> Picture:
+def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = ()) -> Picture:
+    """Return the figure that suits a dataset; ``salt`` sets the identifiers in it apart from those of others."""
     with _inside_a_page(salt):
         try:
             figure = draw_figure(dataset, variables=variables)

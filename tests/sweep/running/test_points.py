@@ -8,7 +8,6 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError
-from sweep.running.reproduce import reproduce
 from sweep.stores.opened import OpenStore
 from sweep.studies.study import POINT, POINT_TABLE
 

@@ -132,7 +132,7 @@ def design(name, n, seed=0):
 @pytest.mark.parametrize("name", DESIGNS)
 def test_a_larger_design_begins_with_the_same_points_bitwise_where_it_says_so(name):
     few, many = design(name, 8), design(name, 16)
-    same = all(many[key][: len(few[key])] == values for key, values in few.items())
+    same = all(many[key][: len(values)] == values for key, values in few.items())
     assert same == DESIGNS[name].grows
     assert design(name, 8) == few
     assert design(name, 8, seed=1) != few
