@@ -7,6 +7,7 @@ Engineering & System Safety 107, 149), of a text or few different numbers by the
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sweep.contract import Array, SweepError
 
@@ -34,42 +35,51 @@ def first_order(values: Array, places: Sequence[Array], even: bool = False, seed
     n = len(values)
     if n < (least := 2 * POINTS_FOR_EACH + 2):
         raise SweepError(f"{n} points are too few for indices: at least {least} are needed")
+    if not np.ptp(values) > 0.0:
+        return np.full(len(places), np.nan), np.full(len(places), np.nan)
     part = np.random.default_rng(seed).permutation(n) % min(PARTS, n // 2)
     found = np.empty((2, len(places)))
     for k, place in enumerate(places):
-        basis, shorter = _basis(place)
-        index, chance = _explained(values, basis)
-        left = np.array([_explained(values[part != j], basis[part != j])[0] for j in range(int(part.max()) + 1)])
+        waves, shorter = _basis(place)
+        parts = _moments(values, waves, part)
+        whole = parts.sum(axis=0)
+        index, chance = _explained(whole)
+        left = np.array([_explained(whole - one)[0] for one in parts])
         variance = (len(left) - 1) / len(left) * np.sum((left - left.mean()) ** 2)
-        truncation = 0.0 if shorter is None else index - _explained(values, shorter)[0]
+        kept = [*range(1 + shorter), -1]
+        truncation = index - _explained(whole[np.ix_(kept, kept)])[0]
         half = 0.5 * chance if even else 0.0
         found[:, k] = index + half, np.sqrt(variance + truncation**2 + half**2)
     return found[0], found[1]
 
 
-def _basis(place: Array) -> tuple[Array, Array | None]:
-    """Return functions of a parameter at the points, (points, functions), and fewer of them; none where they are
-    groups.
+def _basis(place: Array) -> tuple[Array, int]:
+    """Return functions of a parameter at the points, (points, functions), and how many of them are the longer waves;
+    all, where they are groups.
     """
     different, group = np.unique(place, return_inverse=True)
     if len(different) <= FEW_VALUES:
-        return np.eye(len(different))[group][:, 1:], None
+        return np.eye(len(different))[group][:, 1:], len(different) - 1
     count = max(2, min(HARMONICS, len(place) // POINTS_FOR_EACH))
-    waves = np.cos(np.pi * place[:, None] * np.arange(1, count + 1))
-    return waves, waves[:, : count - min(2, count - 1)]
+    return np.cos(np.pi * place[:, None] * np.arange(1, count + 1)), count - min(2, count - 1)
 
 
-def _explained(values: Array, basis: Array) -> tuple[float, float]:
+def _moments(values: Array, functions: Array, part: NDArray[np.intp]) -> Array:
+    """Return the sums of products of 1, the functions and the values over each part, (parts, products, products)."""
+    columns = np.column_stack([np.ones(len(values)), functions, values - values.mean()])
+    return np.array([columns[part == j].T @ columns[part == j] for j in range(int(part.max()) + 1)])
+
+
+def _explained(moments: Array) -> tuple[float, float]:
     """Return the share of the variance that a regression explains, less what it would of noise (adjusted R²), and how
     much that is.
     """
-    n, used = len(values), np.linalg.matrix_rank(basis) if basis.size else 0
-    centred = values - values.mean()
-    whole = float(centred @ centred)
+    products, right, squares = moments[:-1, :-1], moments[:-1, -1], moments[-1, -1]
+    n = products[0, 0]
+    whole = squares - right[0] ** 2 / n
+    used = np.linalg.matrix_rank(products, hermitian=True) - 1
     if not whole > 0.0 or n <= used + 1:
         return float("nan"), float("nan")
-    design = basis - basis.mean(axis=0)
-    fitted = design @ np.linalg.lstsq(design, centred, rcond=None)[0]
-    rest = float(np.sum((centred - fitted) ** 2))
+    rest = max(0.0, squares - right @ np.linalg.pinv(products, hermitian=True) @ right)
     chance = rest / whole * used / (n - 1 - used)
-    return 1.0 - rest / whole - chance, chance
+    return float(1.0 - rest / whole - chance), float(chance)

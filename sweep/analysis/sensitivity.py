@@ -141,11 +141,13 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
         raise SweepError("the points do not differ in any parameter")
     places = [_places(dataset, name, told.get("ranges", {}).get(name)) for name in parameters]
 
+    even = bool(design) and design != "random"
+
     def given(values: Array, _errors: Array | None) -> dict[str, Array]:
         return dict(
             zip(
                 ("first", "first_error"),
-                first_order(values, places, bool(design) and design != "random", seed),
+                first_order(values, places, even, seed),
                 strict=True,
             )
         )

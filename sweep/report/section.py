@@ -139,7 +139,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
 
 
 def _indices(dataset: xr.Dataset, names: list[str]) -> dict[str, xr.Dataset]:
-    """Return the sensitivity indices of results of a table of points that are one number a point, if they can be had."""
+    """Return the sensitivity indices of results of a table of points, of those with one number a point."""
     found: dict[str, xr.Dataset] = {}
     for name in names if POINT_TABLE in dataset.attrs and len(varied_parameters(dataset)) > 1 else ():
         if dataset[name].squeeze().ndim == 1:
