@@ -46,7 +46,7 @@ accept_code_option = click.option(
 )
 
 
-def _located(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+def located_option(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
     """Turn what names a store, or several, into places; nothing while a shell completes."""
     if value is None or context.resilient_parsing:
         return None
@@ -59,9 +59,9 @@ def _located(context: click.Context, _parameter: click.Parameter, value: Any) ->
     return located(value)
 
 
-store_argument = click.argument("store", callback=_located, shell_complete=shell_completion.stores)
+store_argument = click.argument("store", callback=located_option, shell_complete=shell_completion.stores)
 stores_argument = click.argument(
-    "stores", nargs=-1, metavar="STORE...", callback=_located, shell_complete=shell_completion.stores
+    "stores", nargs=-1, metavar="STORE...", callback=located_option, shell_complete=shell_completion.stores
 )
 
 
@@ -107,7 +107,7 @@ def study_options(command: Command) -> Command:
             "-o",
             "--output",
             "store",
-            callback=_located,
+            callback=located_option,
             help="The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]",
         ),
     )
