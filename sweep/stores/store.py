@@ -11,8 +11,7 @@ from typing import Any
 import xarray as xr
 
 from sweep.contract import Array, SweepError
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.results import TEXT_BYTES
+from sweep.functions.value_types import TEXT_BYTES
 from sweep.stores import failures, snapshot
 from sweep.stores.checksums import group_document, sealed
 from sweep.stores.chunked_rows import DamagedError
@@ -73,8 +72,7 @@ class Store:
 
     def _leave_out_rows_without_texts(self) -> None:
         """Count rows as missing whose texts are, so that these points are computed again."""
-        experiment = self.study.experiment
-        if not isinstance(experiment, FunctionExperiment) or not (places := experiment.text_places()):
+        if not (places := self.study.experiment.text_places()):
             return
         sums = self._ledger.sums()
         for key, row in list(self.rows.items()):
