@@ -122,7 +122,7 @@ def is_sensitivity(dataset: xr.Dataset) -> bool:
 def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     told = json.loads(dataset.attrs.get(POINT_TABLE, "{}"))
     design = told.get("design", "")
-    parameters = [n for n in told.get("parameters", []) if n in dataset.coords]
+    parameters = [n for n in told.get("ranges", told.get("parameters", [])) if n in dataset.coords]
     whole = size_of(design, told["n"], len(parameters)) == dataset.sizes[POINT] if design in DESIGNS else False
     if design in ("saltelli", "morris") and not whole:
         raise SweepError(f"indices of a {design} design need all of its points")
@@ -136,7 +136,7 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
 
         notes = ["effects are over the whole range of each parameter; they rank parameters, and are no shares"]
         return _Method("SALib, of a morris design", parameters, [POINT], effects, notes)
-    parameters = varied_parameters(dataset)
+    parameters = [name for name in varied_parameters(dataset) if name in parameters]
     if not parameters:
         raise SweepError("the points do not differ in any parameter")
     places = [_places(dataset, name, told.get("ranges", {}).get(name)) for name in parameters]

@@ -17,7 +17,8 @@ class GridForm(Section):
 class PointsForm(Section):
     """The table [points]: exactly one of ``file``, ``design`` and ``columns``.
 
-    ``origin`` is what a store remembers of where its columns come from.
+    ``derive`` names a function of a row that gives further columns; ``origin`` is what a store remembers of where its
+    columns come from.
     """
 
     file: str | None = None
@@ -27,6 +28,7 @@ class PointsForm(Section):
     ranges: dict[str, Any] = Field(default_factory=dict)
     columns: dict[str, list[Any]] | None = None
     units: dict[str, str] = Field(default_factory=dict)
+    derive: str | None = None
     origin: dict[str, Any] | None = None
 
 

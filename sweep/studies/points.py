@@ -8,6 +8,7 @@ import numpy as np
 
 from sweep.contract import Experiment, SweepError, shown, suggest
 from sweep.contract.units import factor_between
+from sweep.load import load_function
 from sweep.studies.designs import DESIGNS, MORRIS_LEVELS, size_of
 from sweep.studies.form import PointsForm
 from sweep.studies.problems import Problems
@@ -22,11 +23,12 @@ Columns = Mapping[str, list[Any]]
 
 
 def read_points(
-    form: PointsForm, experiment: Experiment, folder: Path, problems: Problems
+    form: PointsForm, experiment: Experiment, fixed: Mapping[str, Any], folder: Path, problems: Problems
 ) -> tuple[Columns, dict[str, Any]]:
     """Return the columns of a table of points as they are written, all of one length, and where they come from.
 
-    ``problems`` takes what is wrong; the columns are empty then.
+    ``fixed`` are the other parameters that the study sets; ``problems`` takes what is wrong, and the columns are empty
+    then.
     """
     given = [key for key in ("file", "design", "columns") if getattr(form, key) is not None]
     columns: Columns = {}
@@ -45,13 +47,17 @@ def read_points(
         if not columns:
             problems.add(("points", "columns"), "has no columns")
         columns = _in_units(columns, form.units, experiment, ("points", "columns"), problems)
-    return _checked(columns, problems), origin
+    columns = _checked(columns, problems)
+    if form.derive is not None and columns:
+        columns = {**columns, **_derived(form.derive, columns, experiment.defaults() | dict(fixed), folder, problems)}
+        origin["derive"] = form.derive
+    return columns, origin
 
 
 _KEYS: Mapping[str, set[str]] = {
-    "file": {"file", "units"},
-    "columns": {"columns", "units", "origin"},
-    "design": {"design", "n", "seed", "ranges"},
+    "file": {"file", "units", "derive"},
+    "columns": {"columns", "units", "derive", "origin"},
+    "design": {"design", "n", "seed", "ranges", "derive"},
 }
 
 
@@ -112,6 +118,37 @@ def _column(values: list[Any], own: str, unit: str) -> list[Any]:
     if factor == 1.0 or not all(isinstance(value, int | float) for value in values):
         return values
     return [factor * value for value in values]
+
+
+def _derived(
+    reference: str, columns: Columns, settings: Mapping[str, Any], folder: Path, problems: Problems
+) -> Columns:
+    """Return the columns that a function of the user's gives for each row of a table."""
+    where = ("points", "derive")
+    try:
+        function = load_function(reference, folder)
+    except SweepError as error:
+        for problem in error.problems:
+            problems.add(where, problem)
+        return {}
+    found: dict[str, list[Any]] = {}
+    names = list(columns)
+    for number, values in enumerate(zip(*columns.values(), strict=True), start=1):
+        try:
+            given = function({**settings, **dict(zip(names, values, strict=True))})
+        except Exception as error:  # whatever a user's function raises
+            problems.add(where, f"row {number}: {reference} raises {type(error).__name__}: {error}")
+            return {}
+        if not isinstance(given, Mapping) or (found and given.keys() != found.keys()):
+            expected = f"a mapping of {', '.join(found)}" if found else "a mapping of parameters to their values"
+            problems.add(where, f"row {number}: {reference} returns {shown(given)}, not {expected}")
+            return {}
+        for name, value in given.items():
+            found.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
+    if twice := sorted(found.keys() & columns.keys()):
+        problems.add(where, f"{', '.join(twice)} is a column already")
+        return {}
+    return found
 
 
 def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:

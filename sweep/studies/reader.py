@@ -223,7 +223,7 @@ class _Reader:
         parameters, outputs = ({one.name for one in ones} for ones in (experiment.parameters, experiment.outputs))
         if POINT in parameters | outputs | experiment.coordinates.keys():
             self.problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
-        columns, origin = read_points(form.points, experiment, self.path.parent, self.problems)
+        columns, origin = read_points(form.points, experiment, form.fixed, self.path.parent, self.problems)
         found: dict[str, tuple[Value, ...] | None] = {}
         for name, raw_values in columns.items():
             where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)

@@ -173,6 +173,29 @@ def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of_once():
     assert "take 64 or 128" in sentence
 
 
+def test_a_function_derives_further_columns(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "def rates(row):\n    return {'k': int(10 * row['beta']), 'solver': 'b' if row['beta'] > 0.4 else 'a'}\n"
+        "def wrong(row):\n    return [1]\n"
+        "def fails(row):\n    return {'k': 1 / (row['beta'] - 0.2)}\n"
+        "def bad(row):\n    return {'k': -0.5}\n"
+        "def again(row):\n    return {'beta': 1.0}\n"
+    )
+    points = {"columns": {"beta": [0.5, 0.2]}, "derive": f"{tmp_path}/own.py:rates"}
+    assert read(points) == {"beta": [0.5, 0.2], "k": [5, 2], "solver": ["b", "a"]}
+    study = study_of_function(f, points=points)
+    assert "derive" not in study.document["points"]  # the store has its values, and runs nothing
+    for name, problem in {
+        "wrong": r"row 1: .*:wrong returns \[1\], not a mapping of parameters",
+        "fails": "row 2: .* raises ZeroDivisionError",
+        "bad": "row 1: k = -0.5: must be an integer",
+        "again": "beta is a column already",
+        "none": "none",
+    }.items():
+        with pytest.raises(SweepError, match=problem):
+            read(points | {"derive": f"{tmp_path}/own.py:{name}"})
+
+
 def test_a_store_knows_the_values_not_the_file(tmp_path):
     path = written(tmp_path, "t.csv")
     study = study_of_function(f, points=path)
