@@ -80,7 +80,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         >>> axes = {"width": [0.5, 1.5, 2.5], "height": [1.0, 2.0, 3.0]}
         >>> found = sensitivity(linksweep.run(area, "area.zarr", axes=axes, pool="serial"))
         >>> found.parameter.values.tolist(), found["first"].values.round(3).tolist()
-        (['width', 'height'], [0.667, 0.25])
+        (['width', 'height'], [0.578, 0.325])
     """
     output = output or main_quantity(dataset)
     require_quantity(dataset, output)
