@@ -48,7 +48,8 @@ def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
     axes.set_ylim(-0.6, len(names) - 0.4)
     unit = str(dataset[kinds[0]].attrs.get("units", ""))
     if "first" in kinds:
-        axes.set_xlim(min(-0.02, float(np.nanmin(dataset["first"]))), max(1.02, float(np.nanmax(dataset[kinds[-1]]))))
+        low, high = axes.get_xlim()  # with the errors of all marks in it
+        axes.set_xlim(min(-0.02, low), max(1.02, high))
         axes.set_xlabel("share of the variance")
     else:
         axes.set_xlabel(f"effect over the range [{unit_text(unit)}]" if unit else "effect over the range")
