@@ -65,7 +65,7 @@ def told(watching: Watching) -> Iterator[None]:
     shown.setLevel(watching.level)
     with ExitStack() as stack:
         stack.enter_context(_handled(SENTENCES, shown))
-        SENTENCES.setLevel(logging.DEBUG)
+        SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
         stack.enter_context(_handled(RECORD, logging.NullHandler()))
         RECORD.propagate = False
         if watching.level == logging.DEBUG:

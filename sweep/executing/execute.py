@@ -40,6 +40,9 @@ NO_LIMITS = Limits()
 WORKERS_START_S = 1.5
 """What starting worker processes takes, imports included."""
 
+JUDGED_S = 0.05
+"""So much work shows how long the rest takes: a first call may take a hundred times as long as the others."""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -109,7 +112,7 @@ def measured_first(
                 done += sum(work.cost for work in works) * len(result.seconds) / sum(len(w.points) for w in works)
                 busy += float(result.seconds.sum())
                 left = max(0.0, cost - done) * busy / max(done, 1e-9)
-                if left * (1.0 - 1.0 / cores) > WORKERS_START_S:
+                if busy > JUDGED_S and left * (1.0 - 1.0 / cores) > WORKERS_START_S:
                     place, executor = stack.enter_context(elsewhere())
                     moved.append(executor)
                     say(f"the first points took long enough: the rest is done on {place.words}")

@@ -66,6 +66,8 @@ def flatten(result: Any, declared: Declared) -> Flat:
 
     Raises ResultError that names every output that is none or not what is declared, and NotFiniteError.
     """
+    if type(result) in FAST:
+        result = {declared.single: result}
     if type(result) is dict and declared.without_dimensions and (quick := _scalars(result, declared)) is not None:
         return quick
     named = named_results(result, declared)

@@ -7,7 +7,6 @@ from sweep.contract import Array
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import GridPoint
 from sweep.planning.plan import MOST_SHARING, TARGET, Block, Plan, Work
-from sweep.planning.point_status import Status
 
 TASK_S = 1.0
 """Seconds of work that a task aims at."""
@@ -96,7 +95,7 @@ class Pending:
     def _next(self) -> Work | None:
         while self._known:
             work = self._known.popleft()
-            if any(self._accumulator.status[point.index] == Status.MISSING for point in work.points):
+            if any(self._accumulator.is_missing(point.index) for point in work.points):
                 return work
         return next(self._fresh, None)
 
@@ -104,7 +103,7 @@ class Pending:
         """Yield the work of every point by itself; no more of one that has failed meanwhile."""
         for point in self._plan.grid.points():
             for block in self._accumulator.missing(point):
-                if self._accumulator.status[point.index] != Status.MISSING:
+                if not self._accumulator.is_missing(point.index):
                     break
                 yield self._plan.work((point,), block)
 
@@ -113,7 +112,7 @@ class Pending:
         grid = self._plan.grid
         groups: dict[bytes, list[int]] = {}
         for point in grid.points():
-            if self._accumulator.status[point.index] == Status.MISSING:
+            if self._accumulator.is_missing(point.index):
                 groups.setdefault(point.stream, []).append(point.index)
         for indices in groups.values():
             for start in range(0, len(indices), MOST_SHARING):
@@ -123,5 +122,5 @@ class Pending:
                     for block in self._accumulator.missing(point):
                         wanting.setdefault(block, []).append(point)
                 for block in sorted(wanting):
-                    if left := [p for p in wanting[block] if self._accumulator.status[p.index] == Status.MISSING]:
+                    if left := [p for p in wanting[block] if self._accumulator.is_missing(p.index)]:
                         yield self._plan.work(tuple(left), block)

@@ -100,6 +100,8 @@ class TerminalProgress:
         self._end_bar()
 
     def _tell_points(self, taken: Taken) -> None:
+        if not taken.failed and not SENTENCES.isEnabledFor(logging.DEBUG):
+            return
         for point in taken.ended:
             place = describe(self._study, point.parameters)
             if (failure := taken.failed.get(point.index)) is not None:

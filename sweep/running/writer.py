@@ -114,11 +114,11 @@ class Writer:
                     good.append(row)
                     more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
                     added += [self.plan.work((point,), one) for one in more]
-                    ends = self.accumulator.status[point.index] == Status.DONE
+                    ends = self.accumulator.is_done(point.index)
                 if ends:
                     ended.append(point)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
-            failed |= self._refuse_results([p.index for p in ended if self.accumulator.status[p.index] == Status.DONE])
+            failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
             self._pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples, result.texts)
@@ -210,7 +210,7 @@ class Writer:
 
     def _fail(self, point: GridPoint, failure: Failure) -> bool:
         """Record why a point cannot be computed; return whether it was not given up already."""
-        if self.accumulator.status[point.index] != Status.MISSING:
+        if not self.accumulator.is_missing(point.index):
             return False
         self.accumulator.fail(point.index)
         self._record(point, failure)
