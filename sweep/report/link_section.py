@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.formatting import with_error
-from sweep.report.answer import Answer
+from sweep.analysis.answer import Answer
 from sweep.report.figures import link_pictures
 from sweep.report.section import Section, Table
 

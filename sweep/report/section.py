@@ -13,7 +13,7 @@ from sweep.analysis.components import condition_warning
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.tables import Column, headline_columns, warnings_of
 from sweep.analysis.verdicts import Comparison
-from sweep.report.answer import Answer, answers, completeness, failed, headline
+from sweep.analysis.answer import Answer, answers, completeness, failed, headline
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, pictures
 from sweep.studies.provenance import FUNCTION, outer_draw_of

@@ -18,7 +18,7 @@ from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
-from sweep.report.answer import answers, completeness
+from sweep.analysis.answer import answers, completeness
 from sweep.report.cite import citations
 from sweep.report.explorer import explorer
 from sweep.report.figures import pictures
