@@ -4,7 +4,6 @@ Stores and files for programs keep their units; tables, figures, sentences and p
 """
 
 import re
-from collections.abc import Iterable
 from functools import lru_cache
 from math import floor, inf, isfinite, log10
 from typing import Any, NamedTuple
@@ -13,6 +12,9 @@ from sweep.formatting import with_error
 
 LEAST, MOST = 0.1, 1000.0
 """A number from the first to below the second needs no other prefix."""
+
+SMALL = 1e-4
+"""A smaller number with an error is written with a power of ten."""
 
 STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
 """Prefixes that are chosen between, and their powers of ten."""
@@ -83,8 +85,18 @@ def in_ascii(unit: str) -> str:
     return written(unit).replace("µ", "u")
 
 
+def with_micro_signs(sentence: str) -> str:
+    """Return a sentence of `with_unit` or `in_short` as pages show it, with the micro sign in its units.
+
+    Examples:
+        >>> with_micro_signs("0.54 uas/yr of 28 users, 3 us")
+        '0.54 µas/yr of 28 users, 3 µs'
+    """
+    return re.sub(r"(?<=\d )[A-Za-z]+(?=[/\s.,;)]|$)", lambda token: _with_micro_sign(token[0]), sentence)
+
+
 def _sizes(values: Any) -> list[float]:
-    listed: Iterable[Any] = values.reshape(-1).tolist() if hasattr(values, "reshape") else values
+    listed: Any = values.reshape(-1).tolist() if hasattr(values, "reshape") else values
     numbers = listed if isinstance(listed, list | tuple) else [listed]
     return [size for number in numbers if 0.0 < (size := abs(float(number))) < inf]
 
@@ -168,7 +180,12 @@ def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:
         ('0.5411 ± 0.0038 uas/yr', '100')
     """
     chosen = prefixed(value, unit)
-    text = with_error(value * chosen.factor, error * chosen.factor)
+    value, error = value * chosen.factor, error * chosen.factor
+    if 0.0 < abs(value) < SMALL and 0.0 < error < inf:
+        power = 10.0 ** floor(log10(abs(value)))
+        text = f"({with_error(value / power, error / power)})e{floor(log10(abs(value))):+03d}"
+    else:
+        text = with_error(value, error)
     return f"{text} {in_ascii(chosen.unit)}" if unit else text
 
 
@@ -185,6 +202,17 @@ def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
     return f"{_short(value, error)} {in_ascii(chosen.unit)}" if unit else _short(value, error)
 
 
+def in_three_digits(value: float, unit: str = "") -> str:
+    """Return a number with three digits in the unit in which it reads best.
+
+    Examples:
+        >>> in_three_digits(0.00054119, "mas / yr")
+        '0.541 uas/yr'
+    """
+    chosen = prefixed(value, unit)
+    return f"{value * chosen.factor:.3g} {in_ascii(chosen.unit)}".strip()
+
+
 def _short(value: float, error: float) -> str:
     if value == 0.0 or not isfinite(value):
         return f"{value:g}"
@@ -198,7 +226,7 @@ def _short(value: float, error: float) -> str:
     last = size - (1 if known and leading >= 2.0 else 2)
     if known:
         last = max(last, floor(log10(error)))
-    if not -6 <= last:
+    if not last >= -6:
         return f"{value:.2g}"
-    rounded_value = round(value, -last)
+    rounded_value = round(value, -last) + 0.0  # and not -0.0
     return f"{rounded_value:,.{max(0, -last)}f}" if abs(value) < 1e7 else f"{value:.2e}"

@@ -9,7 +9,14 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.conclusion import conclusion_in_words
-from sweep.analysis.quantity import PREDICTION_SUFFIXES, main_quantity, prediction_name, quantities, standard_error, unknown_parts
+from sweep.analysis.quantity import (
+    PREDICTION_SUFFIXES,
+    main_quantity,
+    prediction_name,
+    quantities,
+    standard_error,
+    unknown_parts,
+)
 from sweep.analysis.selection import place_in_words
 from sweep.contract import Array, SweepError
 from sweep.formatting import counted
@@ -156,7 +163,8 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     parts = [ERROR_WORDS[suffix].replace("catalogue", draw) for suffix in known_ones]
     if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
         yield sentence
-    for sentence in unknown_parts(part, variable):
+    for whole in unknown_parts(part, variable):
+        sentence = whole.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
     predicted = part.get(prediction_name(part, variable))
     if predicted is not None:

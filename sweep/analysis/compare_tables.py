@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 from sweep.analysis.compare import summary
 from sweep.analysis.selection import place_in_words
-from sweep.analysis.verdicts import PROBABILITY, Comparison
+from sweep.analysis.verdicts import PROBABILITY, Comparison, in_readable_unit
 from sweep.formatting import finite_or, rounded, to_json, with_error
+from sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,11 +29,11 @@ def as_text(comparisons: Sequence[Comparison]) -> "Table":
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("verdict", no_wrap=True)
     previous = comparisons[0].study if comparisons else ""
-    for c in comparisons:
+    for c in map(in_readable_unit, comparisons):
         if c.study != previous:
             table.add_section()
         previous = c.study
-        name = f"{c.what} [{c.unit}]" if c.unit else c.what
+        name = f"{c.what} [{in_ascii(c.unit)}]" if c.unit else c.what
         table.add_row(
             *(
                 escape(cell)

@@ -95,13 +95,11 @@ def _number(measured: Measured, unit: str, form: str) -> str:
 def _broken_bound(value: ConclusionValue, measured: Measured) -> str:
     """Return which bound a number does not keep, in words; '' where it keeps both."""
     number = measured.value
-    if value.above is not None and not number > value.above:
-        return f"above {value.above:g}"
-    if value.below is not None and not number < value.below:
-        return f"below {value.below:g}"
     allowed = MC_ERRORS_ALLOWED * measured.error + ARITHMETIC * abs(number)
+    if value.above is not None and not number + allowed > value.above:
+        return f"above {value.above:g}"
+    if value.below is not None and not number - allowed < value.below:
+        return f"below {value.below:g}"
     if value.equals is not None and not abs(number - value.equals) <= allowed:
         return f"{value.equals:g} within {MC_ERRORS_ALLOWED:g} of its errors"
     return ""
-
-

@@ -56,9 +56,20 @@ def _located(context: click.Context, _parameter: click.Parameter, value: Any) ->
     return located(value)
 
 
-store_argument = click.argument("store", callback=_located, shell_complete=shell_completion.stores)
+def _named(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+    """Turn what names a store that is there, or the study whose store it is, or several, into places."""
+    if isinstance(value, tuple):
+        return tuple(_named(context, parameter, one) for one in value)
+    if value is None or value == "" or context.resilient_parsing:
+        return _located(context, parameter, value)
+    from sweep.stores.named import store_named
+
+    return store_named(value)
+
+
+store_argument = click.argument("store", callback=_named, shell_complete=shell_completion.stores)
 stores_argument = click.argument(
-    "stores", nargs=-1, metavar="STORE...", callback=_located, shell_complete=shell_completion.stores
+    "stores", nargs=-1, metavar="STORE...", callback=_named, shell_complete=shell_completion.stores
 )
 
 

@@ -74,7 +74,7 @@ def _figure(
 ) -> Any:
     from sweep.plots.figure import draw_figure
     from sweep.plots.standalone import accuracy_figure, sky_figure
-    from sweep.stores.location import located
+    from sweep.stores.named import store_named
     from sweep.tie.stored import result_at
 
     if kind == "accuracy":
@@ -87,9 +87,9 @@ def _figure(
 
         if Path(source).is_file():
             return sky_figure(catalogue_of_table(Path(source)))
-        return sky_figure(catalogue_of_point(located(source), at))
-    store = located(source)
-    if (result := result_at(source)) is not None:
+        return sky_figure(catalogue_of_point(store_named(source), at))
+    store = store_named(source)
+    if (result := result_at(store)) is not None:
         if at:
             raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
         return draw_figure(result, kind, variables, over)
@@ -101,7 +101,7 @@ def _figure(
 def _study(source: str) -> Any:
     """Return the study of a store, or in a file."""
     from sweep.running.reproduce import study_to_look_at
-    from sweep.stores.location import located
+    from sweep.stores.named import store_named
     from sweep.studies.reader import load_study
 
-    return load_study(source) if source.endswith(".toml") else study_to_look_at(located(source))
+    return load_study(source) if source.endswith(".toml") else study_to_look_at(store_named(source))

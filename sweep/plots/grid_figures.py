@@ -7,6 +7,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis
+from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError, shown, suggest
 from sweep.plots.law import draw_law, draw_law_residuals
 from sweep.plots.layout import arrange
@@ -38,6 +39,7 @@ def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
         raise SweepError("a law is drawn for one further dimension at most; fix others with --at AXIS=VALUE")
     figure = Figure(figsize=(6.4, 5.2), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    dataset = in_readable_units(dataset)
     draw_law(upper, dataset, variables[0], axis)
     upper.set_xlabel("")
     draw_law_residuals(lower, dataset, variables[0], axis)

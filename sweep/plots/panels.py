@@ -7,6 +7,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError
 from sweep.plots.layout import Layout
 from sweep.plots.style import value_text
@@ -30,15 +31,18 @@ def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw:
     n_rows = dataset.sizes[rows] if rows else 1
     size = (6.4, 4.4) if n_columns * n_rows == 1 else (1.2 + 3.1 * n_columns, 1.2 + 2.4 * n_rows)
     figure = Figure(figsize=size, layout="constrained")
+    own_units = layout.far and len(variables) == 1
+    if not own_units:
+        dataset = in_readable_units(dataset)
     share: Any = "col" if layout.far or len(variables) > 1 else True
     grid = figure.subplots(n_rows, n_columns, sharex=True, sharey=share, squeeze=False)
-    for row, column, part, name, title in _parts(dataset, variables, columns, rows):
+    for row, column, part, name, title in _parts(dataset, variables, columns, rows, own_units):
         axes = grid[row, column]
         draw(axes, part, name)
         axes.set_title(title)
         if row < n_rows - 1:
             axes.set_xlabel("")
-        if column and len(variables) == 1:
+        if column and len(variables) == 1 and not own_units:
             axes.set_ylabel("")
     if grid.size > 1:
         _common_legend(figure, grid)
@@ -46,17 +50,20 @@ def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw:
 
 
 def _parts(
-    dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None
+    dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None, own_units: bool
 ) -> Iterator[tuple[int, int, xr.Dataset, str, str]]:
     across = (
         [(name, None) for name in variables]
         if len(variables) > 1
         else [(variables[0], i) for i in _indices(dataset, columns)]
     )
-    for row in _indices(dataset, rows):
-        for column, (name, index) in enumerate(across):
-            chosen = {d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None}
-            part = dataset.isel(chosen)
+    for column, (name, index) in enumerate(across):
+        whole = dataset if columns is None or index is None else dataset.isel({columns: index})
+        if own_units:
+            whole = in_readable_units(whole)
+        for row in _indices(dataset, rows):
+            part = whole if rows is None or row is None else whole.isel({rows: row})
+            chosen = [d for d, i in ((rows, row), (columns, index)) if d is not None and i is not None]
             title = ", ".join(value_text(dataset, d, part[d].item()) for d in chosen)
             yield row or 0, column, part, name, title
 

@@ -17,6 +17,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError
+from sweep.readable import written
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 """Safe for the colour-blind.  Source: Okabe & Ito 2008."""
@@ -94,7 +95,7 @@ def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
 
 def unit_text(unit: str) -> str:
     """Return a unit as axes show it."""
-    return unit.replace(" / ", "/")
+    return written(unit)
 
 
 def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:

@@ -2,18 +2,20 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import xarray as xr
 
+from sweep.analysis.answer import Answer, answer_in_short, answers, completeness, failed, headline
 from sweep.analysis.compare import compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
+from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.tables import Column, headline_columns, warnings_of
-from sweep.analysis.verdicts import Comparison
-from sweep.analysis.answer import Answer, answers, completeness, failed, headline
+from sweep.analysis.verdicts import Comparison, in_readable_unit
+from sweep.readable import with_micro_signs, written
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, pictures
 from sweep.studies.provenance import FUNCTION, outer_draw_of
@@ -60,6 +62,7 @@ class Section:
     title: str
     question: str
     gaps: list[str]
+    short: list[str]
     answers: list[Answer]
     changed: str
     comparisons: list[Comparison]
@@ -87,7 +90,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
     """
     names = headline(dataset)
     comparisons = compare(dataset)
-    explored, numbers, left_out = explorer(dataset, names, room)
+    explored, numbers, left_out = explorer(in_readable_units(dataset), names, room)
     attributes = dataset.attrs
     failures = json.loads(attributes.get("failures", "{}"))
     versions = json.loads(attributes.get("versions", "{}"))
@@ -102,7 +105,8 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         title=title,
         question=str(attributes.get("question", "")),
         gaps=completeness(dataset),
-        answers=answers(dataset),
+        short=[with_micro_signs(sentence) for sentence in answer_in_short(dataset)],
+        answers=[replace(a, sentences=[with_micro_signs(s) for s in a.sentences]) for a in answers(dataset)],
         changed=str(attributes.get("study_overrides", "")),
         comparisons=comparisons,
         verdicts=summary_line(comparisons) if comparisons else "",
@@ -111,7 +115,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         not_explored=left_out,
         numbers=numbers,
         results=_results(headline_columns(dataset)),
-        caption="Headline results, ± their Monte-Carlo errors; a heading sorts",
+        caption="Headline results, ± their one-sigma errors; a heading sorts",
         tables={},
         comparison=_comparison(comparisons) if comparisons else None,
         notes=[
@@ -141,7 +145,7 @@ def _document(attributes: Mapping[Any, Any]) -> str:
 
 
 def _results(columns: list[Column]) -> Table:
-    headings = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns]
+    headings = [f"{c.name} [{written(c.unit)}]" if c.unit else c.name for c in columns]
     cells = (list(zip(c.cells, c.values, strict=True)) for c in columns)
     rows = [list(row) for row in zip(*cells, strict=True)]
     return Table(headings, rows[:MOST_ROWS], max(0, len(rows) - MOST_ROWS))
@@ -150,8 +154,8 @@ def _results(columns: list[Column]) -> Table:
 def _comparison(comparisons: list[Comparison]) -> Table:
     headings = ["what", "where", "verdict", "computed", "published", "difference", "in percent", "allowance"]
     rows = []
-    for c in comparisons:
-        what = f"{c.what} [{c.unit}]" if c.unit else c.what
+    for c in map(in_readable_unit, comparisons):
+        what = f"{c.what} [{written(c.unit)}]" if c.unit else c.what
         texts = [what, place_in_words(c.where), c.verdict, *numbers_in_words(c)]
         relative = c.difference / abs(c.published) if c.published else c.difference
         values = [what, texts[1], c.verdict, c.value, c.published, c.difference, relative, c.allowance]

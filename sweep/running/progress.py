@@ -129,11 +129,12 @@ class TerminalProgress:
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
-    def finish(self, failures: Mapping[str, str], store: object) -> None:
-        """Say what the run took, and why points failed (``failures`` by their place), and how to look closer."""
+    def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
+        """Say what the run took, why points failed (``failures`` by their place), and which ``commands`` come next."""
         self._end_bar()
         if self._begun is not None:
-            for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}"):
+            further = f"; next: {', '.join(commands)}" if commands and not failures else ""
+            for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}{further}"):
                 self.say(line)
             for line in self._summary.warnings():
                 SENTENCES.warning(line)

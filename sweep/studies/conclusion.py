@@ -1,17 +1,22 @@
 """Checks the conclusion of a study: its sentences against its values, these against the grid and the experiment."""
 
+from collections.abc import Callable
 from functools import partial
 from string import Formatter
 
 from sweep.contract import shown, suggest
 from sweep.studies.claims import ClaimContext, Problem, checked_quantity
+from sweep.studies.source import Place
 from sweep.studies.study import Conclusion, ConclusionValue, Ratio, Reading, Slope
 
+PlaceProblem = Callable[[Place, str], None]
+"""Takes the place of a problem in the study, and a sentence."""
+
 FORMATS = ("", "error", "%")
-"""What may follow the name of a value: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent."""
+"""What may follow a name: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent."""
 
 
-def checked_conclusion(conclusion: Conclusion, around: ClaimContext, problem: Problem) -> Conclusion:
+def checked_conclusion(conclusion: Conclusion, around: ClaimContext, problem: PlaceProblem) -> Conclusion:
     """Return the conclusion with the values of its axes parsed; ``problem`` is told of everything that is wrong."""
     used: set[str] = set()
     for number, sentence in enumerate(conclusion.sentences):
@@ -48,7 +53,7 @@ def fields_of(sentence: str) -> list[tuple[str, str]]:
     return found
 
 
-def _at(place: tuple[str, ...], problem: Problem, inside: tuple[str, ...], text: str) -> None:
+def _at(place: tuple[str, ...], problem: PlaceProblem, inside: tuple[str, ...], text: str) -> None:
     problem((*place, *inside), text)
 
 

@@ -5,7 +5,18 @@ from typing import Any
 from pydantic import Field
 
 from sweep.studies.source import Place
-from sweep.studies.study import Claim, Conclusion, ConclusionValue, Ratio, Reading, Sampling, Section, Slope, Text, Tolerance
+from sweep.studies.study import (
+    Claim,
+    Conclusion,
+    ConclusionValue,
+    Ratio,
+    Reading,
+    Sampling,
+    Section,
+    Slope,
+    Text,
+    Tolerance,
+)
 
 
 class GridForm(Section):

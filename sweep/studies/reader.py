@@ -302,7 +302,7 @@ class _Reader:
     def _conclusion(self, form: Form, around: ClaimContext) -> Conclusion | None:
         if form.conclusion is None:
             return None
-        return checked_conclusion(form.conclusion, around, lambda place, text: self.problems.add(place, text))
+        return checked_conclusion(form.conclusion, around, self.problems.add)
 
     def _claims(self, form: Form, around: ClaimContext) -> tuple[Claim, ...]:
         return tuple(

@@ -163,8 +163,8 @@ class Claim(Derived, frozen=True):
 class ConclusionValue(Derived, frozen=True):
     """A number in a conclusion: at one place of the grid, or the ``least`` or ``largest`` of several.
 
-    Where it is not ``above`` and ``below`` these numbers, in the unit of the output, or more than three of its errors
-    from what it ``equals``, the sentences that use it are not said to be true.
+    Where it is more than three of its errors from what it ``equals``, or that far beyond what it is to be ``above`` or
+    ``below``, in the unit of the output, the sentences that use it are not said to be true.
     """
 
     choose: Literal["least", "largest"] | None = None

@@ -14,11 +14,11 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
+from sweep.analysis.answer import answers, completeness
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
-from sweep.analysis.answer import answers, completeness
 from sweep.report.cite import citations
 from sweep.report.explorer import explorer
 from sweep.report.figures import pictures
@@ -121,7 +121,7 @@ def test_each_component_has_its_own_answer_and_unit():
     left, right = answers(dataset)
     assert (left.name, right.name) == ("part (left)", "part (right)")
     assert "from 2 mas, at kind=one, size=4" in left.sentences[0]
-    assert "from 2000 uas, at kind=one, size=4" in right.sentences[0]
+    assert "from 2 mas, at kind=one, size=4" in right.sentences[0]
 
 
 def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):
