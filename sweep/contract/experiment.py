@@ -77,7 +77,8 @@ class Experiment:
     realisations that it adds up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names
     parameters that do not change the random numbers that a block draws, only what is made of them.  ``packages`` are
     distributions whose versions decide the numbers.  ``cost_unit`` says in words what ``cost`` counts, ``outer_draw``
-    what the draws are called that several realisations share, ``citation`` what to cite beside linksweep.  A new
+    what the draws are called that several realisations share (empty: there are none), ``citation`` what to cite beside
+    linksweep.  A new
     ``version`` says that the same parameters now give other numbers: stores of another version are not continued.
 
     Raises SweepError with all that is wrong in the declaration.
@@ -121,6 +122,16 @@ class Experiment:
         return False
 
     @property
+    def vectorised(self) -> bool:
+        """Whether points that share no random numbers are computed in one call."""
+        return False
+
+    @property
+    def says_cost(self) -> bool:
+        """Whether ``cost`` tells one point from another."""
+        return self.cost is not _one
+
+    @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept because results are made of them, whatever a study says."""
         return False
@@ -133,6 +144,10 @@ class Experiment:
     def of_samples(self, samples: Array) -> Array:
         """Return what is made of the kept realisations of a point, (further_width,)."""
         return np.empty(0)
+
+    def text_places(self) -> Sequence[int]:
+        """Return where in a row of sums, in bytes, the digests of texts begin."""
+        return ()
 
     def added(self, total: Array, row: Array) -> Array:
         """Return the sums of a point (width,) with those of one block more; ``total`` is 0 before the first."""

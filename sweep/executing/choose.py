@@ -15,7 +15,6 @@ from sweep.executing.execute import (
     measured_first,
 )
 from sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName
-from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import Study
 
 CERTAINLY_LONG = 5e7
@@ -60,9 +59,8 @@ def choose_executor(
     """
     limits, workers = resources.limits, resources.workers or available_cores()
     if resources.scheduler is None and resources.cluster is None:
-        unknown = isinstance(study.experiment, FunctionExperiment)
         pool = POOLS[resources.pool or DEFAULT_POOL]
-        if resources.none_requested and (unknown or cost < CERTAINLY_LONG):
+        if resources.none_requested and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
             return measured_first(study, cost, workers, lambda: pool.open(study, workers, say, limits), say)
         return pool.open(study, workers, say, limits)
     from sweep.executing.clusters import dask_from_file, dask_scheduler, tls

@@ -92,8 +92,9 @@ def _start() -> None:
 
 
 def signals_blocked(make: Callable[[], Made]) -> Made:
-    """Return ``make()``, whose processes do not get SIGINT and SIGHUP: a terminal sends them to all of them, but they
-    are the client's to answer (distributed#1925).
+    """Return ``make()``, whose processes do not get SIGINT, SIGHUP and SIGTERM: a terminal or a batch system sends them
+    to all of them, but they are the client's to answer (distributed#1925).  A worker unblocks SIGTERM (`TaskPlugin`),
+    which what it runs may need; the process that workers are forked from outlives all of them.
 
     They inherit the signal mask of the thread that starts them, which is not this one, so that this one can be
     interrupted meanwhile.
@@ -103,7 +104,7 @@ def signals_blocked(make: Callable[[], Made]) -> Made:
     def start() -> None:
         try:
             if hasattr(signal, "pthread_sigmask"):
-                signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
+                signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP, signal.SIGTERM])
                 resource_tracker.ensure_running()  # before the other: where it starts, it unblocks SIGINT here
                 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
             made.set_result(make())

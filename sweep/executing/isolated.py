@@ -27,7 +27,6 @@ from sweep.executing.worker import (
     run_units,
     too_long,
 )
-from sweep.functions.adapter import FunctionExperiment
 from sweep.load import load_experiment, provide, sources_of
 
 TRIES = 2
@@ -184,8 +183,7 @@ def child() -> None:
         return
     with threadpool_limits(1):
         experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-        alone = isinstance(experiment, FunctionExperiment) and experiment.vectorised
-        for part in [replace(task, units=(unit,)) for unit in task.units] if alone else [task]:
+        for part in [replace(task, units=(unit,)) for unit in task.units] if experiment.vectorised else [task]:
             for result in run_units(part, Deadlines()):
                 answers.send(result)
     answers.send(None)

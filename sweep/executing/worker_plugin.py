@@ -1,5 +1,6 @@
 """What linksweep brings to a Dask worker: one thread for linear algebra, time limits, the function that runs a task."""
 
+import signal
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,11 +29,13 @@ class TaskPlugin(WorkerPlugin):
     idempotent = True  # a second client of the same workers must not reset their alarm
 
     def setup(self, worker: Any) -> None:
-        """Set the limits when the plugin reaches a worker."""
+        """Set the limits when the plugin reaches a worker, in the main thread of a process of its own."""
         self._limits = threadpool_limits(1)
         self.deadlines = Deadlines()
         if getattr(worker, "nanny", None):  # a process of its own
             no_standard_output()
+            if hasattr(signal, "pthread_sigmask"):
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
 
     def teardown(self, worker: Any) -> None:
         """Give the threads back."""

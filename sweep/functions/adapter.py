@@ -1,6 +1,5 @@
 """A plain function as an `Experiment`, so that one road leads from a study to a store."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
@@ -119,11 +118,6 @@ class FunctionExperiment(Experiment):
         assert self.layout is not None, "rows have a layout"
         return self.realisations.merged(self.layout, total, row)
 
-    @cached_property
-    def sums_width(self) -> int:
-        """Number of floats in one block's row."""
-        return sum(math.prod(shape) for shape in self.sums.values())
-
     @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""
@@ -172,12 +166,7 @@ class FunctionExperiment(Experiment):
 
 
 def _recorded(output: Output) -> dict[str, Any]:
-    told = {one.name: getattr(output, one.name) for one in fields(output) if one.name != "coords"}
-    return {**told, "dims": _tuple(output.dims), "statistics": _tuple(output.statistics)}
-
-
-def _tuple(names: Any) -> tuple[str, ...]:
-    return (names,) if isinstance(names, str) else tuple(names)
+    return {one.name: getattr(output, one.name) for one in fields(output) if one.name != "coords"}
 
 
 def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter, ...]) -> FunctionExperiment:
@@ -237,6 +226,7 @@ def _undeclared(
         outputs=(),
         evaluate=_not_additive,
         summarise=_not_additive,
+        outer_draw="",
         declared=outputs,
         rng=rng,
     )
@@ -249,9 +239,7 @@ def _not_additive(*_arguments: Any, **_named: Any) -> Any:
 def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
     """Return the outputs of a layout; those without dimensions are the headline where none is declared so."""
     by_name = {output.name: output for output in declared}
-    headline = {output.name for output in declared if output.headline}
-    headline = headline or {field.name for field in layout.fields if not field.dims}
-    headline = headline or {field.name for field in layout.fields}
+    headline = layout.headline(declared)
     return tuple(
         replace(
             by_name.get(field.name, Output(field.name)),

@@ -61,8 +61,7 @@ def experiment(
 
     def declare(function: AnyFunction) -> AnyFunction:
         given = [_output(one) for one in _sequence(outputs)]
-        cited = (citation,) if isinstance(citation, str) else tuple(citation)
-        declaration = Declaration(tuple(given), vectorised, tuple(_sequence(packages)), cited)
+        declaration = Declaration(tuple(given), vectorised, _sequence(packages), _sequence(citation))
         if found := problems(function, declaration):
             name = getattr(function, "__name__", type(function).__name__)
             raise SweepError(found, f"function {name}")
@@ -72,14 +71,16 @@ def experiment(
     return declare
 
 
-def _sequence(given: Any) -> Sequence[Any]:
+def _sequence(given: Any) -> tuple[Any, ...]:
     return (given,) if isinstance(given, str | Output) else tuple(given)
 
 
 def _output(given: Any) -> Any:
-    """Return an output, of a name alone too, with its dimensions as a tuple."""
+    """Return an output, of a name alone too, with tuples of dimensions and statistics."""
     output = Output(given) if isinstance(given, str) else given
-    return replace(output, dims=tuple(output.dims)) if isinstance(getattr(output, "dims", None), list) else output
+    if not isinstance(output, Output):
+        return output
+    return replace(output, dims=_sequence(output.dims), statistics=_sequence(output.statistics))
 
 
 def declaration_of(function: Callable[..., Any]) -> Declaration:
@@ -134,7 +135,7 @@ def _problems_of_output(output: Output, signature: Signature, parameters: Sequen
         yield "is the name of a parameter too"
     if wrong_unit := unit_problem(output.unit):
         yield wrong_unit
-    dims = (output.dims,) if isinstance(output.dims, str) else tuple(output.dims)
+    dims = output.dims
     if not all(isinstance(dim, str) for dim in dims) or len(set(dims)) < len(dims):
         yield f"dims = {shown(output.dims)}: must be different names"
         return
@@ -146,7 +147,7 @@ def _problems_of_output(output: Output, signature: Signature, parameters: Sequen
             yield f"coords: {shown(dim)} is none of its dimensions ({', '.join(dims) or 'it has none'})"
     if output.statistics and not signature.rng:
         yield "statistics are made of realisations, and the function takes no rng"
-    for name in (output.statistics,) if isinstance(output.statistics, str) else output.statistics:
+    for name in output.statistics:
         if text := statistic_problem(name):
             yield text
 
@@ -165,7 +166,7 @@ def _problems_of_coordinates(outputs: Sequence[Output], parameters: Sequence[str
                 yield f"output {output.name!r}: the coordinate {dim!r} has other values than of another output"
             if coordinate.unit and (wrong := unit_problem(coordinate.unit)):
                 yield f"output {output.name!r}: the coordinate {dim!r}: {wrong}"
-        for dim in (output.dims,) if isinstance(output.dims, str) else output.dims:
+        for dim in output.dims:
             if dim in parameters:
                 yield f"output {output.name!r}: the dimension {dim!r} is the name of a parameter too"
             if dim in [other.name for other in outputs]:

@@ -1,7 +1,7 @@
 """What the results of a plain function are: names, types, dimensions with coordinates, units; and how they differ."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -10,12 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import shown, suggest
+from sweep.contract import Output, shown, suggest
 from sweep.contract.declaration import GOOD_NAME, RESERVED
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
 
-DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "<i8", "datetime": "<i8", "text": "V16"}
+DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "<i8", "datetime": "<M8[ns]", "text": "V16"}
 """How a value of each type stands in a row; of a text its digest."""
 
 SLOTS: dict[Type, int] = {"float": 1, "int": 1, "bool": 1, "datetime": 1, "text": 2}
@@ -36,14 +36,8 @@ class Coordinate:
 
     def array(self) -> NDArray[Any]:
         """Return the values as a dataset has them."""
-        if self.type == "text":
-            return np.array(self.values, dtype=object)
-        dtype = {"float": "f8", "int": "i8", "bool": "bool", "datetime": "M8[ns]"}[self.type]
-        return (
-            np.array(self.values, dtype="i8").view("M8[ns]")
-            if self.type == "datetime"
-            else np.array(self.values, dtype=dtype)
-        )
+        dtypes = {"float": "f8", "int": "i8", "bool": "bool", "datetime": "M8[ns]", "text": "object"}
+        return np.array(self.values, dtype=dtypes[self.type])
 
 
 @dataclass(frozen=True)
@@ -91,10 +85,14 @@ class Layout:
         for field in self.fields:
             part = np.ascontiguousarray(rows[:, self.places[field.name]])
             typed = part.view(DTYPES[field.type]).reshape(len(rows), *self.shape(field))
-            found[field.name] = {"bool": typed.astype(bool), "datetime": typed}.get(field.type, typed)
-            if field.type == "datetime":
-                found[field.name] = typed.view("M8[ns]")
+            found[field.name] = typed.astype(bool) if field.type == "bool" else typed
         return found
+
+    def headline(self, declared: Iterable[Output]) -> set[str]:
+        """Return the names of headline results: those declared so, else those without dimensions, else all."""
+        names = {output.name for output in declared if output.headline}
+        names = names or {field.name for field in self.fields if not field.dims}
+        return names or {field.name for field in self.fields}
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON holds it."""

@@ -124,38 +124,24 @@ class Realisations:
 
     def outputs(self, layout: Layout) -> tuple[Output, ...]:
         """Return the statistics of all outputs, each followed by its error."""
-        headline = {output.name for output in self.declared if output.headline}
-        headline = headline or {field.name for field in layout.fields if not field.dims}
-        headline = headline or {field.name for field in layout.fields}
+        headline = layout.headline(self.declared)
         made = []
         for field in layout.fields:
-            declared = self.by_name.get(field.name, Output(field.name))
             meaning = field.meaning or field.name.replace("_", " ")
             for name in statistics_of(self.by_name.get(field.name)):
                 unit = "" if name == "count" else field.unit
-                whole = replace(declared, dims=field.dims, coords=None, statistics=(), nan=True)
-                made.append(
-                    replace(
-                        whole,
-                        name=f"{field.name}_{name}",
-                        unit=unit,
-                        meaning=f"{_in_words(name)} of {meaning}",
-                        headline=field.name in headline,
-                        symbol="",
-                    )
+                value = Output(
+                    f"{field.name}_{name}",
+                    unit,
+                    f"{_in_words(name)} of {meaning}",
+                    dims=field.dims,
+                    headline=field.name in headline,
+                    nan=True,
                 )
+                made.append(value)
                 if name not in ("min", "max"):
-                    error = f"one-sigma Monte-Carlo error of {field.name}_{name}"
-                    made.append(
-                        replace(
-                            whole,
-                            name=f"{field.name}_{name}_mc_error",
-                            unit=unit,
-                            meaning=error,
-                            headline=False,
-                            symbol="",
-                        )
-                    )
+                    error = f"one-sigma Monte-Carlo error of {value.name}"
+                    made.append(replace(value, name=f"{value.name}_mc_error", meaning=error, headline=False))
         return tuple(made)
 
     def results(self, layout: Layout, rows: Array) -> dict[str, Array]:

@@ -397,8 +397,12 @@ def _time(value: datetime.date) -> Any:
 
 def _times(array: NDArray[Any]) -> NDArray[Any]:
     """Return times in nanoseconds; raises ResultError for those that have none in 64 bits."""
-    fine = array.astype("M8[ns]")
-    if not np.array_equal(fine.astype(array.dtype), array, equal_nan=True):
+    try:
+        fine = array.astype("M8[ns]")
+        exact = np.array_equal(fine.astype(array.dtype), array, equal_nan=True)
+    except OverflowError:  # older NumPy wraps around instead
+        exact = False
+    if not exact:
         raise ResultError("has times beyond the years 1678 to 2261, which nanoseconds of 64 bits can hold")
     return fine
 
@@ -406,7 +410,7 @@ def _times(array: NDArray[Any]) -> NDArray[Any]:
 def _as_declared(name: str, value: _Value, declared: Declared) -> _Value:
     """Return a value with dimensions, and with what is declared of its output; raises ResultError where they differ."""
     output = declared.by_name.get(name)
-    dims = () if output is None else ((output.dims,) if isinstance(output.dims, str) else tuple(output.dims))
+    dims = () if output is None else tuple(output.dims)
     ndim = value.array.ndim
     if value.dims is not None and dims and value.dims != dims:
         if set(value.dims) != set(dims):

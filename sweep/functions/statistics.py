@@ -48,7 +48,7 @@ def statistics_of(output: Output | None) -> tuple[str, ...]:
     """Return the statistics that are made of an output: those declared, or the mean and the standard deviation."""
     if output is None or not output.statistics:
         return DEFAULT
-    return (output.statistics,) if isinstance(output.statistics, str) else tuple(dict.fromkeys(output.statistics))
+    return tuple(dict.fromkeys(output.statistics))
 
 
 def moments_of(values: Array) -> Array:

@@ -132,7 +132,7 @@ def _compute_function(plan: Plan, experiment: FunctionExperiment) -> xr.Dataset:
                 )
                 if experiment.undeclared:
                     study = replace(plan.grid.study, experiment=experiment.with_layout(flats[0].layout))
-                    return compute(Plan(replace(plan.grid, study=study)))
+                    return compute(plan.of(study))
                 rows = as_rows(
                     experiment,
                     [work],

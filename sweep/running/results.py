@@ -40,7 +40,7 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
         values = typed_array(results.get(output.name), done, shape, texts)
         variables[output.name] = _variable(grid, values, output)
     if not experiment.deterministic:
-        over = "" if isinstance(experiment, FunctionExperiment) else f", over all {experiment.outer_draw}s"
+        over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"
         variables["n_sim_done"] = _variable(grid, accumulator.realisations.copy(), Output("n_sim_done", "", meaning))
     variables["status"] = _variable(grid, accumulator.status.copy(), Output("status", "", "state of the point"))

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -23,9 +22,9 @@ from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import check_code, record_code
 from sweep.stores.fresh import replace_store
-from sweep.stores.location import Where, located
+from sweep.stores.location import Where
 from sweep.stores.lock import locked
-from sweep.stores.root import find_root
+from sweep.stores.opened import OpenStore
 from sweep.stores.store import Store, create_store, find_store, open_store
 from sweep.studies.provenance import provenance
 from sweep.studies.record import RECORD, as_recorded, recorded
@@ -68,9 +67,10 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
     input, and for a store that other code made unless ``accept_code``.
     """
-    study = _as_stored(study, store)
     plan = Plan(make_grid(study))
-    opened = open_store(find_store(store, study), study)
+    found = find_store(store, study)
+    plan = _as_stored(plan, found)
+    opened = open_store(found, plan.grid.study)
     if opened is not None and not accept_code:
         check_code(opened, study)
     return plan, _accumulator(plan, opened).survey
@@ -96,7 +96,6 @@ def run_study(
     everything that was finished in the store.
     """
     progress = progress or Silent()
-    study = study if fresh else _as_stored(study, store)
     plan = Plan(make_grid(study))
     for sentence in plan.grid.warnings:
         progress.say(f"warning: {sentence}")
@@ -110,6 +109,8 @@ def run_study(
                 raise
             return _left_alone(part, store, progress)
         found = replace_store(store, study, told) if fresh else find_store(store, study)
+        plan = plan if fresh else _as_stored(plan, found)
+        study = plan.grid.study
         opened = open_store(found, study)
         if opened is not None and not accept_code:
             check_code(opened, study)
@@ -123,7 +124,7 @@ def run_study(
         progress.start(accumulator.survey, place.words, place.workers)
         study, first = first_results(study, Pending(plan, accumulator), run)
         if first:
-            plan = Plan(replace(plan.grid, study=study))
+            plan = plan.of(study)
         opened = _opened(store, opened, plan)
         record_code(opened, study, progress.say)
         accumulator = _accumulator(plan, opened, again) if first else accumulator
@@ -178,12 +179,12 @@ def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: Tas
     progress.advance(works, result, writer.take(works, result))
 
 
-def _as_stored(study: Study, store: Where) -> Study:
-    """Return a study of a plain function with the layout of results that its store holds."""
-    if not study.experiment.undeclared:
-        return study
-    root = find_root(located(store))
-    return study if root is None else as_recorded(study, root["attributes"])
+def _as_stored(plan: Plan, found: OpenStore | None) -> Plan:
+    """Return the plan of a plain function with the layout of results that its store holds."""
+    study = plan.grid.study
+    if found is None or not study.experiment.undeclared:
+        return plan
+    return plan.of(as_recorded(study, found.attributes))
 
 
 def _opened(place: Where, store: Store | None, plan: Plan) -> Store:

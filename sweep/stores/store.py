@@ -11,7 +11,6 @@ from typing import Any
 import xarray as xr
 
 from sweep.contract import Array, SweepError
-from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import TEXT_BYTES
 from sweep.stores import failures, snapshot
 from sweep.stores.checksums import group_document, sealed
@@ -73,8 +72,7 @@ class Store:
 
     def _leave_out_rows_without_texts(self) -> None:
         """Count rows as missing whose texts are, so that these points are computed again."""
-        experiment = self.study.experiment
-        if not isinstance(experiment, FunctionExperiment) or not (places := experiment.text_places()):
+        if not (places := self.study.experiment.text_places()):
             return
         sums = self._ledger.sums()
         for key, row in list(self.rows.items()):

@@ -89,7 +89,7 @@ def _words(study: Study) -> dict[str, str]:
     experiment = study.experiment
     if is_of_the_link({"experiment": study.experiment_reference}):
         return {}
-    own = {OUTER_DRAW: experiment.outer_draw} if experiment.outer_draw != "outer draw" else {}
+    own = {OUTER_DRAW: experiment.outer_draw} if experiment.outer_draw not in ("", "outer draw") else {}
     return own | ({CITATION: json.dumps(experiment.citation)} if experiment.citation else {})
 
 

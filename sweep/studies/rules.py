@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 from sweep.contract import Experiment, Value, shown, suggest
-from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.problems import Problems
 from sweep.studies.study import Sampling
 
@@ -18,8 +17,10 @@ def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problem
                 f"leave out {', '.join(given)}",
             )
         return
-    if isinstance(experiment, FunctionExperiment) and sampling.n_cat > 1:
-        problems.add(("sampling", "n_cat"), "a plain function has no outer draw that realisations share; leave it out")
+    if not experiment.outer_draw and sampling.n_cat > 1:
+        problems.add(
+            ("sampling", "n_cat"), f"{experiment.name} has no outer draw that realisations share; leave it out"
+        )
     if sampling.keep_samples and experiment.samples is None:
         problems.add(("sampling", "keep_samples"), f"the experiment {experiment.name!r} has no samples to keep")
     if sampling.common_random_numbers and not experiment.shared:

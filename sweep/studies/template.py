@@ -3,7 +3,6 @@
 import json
 
 from sweep.contract import Experiment, Parameter
-from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import Sampling
 
 SAMPLING = {
@@ -43,7 +42,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
             continue
         given = SUGGESTED.get(name, field.default)
         mark = "# " if name in SUGGESTED else ""
-        draw = "point" if isinstance(experiment, FunctionExperiment) else experiment.outer_draw
+        draw = experiment.outer_draw or "point"
         lines.append(f"{mark}{name} = {_toml(given)}  # {SAMPLING[name].replace('catalogue', draw)}")
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
     unused = _unused(experiment, axes)
@@ -77,9 +76,8 @@ def _example(parameter: Parameter) -> object:
 
 def _useless(experiment: Experiment) -> set[str]:
     """Return what of [sampling] the experiment has nothing for."""
-    function = isinstance(experiment, FunctionExperiment)
     needed = {
-        **({"n_cat": False} if function else {}),
+        "n_cat": experiment.outer_draw,
         "precision": experiment.errors_of_headline(),
         "max_n_sim": experiment.errors_of_headline(),
         "keep_samples": experiment.samples,

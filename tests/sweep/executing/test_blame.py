@@ -88,7 +88,7 @@ def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monke
 
     def fetched(self, future):
         calls.append(future)
-        if len(calls) % 2:
+        if len(calls) <= 3:  # fewer than a task may fail
             raise fate
         return fetch(self, future)
 

@@ -14,6 +14,7 @@ from distributed import LocalCluster
 
 from sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked
 from sweep.executing.local_cluster import own_cluster
+from sweep.executing.worker_plugin import TaskPlugin
 from tests.sweep.executing.test_faults import started_to_write
 from tests.sweep.outside import below, command_of, workers_below
 
@@ -38,6 +39,22 @@ def test_workers_have_the_environment_of_their_run(monkeypatch):
         assert not servers_below(os.getpid())
     ours = {"LINKSWEEP_TEST", *ENVIRONMENT, "__DASK_PARENT_PID"}  # Dask leaves the others here, as it always does
     assert {k: v for k, v in os.environ.items() if k not in ours} == {k: v for k, v in before.items() if k not in ours}
+
+
+def blocked_signals():
+    return signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_a_signal_to_all_processes_leaves_what_workers_are_forked_from():
+    """Dask would start another of its own, with more in it than may be forked.  What workers run may use SIGTERM."""
+    with own_cluster(LocalCluster, ONE) as cluster, cluster.get_client() as client:
+        client.register_plugin(TaskPlugin())
+        [server] = servers_below(os.getpid())
+        os.kill(server, signal.SIGTERM)
+        [blocked] = client.run(blocked_signals).values()
+        assert {signal.SIGINT, signal.SIGHUP} <= blocked
+        assert signal.SIGTERM not in blocked
+        assert servers_below(os.getpid()) == [server]
 
 
 def test_two_clusters_share_what_they_are_forked_from():

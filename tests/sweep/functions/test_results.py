@@ -177,12 +177,12 @@ def test_what_is_not_finite_is_refused_by_name_unless_it_is_declared():
         allowed = Declared("f", "f", (Output("y", nan=True),), ())
         assert not np.isfinite(back({"y": value}, allowed)[0]["y"]).all()
     with pytest.raises(NotFiniteError, match="NaT"):
-        flatten({"y": np.datetime64("NaT")}, PLAIN)
+        flatten({"y": np.datetime64("NaT", "s")}, PLAIN)
 
 
 def test_what_is_declared_is_held_to():
     t = np.array([0.0, 1.0, 2.0])
-    outputs = (Output("n", dims="time", coords={"time": (t, "d")}, unit="kg"), Output("m", dims="time"))
+    outputs = (Output("n", dims=("time",), coords={"time": (t, "d")}, unit="kg"), Output("m", dims=("time",)))
     declared = Declared("f", "f", outputs, ())
     _, layout = back({"n": [1, 2, 3], "m": [1.0, 2.0, 3.0], "rest": "x"}, declared)
     assert layout.coordinates[0].values == (0.0, 1.0, 2.0)

@@ -43,7 +43,7 @@ def test_a_function_is_evaluated_once_and_its_results_are_stored_to_the_last_bit
             "neg": -1,
             "yes": k > 1,
             "text": "" if k else "ü",
-            "when": np.datetime64("2024-01-01T00:00:00.000000001") + k,
+            "when": np.datetime64("2024-01-01T00:00:00.000000001") + np.timedelta64(k, "ns"),
         }
 
     ds = run(odd, tmp_path / "s.zarr", axes={"k": range(4)})

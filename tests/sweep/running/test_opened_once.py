@@ -42,9 +42,9 @@ def counts(monkeypatch):
         found["root"] += key == "zarr.json"
         return get(place, key)
 
-    def build(grid, study):
-        found["grid"] += 1
-        built(grid, study)
+    def build(grid, study, warnings=None):
+        found["grid"] += warnings is None  # a copy of a grid has them
+        built(grid, study, *([] if warnings is None else [warnings]))
 
     monkeypatch.setattr(Folder, "get", counted)
     monkeypatch.setattr(Grid, "__init__", build)
@@ -64,6 +64,20 @@ def test_a_run_reads_the_root_document_once_and_builds_one_grid(tmp_path, coins,
     counts.clear()
     run_study(smaller(coins) if before == "more" else study, store, SERIAL)
     assert counts == {"root": 1, "grid": 1}
+
+
+@pytest.mark.parametrize("before", ["nothing", "part", "all"])
+def test_so_does_one_of_a_plain_function(tmp_path, counts, before):
+    (tmp_path / "f.py").write_text("def f(x: float = 1.0):\n    return 2 * x\n")
+    document = {"title": "f", "experiment": f"{tmp_path}/f.py:f", "axes": {"x": [1.0, 2.0]}}
+    store = tmp_path / "s.zarr"
+    if before != "nothing":
+        axes = {"x": [1.0]} if before == "part" else document["axes"]
+        run_study(study_from_dict(document | {"axes": axes}), store, SERIAL)
+    counts.clear()
+    dataset, _ = run_study(study_from_dict(document), store, SERIAL)
+    assert counts == {"root": 1, "grid": 1}
+    assert dataset["f"].values.tolist() == [2.0, 4.0]
 
 
 @pytest.mark.parametrize(
