@@ -158,8 +158,8 @@ def test_several_variables_are_columns(dataset_of):
     figure = draw_figure(dataset, variables=["sigma_spin", "sigma_orientation"])
     assert len(axes_of(figure)) == 4
     assert [axes.get_ylabel() for axes in axes_of(figure)[:2]] == [
-        r"$\sigma(\omega)$ [mas/yr]",
-        r"$\sigma(\epsilon)$ [mas]",
+        r"$\sigma(\omega)$ [µas/yr]",
+        r"$\sigma(\epsilon)$ [µas]",
     ]
 
 
