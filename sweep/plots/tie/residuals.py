@@ -12,7 +12,7 @@ from core.arrays import Array
 from core.constants import DEGREE
 from sweep.contract import SweepError
 from sweep.plots.sky import add_sky, on_map
-from sweep.plots.style import COLOURS, unit_text
+from sweep.plots.style import COLOURS, figure_size, unit_text
 from sweep.plots.tie.names import readable
 
 MOST_ARROWS = 150
@@ -43,7 +43,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     pairs = [(name, pair) for name, pair in (("positions", (0, 1)), ("motions", (3, 4))) if _has(dataset, pair)]
     if not pairs:
         raise SweepError("no residuals on the sky: no row has a position or a motion")
-    figure = Figure(figsize=(11.0, 3.3 * len(pairs) + 0.3), layout="constrained")
+    figure = Figure(figsize=figure_size(11.0, 3.3 * len(pairs) + 0.3), layout="constrained")
     places = figure.add_gridspec(len(pairs), 2)
     for row, (what, pair) in enumerate(pairs):
         unit = str(dataset["observable_unit"].values[pair[0]])

@@ -1,5 +1,6 @@
 """Pictures of small real stores: what stands on their axes, and what is refused."""
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
@@ -7,6 +8,7 @@ from astropy import units
 from astropy.coordinates import SkyCoord
 from click.testing import CliRunner
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from sweep.analysis.laws import fit_power_law
 from sweep.analysis.quantity import standard_error
@@ -515,3 +517,63 @@ def test_bad_combinations_are_one_message(coin_store, tmp_path, monkeypatch, arg
     assert done.exit_code == 2
     assert message in done.stderr
     assert list(tmp_path.glob("*.png")) == []
+
+
+# Sizes
+
+
+def letters(figure):
+    """The sizes of all texts that are shown, in points."""
+    figure.canvas.draw()
+    return [text.get_fontsize() for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+
+
+@pytest.mark.parametrize("width", [88.0, 180.0])
+@pytest.mark.parametrize("name", ["quasars", "algorithm", "sqrt-n", "error-surface", "scatter", "galaxies"])
+def test_letters_have_their_size_at_the_width_of_print(dataset_of, name, width):
+    with style.settings(width):
+        figure = draw_figure(dataset_of(name))
+        assert figure.get_figwidth() == pytest.approx(width / 25.4)
+        assert min(letters(figure)) >= 6.0
+
+
+def test_a_talk_has_large_letters_and_the_users_own_settings_stay(dataset_of):
+    dataset = dataset_of("sqrt-n")
+    with style.settings(style="talk"):
+        assert min(letters(draw_figure(dataset))) >= 11.0
+    with mpl.rc_context({"axes.labelsize": 13.0}), style.settings(88.0):
+        assert draw_figure(dataset).axes[0].yaxis.label.get_fontsize() == 13.0
+
+
+def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
+    (axes,) = axes_of(draw_figure(dataset_of("galaxies")))
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["simulated", "predicted", "published"]
+    assert any("0.16 mas/yr" in text.get_text() for text in axes.texts)
+
+
+def test_panels_without_points_are_left_out(dataset_of):
+    dataset = dataset_of("mission-length")
+    whole = len(axes_of(draw_figure(dataset)))
+    gone = dataset.assign(sigma_spin=dataset["sigma_spin"].where(dataset["model"] != "amex"))
+    assert (whole, len(axes_of(draw_figure(gone)))) == (2, 1)
+
+
+def test_axes_that_walk_together_are_both_named(dataset_of):
+    label = axes_of(draw_figure(dataset_of("algorithm")))[-1].get_xlabel()
+    assert label == r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"
+
+
+def test_a_caption_says_what_is_drawn_and_what_follows(store_of, tmp_path, sweep):
+    code, _, err = sweep("plot", store_of("sqrt-n"), "--width", "88mm", "--caption", "-o", tmp_path / "a.svg")
+    assert code == 0, err
+    caption, alternative = (tmp_path / "a.txt").read_text().strip().split("\n\n")
+    assert caption.startswith("The law 1/sqrt(N). Points are simulated, with one-sigma errors. The error falls as N")
+    assert alternative.startswith("Alternative text: 2 panels, sigma(omega) [µas/yr] against N_obj")
+
+
+@pytest.mark.parametrize("width", ["wide", "2mm", "1e9", "nan"])
+def test_a_width_must_be_one(store_of, tmp_path, sweep, width):
+    code, _, err = sweep("plot", store_of("sqrt-n"), "--width", width, "-o", tmp_path / "a.svg")
+    assert code == 2
+    assert "must be from 40mm to 1000mm, like 88mm or 180mm" in err
+    assert not list(tmp_path.glob("a.*"))
