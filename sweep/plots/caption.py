@@ -23,15 +23,15 @@ SIGNS = {
 
 def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
     """Return the text of a file beside a picture: its caption, and a description under a heading of its own."""
-    return f"{caption(figure, dataset)}\n\nAlternative text: {description(figure, dataset)}\n"
+    return f"{caption(figure, dataset, with_answer=True)}\n\nAlternative text: {description(figure, dataset)}\n"
 
 
-def caption(figure: Figure, dataset: xr.Dataset) -> str:
-    """Return the caption: the title, what the signs mean, and the answer of the study."""
+def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> str:
+    """Return the caption: the title, what the signs mean, and the answer of the study if it is wanted."""
     title = str(dataset.attrs.get("title", "")).rstrip(".")
     entries = _entries(figure)
     signs = [words for entry, words in SIGNS.items() if entry in entries]
-    is_study = "status" in dataset
+    is_study = "status" in dataset and with_answer
     sentences = [*completeness(dataset), *answer_in_short(dataset)] if is_study else []
     source = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
     published = [f"Published: {'; '.join(source)}."] if source and "published" in entries else []

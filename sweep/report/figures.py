@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
+from sweep.plots.caption import caption, description
 from sweep.plots.figure import draw_figure
 from sweep.plots.kinds import LINK
 from sweep.plots.scatter import sampled
@@ -44,6 +45,8 @@ class Picture:
     svg: str = ""
     width: float = 0.0
     problem: str = ""
+    caption: str = ""
+    description: str = ""
 
 
 def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list[Picture]:
@@ -88,7 +91,10 @@ def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str
             width, height = figure.get_size_inches().tolist()
             if width <= ONE_PANEL:
                 figure.set_size_inches(SHRINK * width, SHRINK * height)
-            return Picture(name, _svg(figure), POINTS_PER_INCH * figure.get_figwidth())
+            svg, words = _svg(figure), (caption(figure, dataset), description(figure, dataset))
+            return Picture(
+                name, svg, POINTS_PER_INCH * figure.get_figwidth(), "", f"{name}. {words[0]}".strip(), words[1]
+            )
         except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
             return Picture(name, problem=" ".join(str(error).split()))
 

@@ -1,6 +1,8 @@
 """What a page says about one store."""
 
 import json
+import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,6 +21,9 @@ from sweep.readable import with_micro_signs, written
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, pictures
 from sweep.studies.provenance import FUNCTION, outer_draw_of
+
+SEVERITY = ("NOT reproduced", "incomplete", "within tolerance", "not comparable", "reproduced")
+"""The order of verdicts in the table: what needs to be looked at comes first."""
 
 MOST_ROWS = 2000
 """A table has at most so many rows in the page, some 0.5 MB."""
@@ -145,16 +150,24 @@ def _document(attributes: Mapping[Any, Any]) -> str:
 
 
 def _results(columns: list[Column]) -> Table:
-    headings = [f"{c.name} [{written(c.unit)}]" if c.unit else c.name for c in columns]
+    repeated = Counter(c.name for c in columns)
+    names = [f"{c.of} {c.name}" if repeated[c.name] > 1 and c.of != c.name else c.name for c in columns]
+    headings = [f"{name} [{written(c.unit)}]" if c.unit else name for name, c in zip(names, columns, strict=True)]
     cells = (list(zip(c.cells, c.values, strict=True)) for c in columns)
     rows = [list(row) for row in zip(*cells, strict=True)]
     return Table(headings, rows[:MOST_ROWS], max(0, len(rows) - MOST_ROWS))
 
 
+def _in_allowances(c: Comparison) -> float:
+    """Return by how many times what is allowed a number differs from the published one."""
+    return abs(c.difference) / c.allowance if c.allowance > 0.0 and math.isfinite(c.difference) else 0.0
+
+
 def _comparison(comparisons: list[Comparison]) -> Table:
     headings = ["what", "where", "verdict", "computed", "published", "difference", "in percent", "allowance"]
     rows = []
-    for c in map(in_readable_unit, comparisons):
+    worst = sorted(comparisons, key=lambda c: (SEVERITY.index(c.verdict), -_in_allowances(c)))
+    for c in map(in_readable_unit, worst):
         what = f"{c.what} [{written(c.unit)}]" if c.unit else c.what
         texts = [what, place_in_words(c.where), c.verdict, *numbers_in_words(c)]
         relative = c.difference / abs(c.published) if c.published else c.difference
