@@ -73,7 +73,8 @@ def as_csv(comparisons: Sequence[Comparison]) -> str:
 
 def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:
     """Return the comparisons, their number by verdict and remarks; a number that is not there is null."""
-    return to_json({"comparisons": comparisons, "summary": summary(comparisons), "remarks": remarks})
+    counts = {verdict.lower().replace(" ", "_"): n for verdict, n in summary(comparisons).items()}
+    return to_json({"comparisons": comparisons, "summary": counts, "remarks": remarks})
 
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:

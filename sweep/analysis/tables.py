@@ -209,7 +209,11 @@ def exactly_published(dataset: xr.Dataset) -> list[str]:
     counts = {
         name: int(dataset[f"{name}_published"].count()) for name in _headline(dataset) if _is_exact(dataset, name)
     }
-    return [f"{name}: all {n} published values are met exactly" for name, n in counts.items() if n]
+    return [
+        f"{name}: {f'all {n} published values are' if n > 1 else 'the published value is'} met exactly"
+        for name, n in counts.items()
+        if n
+    ]
 
 
 def _is_exact(dataset: xr.Dataset, name: str) -> bool:

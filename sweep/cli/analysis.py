@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @main.command()
 @store_argument
-@click.option("--over", help="The axis to fit along.  [default: the only one with several numbers]")
+@click.option("--over", "--along", "over", help="The axis to fit along.  [default: the only one with several numbers]")
 @click.option("--variable", help="What to fit.  [default: the main result]")
 @click.option(
     "--law",
@@ -79,7 +79,9 @@ def fit(
 @main.command()
 @store_argument
 @click.option("--where", required=True, metavar="CONDITION", help="VARIABLE, one of < <= > >=, NUMBER and unit.")
-@click.option("--along", help="The axis to look along.  [default: the only one with several numbers]")
+@click.option(
+    "--along", "--over", "along", help="The axis to look along.  [default: the only one with several numbers]"
+)
 @place_option
 @json_option
 def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:

@@ -32,7 +32,11 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
 @click.option(
-    "--over", multiple=True, help="The axis to draw along; give both for a map, or two components of a scatter."
+    "--over",
+    "--along",
+    "over",
+    multiple=True,
+    help="The axis to draw along; give both for a map, or two components of a scatter.",
 )
 @click.option("--model", "models", multiple=True, help="Accuracy: only this mission; may be given several times.")
 @place_option
@@ -47,7 +51,12 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
     "--caption", is_flag=True, help="Write NAME.txt beside the picture: caption and text for who cannot see it."
 )
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]"
+    "-o",
+    "--output",
+    "--out",
+    "out",
+    type=click.Path(path_type=Path),
+    help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]",
 )
 def plot(
     source: str | None,

@@ -3,6 +3,7 @@
 import json
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -39,6 +40,17 @@ def list_studies(as_json: bool) -> None:
             click.echo(_indented(sentence))
 
 
+def _experiment(name: str) -> Any:
+    """Return the experiment at a reference, or the one that a study is of."""
+    from sweep.load import load_experiment
+    from sweep.studies.reader import load_study
+    from sweep.studies.source import built_in_studies
+
+    if name.endswith(".toml") or name in built_in_studies():
+        return load_study(name).experiment
+    return load_experiment(name)
+
+
 def _indented(text: str) -> str:
     return click.wrap_text(text, WIDTH, "    ", "    ")
 
@@ -64,16 +76,15 @@ def _answer(name: str) -> list[str]:
 @click.argument("experiment", default="core.experiment:link")
 @json_option
 def params(experiment: str, as_json: bool) -> None:
-    """List the parameters of EXPERIMENT (module:attribute or file.py:attribute) with unit, default, allowed values and
-    meaning.
+    """List the parameters of EXPERIMENT (module:attribute, file.py:attribute, or a study that is of it) with unit,
+    default, allowed values and meaning.
 
     \b
     sweep params
+    sweep params quasars
     sweep params my_experiment.py:experiment
     """
-    from sweep.load import load_experiment
-
-    parameters = load_experiment(experiment).parameters
+    parameters = _experiment(experiment).parameters
     rows = [
         {"name": p.name, "unit": p.unit, "default": p.default, "allowed": p.allowed(), "meaning": p.meaning}
         for p in parameters

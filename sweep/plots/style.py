@@ -100,7 +100,12 @@ def settings(width: float | None = None, style: str | None = None) -> Iterator[N
     if style is None and width is not None:
         style = "paper"
     wanted = {**RC, **(STYLES[style] if style else {})}
-    unchanged = {key: value for key, value in wanted.items() if mpl.rcParams[key] == mpl.rcParamsDefault[key]}
+    ours = (mpl.rcParamsDefault, RC, *STYLES.values())
+    unchanged = {
+        key: value
+        for key, value in wanted.items()
+        if any(key in settings and mpl.rcParams[key] == settings[key] for settings in ours)
+    }
     if width is None and style == "talk":
         width = TALK_MM
     token = _width.set(None if width is None else width / MM_PER_INCH)

@@ -3,7 +3,7 @@
 import io
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
 from sweep.plots.caption import caption, description
+from sweep.plots.differences import SUFFIX, add_band, differences
 from sweep.plots.figure import draw_figure
 from sweep.plots.kinds import LINK
 from sweep.plots.scatter import sampled
@@ -57,7 +58,14 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
     if sampled(dataset) is not None and dataset["status"].size == 1:
         wanted = [("kept samples", ()), *wanted]
-    return [_picture(untitled, name, chosen, f"{number}-{i}") for i, (name, chosen) in enumerate(wanted)]
+    found = []
+    for i, (name, chosen) in enumerate(wanted):
+        found.append(_picture(untitled, name, chosen, f"{number}-{i}"))
+        if len(chosen) == 1 and (residual := differences(untitled, name)) is not None:
+            words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
+            variable = f"{name}_{SUFFIX}"
+            found.append(_picture(residual, words, (variable,), f"{number}-{i}-residual", "lines", add_band))
+    return found
 
 
 def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
@@ -84,17 +92,25 @@ def _varies(array: xr.DataArray) -> bool:
     return bool(finite.size and finite.min() < finite.max())
 
 
-def _picture(dataset: xr.Dataset, name: str, variables: Sequence[str], salt: str) -> Picture:
+def _picture(
+    dataset: xr.Dataset,
+    name: str,
+    variables: Sequence[str],
+    salt: str,
+    kind: str | None = None,
+    add: Callable[[Figure], None] | None = None,
+) -> Picture:
     with _inside_a_page(salt):
         try:
-            figure = draw_figure(dataset, variables=variables)
+            figure = draw_figure(dataset, kind, variables)
+            if add is not None:
+                add(figure)
             width, height = figure.get_size_inches().tolist()
             if width <= ONE_PANEL:
                 figure.set_size_inches(SHRINK * width, SHRINK * height)
             svg, words = _svg(figure), (caption(figure, dataset), description(figure, dataset))
-            return Picture(
-                name, svg, POINTS_PER_INCH * figure.get_figwidth(), "", f"{name}. {words[0]}".strip(), words[1]
-            )
+            wide = POINTS_PER_INCH * figure.get_figwidth()
+            return Picture(name, svg, wide, caption=f"{name}. {words[0]}".strip(), description=words[1])
         except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
             return Picture(name, problem=" ".join(str(error).split()))
 

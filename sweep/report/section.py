@@ -120,7 +120,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         not_explored=left_out,
         numbers=numbers,
         results=_results(headline_columns(dataset)),
-        caption="Headline results, ± their one-sigma errors; a heading sorts",
+        caption="Headline results, ± their one-sigma errors",
         tables={},
         comparison=_comparison(comparisons) if comparisons else None,
         notes=[

@@ -62,6 +62,7 @@ class TerminalProgress:
         self._eta = Eta(survey.pending.cost, workers)
         total, pending = survey.total, survey.pending
         self._points, self._all_points = total.points - pending.points, total.points
+        self._work = pending.cost
         held = f", {self._points:,} of them in the store already" if self._points else ""
         partly = (
             ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
@@ -81,6 +82,7 @@ class TerminalProgress:
         assert self._begun is not None, "a run starts before it advances"
         now = time.monotonic()
         self._eta.extend(taken.more.cost)
+        self._work += taken.more.cost
         self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
         self._summary.take(works, result, taken.done)
         self._points += taken.done.points
@@ -150,7 +152,8 @@ class TerminalProgress:
         elapsed = max(time.monotonic() - self._begun, 1e-9)
         done = self._summary.done
         rate, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
-        return f"{self._points:,}/{self._all_points:,} points, {rate / elapsed:,.0f} {noun}/s"
+        share = f" ({100.0 * done.cost / self._work:.0f} % of the work)" if self._work > 0.0 and not self._once else ""
+        return f"{self._points:,}/{self._all_points:,} points{share}, {rate / elapsed:,.0f} {noun}/s"
 
     def _end_bar(self) -> None:
         if self._bar is not None:
