@@ -14,6 +14,9 @@ from sweep.contract import SweepError
 from sweep.plots.layout import Layout, is_far
 from sweep.plots.style import figure_size, legend_below, most_columns, value_text, wanted_width
 
+MOST_INSIDE = 4
+"""A legend of more entries stands below the one panel, where it covers nothing."""
+
 Draw = Callable[[Axes, xr.Dataset, str], Any]
 
 
@@ -70,7 +73,7 @@ def draw_panels(
             axes.set_xlabel("")
             axes.tick_params(axis="x", which="both", labelbottom=False)
         _entitle(axes, panel, folded, row, column == across - 1 or (row, column + 1) not in places)
-    if len(panels) > 1:
+    if len(panels) > 1 or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE:
         legend_below(figure)
     return figure
 
