@@ -11,9 +11,9 @@ import xarray as xr
 
 from sweep.contract import Experiment, SweepError
 from sweep.executing.choose import Resources
-from sweep.executing.execute import GUARD, NO_LIMITS, Limits
+from sweep.executing.execute import NO_LIMITS, Limits
 from sweep.executing.pools import PoolName
-from sweep.executing.upstream import is_reading_main
+from sweep.executing.upstream import leave_a_worker_that_runs_its_script
 from sweep.running.notebook import NotebookProgress, in_notebook
 from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
@@ -97,7 +97,7 @@ def run(
         >>> run(area, axes={"width": [1.0, 2.0]}, fixed={"height": 3.0}, pool="serial").area.values.tolist()
         [3.0, 6.0]
     """
-    _leave_a_worker_that_runs_its_script()
+    leave_a_worker_that_runs_its_script()
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title})
     place = located(store or Path("results") / f"{loaded.name}.zarr")
     resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
@@ -190,9 +190,3 @@ def _watching(study: Study, progress: Progress | None) -> Iterator[Progress]:
             yield bar
     else:
         yield Silent()
-
-
-def _leave_a_worker_that_runs_its_script() -> None:
-    """Worker processes run a script again up to its guard; without one each would start workers."""
-    if is_reading_main():
-        raise SystemExit(GUARD)

@@ -12,6 +12,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would f
 
 from tests.forked import Nursery
 
+# Compiled modules are kept, whatever the environment says: tests start hundreds of processes, each of which would
+# compile them again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(_number) is signal.SIG_IGN:  # as under nohup, and the processes of the tests would inherit it
         signal.signal(_number, _handler)

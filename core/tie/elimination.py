@@ -58,7 +58,7 @@ class Eliminated:
         right[:, into] = self.right[:, at]
         return weight, right, spread
 
-    def taken(self, part: slice) -> "Eliminated":
+    def taken(self, part: slice | Indices) -> "Eliminated":
         """Return some of the sources."""
         return Eliminated(
             self.weight[part],

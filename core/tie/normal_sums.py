@@ -11,7 +11,7 @@ from core.blocks import Objects
 from core.constants import MAS
 from core.tie.astrometry import Indices
 from core.tie.elimination import Eliminated
-from core.tie.problem import Problem
+from core.tie.problem import Problem, as_slice
 from core.tie.products import add_products
 from core.unknowns import Unknowns
 
@@ -122,13 +122,13 @@ def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array |
     short = np.int16 if n_groups < 2**15 else np.int64  # short numbers sort in no time
     for part in _blocks(len(group), GATHERED):
         chosen = part if factors is None else part[factors[part] > 0.0]
-        chosen = chosen[np.argsort(group[chosen].astype(short), kind="stable")]
         unknowns, objects, years, left = problem.sources(chosen)
         if factors is not None and not equal:
             left = left.scaled(factors[chosen])
-        here = group[chosen]
-        for piece in _pieces(here):
-            _add_piece(sums, int(here[piece.start]), unknowns, objects.taken(piece), years[piece], left.taken(piece))
+        order = np.argsort(group[chosen].astype(short), kind="stable")
+        for piece in _pieces(group[chosen[order]]):
+            taken, one = as_slice(order[piece]), int(group[chosen[order[piece.start]]])
+            _add_piece(sums, one, unknowns, objects.taken(taken), years[taken], left.taken(taken))
     return sums
 
 

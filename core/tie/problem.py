@@ -35,7 +35,7 @@ class Problem:
 
     def sources(self, part: Indices) -> tuple[Unknowns, Objects, Array, Eliminated]:
         """Return the objects, years and eliminated rows of some sources."""
-        chosen = _as_slice(part)
+        chosen = as_slice(part)
         own = self._needed.taken(chosen)
         if self._one_each:
             rows, source = self.rows.taken(chosen), np.arange(len(part))
@@ -108,7 +108,7 @@ class Problem:
         return order[np.repeat(first[part], counts) + inside], counts
 
 
-def _as_slice(part: Indices) -> Indices | slice:
+def as_slice(part: Indices) -> Indices | slice:
     """Return rising neighbours as a slice, which takes without a copy."""
     if len(part) and part[-1] - part[0] == len(part) - 1 and np.all(np.diff(part) == 1):
         return slice(int(part[0]), int(part[-1]) + 1)

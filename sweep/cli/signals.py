@@ -14,6 +14,9 @@ from typing import NoReturn
 LAST_SECOND = 1.0
 """What Python's own clean-up may take before the process ends without it."""
 
+_stopped_by: list[int] = []
+"""The signal that ended the command, if one did."""
+
 NO_LEAK_WARNING = "ignore:resource_tracker"
 
 
@@ -55,10 +58,23 @@ def end_stopped(number: int) -> NoReturn:
     """End the process with the exit code of a signal; workers that still compute are not waited for."""
     from sweep.executing.upstream import skip_end_of_clusters
 
+    _stopped_by.append(number)
     _kill_children()
     skip_end_of_clusters()
     threading.Thread(target=_leave_after, args=(LAST_SECOND, 128 + number), daemon=True).start()
     sys.exit(128 + number)
+
+
+def leave_with_exit_code() -> None:
+    """End a process whose clean-up is done with the exit code of the signal that stopped its command, if one did.
+
+    Python ends it by SIGINT itself where that interrupted the text of an ``exec``, which dataclasses are made with.
+    """
+    if _stopped_by:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(128 + _stopped_by[-1])
 
 
 def _leave_after(seconds: float, code: int) -> None:

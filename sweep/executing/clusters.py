@@ -9,7 +9,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-from distributed import Client, LocalCluster
+from distributed import Client
 from distributed.comm.addressing import get_address_host_port
 from distributed.security import Security
 from threadpoolctl import threadpool_limits
@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 from sweep.contract import SweepError
 from sweep.executing.clusterfile import cluster_class, read_cluster_file
 from sweep.executing.dask_executor import DaskExecutor
-from sweep.executing.execute import GUARD, NO_LIMITS, Executor, Limits, Place, Say
-from sweep.executing.local_cluster import LOOPBACK, own_cluster, without_logs
+from sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Say
+from sweep.executing.local_cluster import LOOPBACK, local_cluster, own_cluster, without_logs
 from sweep.studies.study import Study
 
 CONNECT_TIMEOUT_S = 10
@@ -56,11 +56,7 @@ def _local(
     Thread(target=import_module, args=["dask.array"], daemon=True).start()
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
-        try:
-            cluster = stack.enter_context(own_cluster(LocalCluster, options))
-        except RuntimeError as error:
-            message = f"worker processes cannot be started: {error} Note that {GUARD}"
-            raise SweepError(message) from None  # Dask's own traceback is of sixty lines, none of them the script's
+        cluster = stack.enter_context(local_cluster(options))
         client = stack.enter_context(cluster.get_client())
         yield _place(client, words, workers), _executor(client, study, words, say, limits, guarded)
 

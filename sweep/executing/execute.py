@@ -40,11 +40,6 @@ NO_LIMITS = Limits()
 WORKERS_START_S = 1.5
 """What starting worker processes takes, imports included."""
 
-GUARD = (
-    "a script that computes in worker processes must call linksweep.run under `if __name__ == '__main__':`, because "
-    "each of them begins by running the script too; or use pool='threads'"
-)
-
 
 @dataclass(frozen=True)
 class Place:

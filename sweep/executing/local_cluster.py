@@ -13,8 +13,9 @@ from typing import Any
 import dask
 from distributed import LocalCluster
 
+from sweep.contract import SweepError
 from sweep.executing.forkserver import ENVIRONMENT, SAFE_PATH, signals_blocked, start_method
-from sweep.executing.upstream import lost_workers_replaced
+from sweep.executing.upstream import leave_a_worker_that_runs_its_script, lost_workers_replaced
 
 PATIENCE_S = 0.5
 """What workers get to finish in when a run is stopped."""
@@ -26,6 +27,34 @@ OWN_CLUSTER = {
     "distributed.scheduler.allowed-failures": 0,  # what a dead worker had is done again, guarded
     **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
 }
+
+
+GUARD = (
+    "a script that computes in worker processes must call linksweep under `if __name__ == '__main__':`, because each "
+    "of them begins by running the script too; or use pool='threads'"
+)
+
+
+class NoWorkersError(SweepError, SystemExit):
+    """Worker processes cannot be started.  A script that does not catch it ends with the sentence, without a traceback:
+    none of its lines would be the one to change.
+    """
+
+    def __init__(self, reason: object) -> None:
+        super().__init__(f"worker processes cannot be started: {reason} Note that {GUARD}")
+        self.code = f"error: {self}"
+
+
+@contextmanager
+def local_cluster(options: Mapping[str, Any]) -> Iterator[Any]:
+    """Start a Dask cluster of this machine as `own_cluster` does; raises NoWorkersError."""
+    leave_a_worker_that_runs_its_script()
+    with ExitStack() as stack:
+        try:
+            cluster = stack.enter_context(own_cluster(LocalCluster, options))
+        except RuntimeError as error:
+            raise NoWorkersError(error) from None  # Dask's own traceback is of sixty lines, none of them the script's
+        yield cluster
 
 
 @contextmanager

@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 from threadpoolctl import threadpool_limits
 
 from sweep.contract import SweepError
-from sweep.executing.execute import GUARD
 
 Result = TypeVar("Result")
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
@@ -67,17 +66,11 @@ def _on_one_thread(function: Callable[..., Result], *arguments: Any) -> Result:
 
 @contextmanager
 def _local(workers: int | None) -> Iterator[Any]:
-    from distributed import LocalCluster
-
-    from sweep.executing.local_cluster import own_cluster
+    from sweep.executing.local_cluster import local_cluster
 
     options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
-    with ExitStack() as stack:
-        try:
-            cluster = stack.enter_context(own_cluster(LocalCluster, options))
-        except RuntimeError as error:
-            raise SweepError(f"worker processes cannot be started: {error} Note that {GUARD}") from None
-        yield stack.enter_context(cluster.get_client())
+    with local_cluster(options) as cluster, cluster.get_client() as client:
+        yield client
 
 
 @contextmanager

@@ -37,10 +37,10 @@ def skip_end_of_clusters() -> None:
         atexit.unregister(distributed.deploy.spec.close_clusters)
 
 
-def is_reading_main() -> bool:
-    """Return whether this is a worker process that runs the script it belongs to up to its guard.
+def leave_a_worker_that_runs_its_script() -> None:
+    """End a worker process that runs the script it belongs to and meets no guard: it would start workers too.
 
-    distributed#4751: without a guard each of them would start workers.
+    distributed#4751.  The process that started it says why.
     """
-    starting = getattr(multiprocessing.current_process(), "_inheriting", False)
-    return multiprocessing.parent_process() is not None and bool(starting)
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise SystemExit(1)

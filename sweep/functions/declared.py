@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 from sweep.contract import Output, ResultError, SweepError, shown
 from sweep.contract.declaration import GOOD_NAME, RESERVED, packages_problems, parameter_problems
 from sweep.contract.units import unit_problem
-from sweep.functions.results import coordinate_of
 from sweep.functions.signature import Signature, signature_of
 from sweep.functions.statistics import statistic_problem
+from sweep.functions.values import coordinate_of
 
 ATTRIBUTE = "__linksweep__"
 """Where a function keeps its declaration."""

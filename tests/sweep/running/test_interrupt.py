@@ -344,6 +344,29 @@ def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
     assert "Traceback" not in err
 
 
+INTERRUPTS_ITSELF = """
+import atexit, os, signal
+
+def late():
+    try:
+        exec("raise KeyboardInterrupt")  # Python then ends by the signal, whatever exit code it was told
+    except KeyboardInterrupt:
+        pass
+
+def f(x: float = 1.0):
+    atexit.register(late)
+    os.kill(os.getpid(), signal.SIGINT)
+"""
+
+
+def test_the_exit_code_does_not_depend_on_what_was_interrupted(tmp_path, start_sweep):
+    (tmp_path / "f.py").write_text(INTERRUPTS_ITSELF)
+    process = start_sweep("run", f"{tmp_path}/f.py:f", "--axis", "x=1,2", "--pool", "serial", "-o", tmp_path / "s.zarr")
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130, err
+    assert "interrupted; 0 points" in err
+
+
 def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
     """Where the end itself hangs, here in a write, another Ctrl-C helps."""
     (tmp_path / "study.toml").write_text(sleepers(0.0, sheep=3))
