@@ -191,7 +191,7 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     assert gaps[0] >= 5
     assert gaps[-1] in (600, 601)
     assert len(spoken) < 200
-    assert told[1] == "0/6 points, 1 realisations/s, about 23 h 59 min left"
+    assert told[1] == "0/6 points (0 % of the work), 1 realisations/s, about 23 h 59 min left"
 
 
 def test_the_account_names_the_slowest_of_many_points(coins):
