@@ -51,7 +51,7 @@ def fit(
     \b
     sweep fit results/sqrt-n.zarr --over n_obj --expect -0.5
     sweep fit results/mission-length.zarr --over mission_length --at model=gaia
-    sweep fit results/error-surface.zarr --over satellite_error_scale --range 2: --at reference_error_scale=0
+    sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
     from sweep.analysis.conditions import parse_range
