@@ -76,6 +76,7 @@ class _Group(click.Group):
             sys.exit(end.code or EXIT_BAD_INPUT)
 
     def invoke(self, ctx: click.Context) -> Any:
+        from sweep.cli.signals import end_stopped
         from sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
@@ -83,7 +84,7 @@ class _Group(click.Group):
                 return self._invoke(ctx)
         except RunInterruptedError as stop:
             click.echo(how_ended(stop.signal.name), err=True)
-            sys.exit(128 + stop.signal)
+            end_stopped(stop.signal)
 
     def _invoke(self, ctx: click.Context) -> Any:
         from sweep.contract import SweepError

@@ -52,8 +52,9 @@ def check_code(store: Store, study: Study) -> None:
     if found and store.rows:
         raise SweepError(
             [
-                "was made by other code, whose numbers would be mixed up with those of today's; --accept-code goes on "
-                "and records for each point which code made it, --fresh starts anew, -o names another store",
+                "was made by other code, whose numbers would be mixed up with those of today's; --accept-code (in "
+                "Python accept_code=True) goes on and records for each point which code made it, --fresh (fresh=True) "
+                "starts anew, -o (store=...) names another store",
                 *found,
             ],
             str(store.location),

@@ -339,7 +339,7 @@ def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
     wait_for(lambda: answers_sigterm(process.pid))
     time.sleep(moment)
     returned, err = stopped(process, signal.SIGINT)
-    assert returned == 130
+    assert returned == 130, err
     assert "interrupted" in err
     assert "Traceback" not in err
 

@@ -231,7 +231,9 @@ def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
     try:
         assert process.stdout.readline() == "ready\n"
         read = 0
-        for number in range(COPIES):
+        for number in itertools.count():
+            if number >= COPIES and read:  # on a busy machine it takes more until one is whole
+                break
             copy = tmp_path / "copy.zarr"
             shutil.rmtree(copy, ignore_errors=True)
             source = tmp_path / "runs" / f"{number % 3}.zarr"
@@ -251,7 +253,6 @@ def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
             assert np.array_equal(dataset["share"].values[done], wanted["share"].values[done])
             assert np.isnan(dataset["share"].values[~done]).all()
             read += 1
-        assert read
     finally:
         process.kill()
         process.communicate()
