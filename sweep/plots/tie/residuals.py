@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from core.arrays import Array
@@ -107,7 +106,6 @@ def _typical(arrows: _Arrows) -> float:
 
 def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
     """Draw arrows, a key with their scale, and return what the title must say of arrows that were cut."""
-    _write_ra_above(axes)
     x = on_map(arrows.ra)
     y = arrows.dec * DEGREE
     length = np.hypot(arrows.east, arrows.north)
@@ -142,15 +140,6 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
             axes.quiverkey(drawn, 0.04, 0.02, key, text, labelpos="E", coordinates="axes", fontproperties={"size": 8})
     words = f"; {np.sum(cut)} arrow{'s' if np.sum(cut) > 1 else ''} cut" if np.any(cut) else ""
     return words + (f"; {np.sum(arrows.dropped)} dropped in red" if np.any(arrows.dropped) else "")
-
-
-def _write_ra_above(axes: Any) -> None:
-    """Write the right ascensions over the arrows, which would hide them."""
-    labels = [(text.get_position()[0], text.get_text()) for text in axes.get_xticklabels()]
-    axes.set_xticklabels([])
-    halo = [withStroke(linewidth=3.0, foreground="white")]
-    for place, text in labels:
-        axes.text(place, 0.03, text, fontsize=7, ha="center", va="bottom", zorder=6, path_effects=halo)
 
 
 def _angles(axes: Any, x: Array, y: Array, east: Array, north: Array) -> Array:
