@@ -11,6 +11,7 @@ This is the public interface; what is not listed in ``__all__`` may change witho
 `Point`                                    the type of one point's parameters, for annotations
 `fit_power_law`, `fit_levelling`           laws along an axis
 `find`, `interpolate`, `ratio`             where a limit is crossed, values between points, ratios
+`sensitivity`                              Sobol indices: which parameters make a result vary
 `Limits`                                   what one block of a run may take
 `SweepError`                               bad input, or a state that you must know of
 =========================================  ==========================================================
@@ -38,6 +39,7 @@ load_own_packages()
 if TYPE_CHECKING:
     from sweep.analysis.crossings import find, interpolate
     from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+    from sweep.analysis.sensitivity import sensitivity
     from sweep.api import open, plot, run  # noqa: A004
     from sweep.contract import Experiment, Output, Parameter, Point, SweepError
     from sweep.executing.execute import Limits
@@ -68,12 +70,14 @@ __all__ = [
     "plot",
     "ratio",
     "run",
+    "sensitivity",
     "tie",
 ]
 
 _MODULES = {
     "sweep.analysis.crossings": ("find", "interpolate"),
     "sweep.analysis.laws": ("fit_levelling", "fit_power_law", "ratio"),
+    "sweep.analysis.sensitivity": ("sensitivity",),
     "sweep.api": ("open", "plot", "run"),
     "sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
     "sweep.executing.execute": ("Limits",),

@@ -39,6 +39,7 @@ def run(
     *,
     axes: Mapping[str, Any] | None = None,
     fixed: Mapping[str, Any] | None = None,
+    points: Any = None,
     sampling: Mapping[str, Any] | None = None,
     title: str | None = None,
     workers: int | None = None,
@@ -64,6 +65,9 @@ def run(
         axes: of a function, the values of each parameter that is swept: lists, arrays, ranges or pandas indexes, or a
             range as a study writes it.
         fixed: of a function, values of other parameters.
+        points: of a function, many parameters at once: a DataFrame, an astropy Table or a mapping with a column for
+            each parameter, the name of a file with such a table, or a design, ``{"design": "sobol", "n": 256, "seed":
+            0, "ranges": {"beta": [0.1, 0.5]}}``.  They are crossed with ``axes``.
         sampling: of a function that takes ``rng``: n_sim, seed, precision, max_n_sim.
         title: of a function, for tables and figures.
         workers: how many processes or threads; as many as there are cores unless given.
@@ -98,7 +102,7 @@ def run(
         [3.0, 6.0]
     """
     leave_a_worker_that_runs_its_script()
-    loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title})
+    loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})
     place = located(store or Path("results") / f"{loaded.name}.zarr")
     resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
     with _watching(loaded, progress) as watching:

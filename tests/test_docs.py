@@ -192,6 +192,27 @@ def test_the_functions_of_the_documents_run(document, file, tmp_path, sweep):
         assert (ds.wait_q95 > ds.wait_mean).all()
 
 
+def test_the_table_of_points_of_the_document_runs(tmp_path, sweep):
+    model, script = code("points.md", "python")
+    (tmp_path / "flow.py").write_text(model)
+    (tmp_path / "runs.csv").write_text(code("points.md", "text")[0])
+    (tmp_path / "flow.toml").write_text(code("points.md", "toml")[0])
+    run_commands("points.md", sweep, tmp_path)
+    assert xr.open_zarr(tmp_path / "flow.zarr").sizes["point"] == 128
+    assert xr.open_zarr(tmp_path / "both.zarr").sizes["point"] == 6
+    for name in ("flow.png", "pairs.png", "sensitivity.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+    status, out, err = sweep("plan", "flow.toml", cwd=tmp_path)
+    assert status == 0, err
+    assert "point 64 x hl 2" in out
+    shown = "\nprint(found.parameter.values.tolist(), found.total.values.argmax())\n"
+    done = subprocess.run(
+        [sys.executable, "-c", script + shown], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("['rw', 'length', 'kw'] 0")
+
+
 def test_the_notebook_of_the_document_runs(tmp_path):
     """As a kernel does: cell by cell in one namespace, without a file to be imported from."""
     cells = code("function-notebook.md", "python")

@@ -23,6 +23,7 @@ from sweep.formatting import counted
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.readable import with_unit
 from sweep.studies.provenance import outer_draw_of
+from sweep.studies.study import POINT
 
 ERRORS_ALLOWED = 3.0
 """A value agrees with its prediction if it is so many of its errors from it."""
@@ -209,6 +210,8 @@ def _what_changes_it(dims: list[str], values: Array) -> str:
     values = np.where(values >= NEGLIGIBLE * np.nanmax(values), values, np.nan)
     factors = {}
     for axis, dim in enumerate(dims):
+        if dim == POINT:
+            continue  # its points differ in several parameters at once
         lines = np.moveaxis(values, axis, -1).reshape(-1, values.shape[axis])
         seen = lines[np.isfinite(lines).sum(axis=1) > 1]
         if len(seen):

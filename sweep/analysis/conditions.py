@@ -1,13 +1,20 @@
 """What the options --where and --range say: a limit on a quantity with a unit, a range; parsed, never evaluated."""
 
 import math
+import operator
 import re
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal, cast
 
-from sweep.contract import SweepError, shown
+import numpy as np
+from numpy.typing import NDArray
+
+from sweep.contract import Array, SweepError, shown
 
 Sign = Literal["<", "<=", ">", ">="]
+
+_COMPARE = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 
 _LIMIT = re.compile(
     r"\s*(?P<variable>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<number>[-+.\w]*\d[-+.\w]*?)(?:\s+(?P<unit>\S.*))?"
@@ -33,6 +40,10 @@ class Limit:
             return float(units.Unit(self.unit).to(units.Unit(unit), self.number))
         except ValueError as error:  # of another kind, or a unit of an experiment that astropy does not know
             raise SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}") from error
+
+    def is_met(self, values: Array, number: float) -> NDArray[np.bool_]:
+        """Return where values, for which the limit is ``number`` in their unit, meet the condition."""
+        return np.asarray(_COMPARE[self.sign](values, number))
 
     def __str__(self) -> str:
         return f"{self.variable} {self.sign} {self.number:g}" + (f" {self.unit}" if self.unit else "")

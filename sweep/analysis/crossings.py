@@ -4,9 +4,6 @@ Both interpolate linearly between two points: in the logarithm of the quantity w
 axis where all of it is above 0 and its unit (magnitudes) is not a logarithm already.
 """
 
-import operator
-from types import MappingProxyType
-
 import numpy as np
 import xarray as xr
 
@@ -21,8 +18,6 @@ are lines that the study excludes, and those whose unit is of another kind than 
 NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
 
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
-
-_COMPARE = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
 
 
 def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
@@ -152,7 +147,7 @@ def _cross(found: Lines, line: int, limit: Limit, threshold: float) -> tuple[flo
     nothing = (np.nan,) * 4
     if np.isnan(threshold) or not used.any():
         return (LEFT_OUT, 0.0, *nothing, np.nan, np.nan)
-    met = _COMPARE[limit.sign](y, threshold)
+    met = limit.is_met(y, threshold)
     flips = np.flatnonzero(met[1:] != met[:-1])
     if not len(flips):
         low = (limit.sign in ("<", "<=")) != bool(met[0])

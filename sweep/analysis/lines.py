@@ -22,6 +22,7 @@ from sweep.analysis.selection import place_in_words
 from sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.studies.provenance import outer_draw_of
+from sweep.studies.study import POINT
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,8 @@ def lines(
     """
     require_axis(dataset, variable, over)
     dimension = str(dataset[over].dims[0])
+    if dimension == POINT:  # a table may repeat a point
+        dataset = dataset.isel({POINT: np.unique(dataset[over].values, return_index=True)[1]})
     value = dataset[variable]
     others = [str(d) for d in value.dims if d != dimension]
     order = np.argsort(dataset[over].values, kind="stable")

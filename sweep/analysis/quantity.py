@@ -10,6 +10,7 @@ import xarray as xr
 from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
 from sweep.planning.point_status import Status
 from sweep.studies.provenance import FUNCTION, outer_draw_of
+from sweep.studies.study import POINT, POINT_TABLE
 
 COUNTS = ("status", "n_sim_done", "code")
 """Integers of every dataset that are no results."""
@@ -83,7 +84,7 @@ def shares_random_numbers(dataset: xr.Dataset, dimensions: Collection[str]) -> b
         return True
     shared = set(json.loads(dataset.attrs[SHARED_AXES]))
     axes = {str(n) for n, c in dataset.coords.items() if set(c.dims) & set(dimensions) and not str(n).endswith("_unit")}
-    return axes <= shared
+    return axes - {POINT} <= shared
 
 
 def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.DataArray | None:
@@ -179,12 +180,20 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
 
 def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return the coordinates of numbers along which a variable has at least two points, longest first: axes of the
-    study, and dimensions of its own.
+    study, and dimensions of its own; points of a table or a design are in no order, so that they are along none.
     """
-    dims = dataset[variable].dims
+    dims = [d for d in dataset[variable].dims if d != POINT]
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in "if"]
     axes = [n for n in names if dataset[n].size > 1]
     return sorted(axes, key=lambda n: (-dataset[n].size, n not in dims, n))
+
+
+def varied_parameters(dataset: xr.Dataset) -> list[str]:
+    """Return the parameters in which the points of a table or a design differ, in the order of its columns."""
+    if POINT_TABLE not in dataset.attrs:
+        return []
+    names = [n for n in json.loads(dataset.attrs[POINT_TABLE])["parameters"] if n in dataset.coords]
+    return [n for n in names if dataset[n].dims == (POINT,) and len(set(dataset[n].values.tolist())) > 1]
 
 
 def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
@@ -193,6 +202,12 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
     """
     require_quantity(dataset, variable)
     axes = numeric_axes(dataset, variable)
+    varied = varied_parameters(dataset) if POINT in dataset[variable].dims else []
+    if len(varied) == 1 and dataset[varied[0]].dtype.kind in "if":
+        axes += varied
+    elif over in varied:
+        others = ", ".join(name for name in varied if name != over)
+        raise SweepError(f"the points differ in {others} too, so that {over} is no axis of {variable}")
     if over is None:
         dimensions = {dataset[axis].dims[0] for axis in axes}
         if len(dimensions) == 1:

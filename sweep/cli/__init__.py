@@ -1,18 +1,34 @@
 """The command line; each command calls one function of the library, imported when it is needed."""
 
-from sweep.cli import analysis, match, paper, plot, report, rerun, running, scaling, store, studies, tie
+from sweep.cli import (
+    analysis,
+    match,
+    merge,
+    paper,
+    plot,
+    report,
+    rerun,
+    running,
+    scaling,
+    sensitivity,
+    store,
+    studies,
+    tie,
+)
 from sweep.cli.group import main
 
 __all__ = [
     "analysis",
     "main",
     "match",
+    "merge",
     "paper",
     "plot",
     "report",
     "rerun",
     "running",
     "scaling",
+    "sensitivity",
     "store",
     "studies",
     "tie",

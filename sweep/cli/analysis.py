@@ -6,7 +6,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
-from sweep.cli.output import print_whole
+from sweep.cli.output import print_table, print_whole
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -87,7 +87,8 @@ def fit(
 def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:
     """Find where in STORE a condition is met along an axis, for every combination of the other axes.
 
-    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.
+    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  Of a table or
+    a design, whose points are in no order, those points are listed that meet the condition.
 
     \b
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --along v_max
@@ -95,11 +96,15 @@ def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], 
     """
     from sweep.analysis.conditions import parse_limit
     from sweep.analysis.crossings import find as find_crossings
-    from sweep.analysis.quantity import require_axis
+    from sweep.analysis.points import points_where
+    from sweep.analysis.quantity import require_axis, varied_parameters
 
     limit = parse_limit(where)
     dataset = part_of(store, at)
     with naming(store):
+        if along is None and len(varied_parameters(dataset)) > 1:
+            print_table(points_where(dataset, limit), "json" if as_json else "text")
+            return
         result = find_crossings(dataset, limit, require_axis(dataset, limit.variable, along))
     _print(result, as_json)
 

@@ -29,6 +29,7 @@ SECTIONS = {
         "report": "Write one HTML page with everything",
         "fit": "Fit a law along an axis",
         "find": "Find where a condition is met along an axis",
+        "sensitivity": "Say which parameters decide a result",
     },
     "Compare": {
         "compare": "Compare with published numbers and claims",
@@ -39,6 +40,7 @@ SECTIONS = {
         "check": "Compare every file with its checksum",
         "repair": "Set damaged files aside",
         "reproduce": "Compute one point again, to the bit",
+        "merge": "Bring together what several runs computed",
     },
     "Your own": {
         "new": "Write a commented study to start from",

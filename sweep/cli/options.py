@@ -1,7 +1,7 @@
 """Arguments and options that several commands share, and what they turn into."""
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,9 @@ Command = Callable[..., Any]
 RESOURCES = (
     *("workers", "pool", "scheduler", "tls_ca", "tls_cert", "tls_key", "cluster", "time_limit", "memory_limit"),
 )
+OVERRIDES = ("settings", "axes", "points", "design", "ranges")
+"""Arguments of `load_study` that options give."""
+
 MEMORY_AT_LEAST = 200 * 10**6
 
 study_argument = click.argument("study", shell_complete=shell_completion.studies)
@@ -43,7 +46,7 @@ accept_code_option = click.option(
 )
 
 
-def _located(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
+def located_option(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
     """Turn what names a store, or several, into places; nothing while a shell completes."""
     if value is None or context.resilient_parsing:
         return None
@@ -61,7 +64,7 @@ def _named(context: click.Context, parameter: click.Parameter, value: Any) -> An
     if isinstance(value, tuple):
         return tuple(_named(context, parameter, one) for one in value)
     if value is None or value == "" or context.resilient_parsing:
-        return _located(context, parameter, value)
+        return located_option(context, parameter, value)
     from sweep.stores.named import store_named
 
     return store_named(value)
@@ -79,7 +82,7 @@ trust_option = click.option(
 
 
 def study_options(command: Command) -> Command:
-    """Add the options that name a study's overrides and its store."""
+    """Add the options that name a study's overrides, which the command gets as ``overrides``, and its store."""
     options = (
         click.option(
             "--set",
@@ -97,17 +100,38 @@ def study_options(command: Command) -> Command:
             shell_complete=shell_completion.axes,
             help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
         ),
+        click.option("--points", metavar="FILE", help="Compute the points in this table: a column for each parameter."),
+        click.option(
+            "--design",
+            metavar="NAME:N",
+            help="Compute a design of points, e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, "
+            "saltelli, morris.",
+        ),
+        click.option(
+            "--range",
+            "ranges",
+            multiple=True,
+            metavar="NAME=SPEC",
+            help="The range of a parameter in the design: 0.1:0.5, 1:100:log or amex,gaia.",
+        ),
         click.option(
             "-o",
             "--output",
             "store",
-            callback=_located,
+            callback=located_option,
             help="The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]",
         ),
     )
+
+    @functools.wraps(command)
+    def with_overrides(*arguments: Any, **named: Any) -> Any:
+        overrides = {name: named.pop(name) for name in OVERRIDES}
+        return command(*arguments, overrides=overrides, **named)
+
+    wrapped: Command = with_overrides
     for option in reversed(options):
-        command = option(command)
-    return command
+        wrapped = option(wrapped)
+    return wrapped
 
 
 def resource_options(command: Command) -> Command:
@@ -198,9 +222,7 @@ def _resources(
     return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit))
 
 
-def load(
-    study: str, settings: tuple[str, ...], axes: tuple[str, ...], store: "Location | None", trust: bool
-) -> "tuple[Study, Location]":
+def load(study: str, overrides: Mapping[str, Any], store: "Location | None", trust: bool) -> "tuple[Study, Location]":
     """Return the study with its overrides, and where its store is; a study inside a store must be trusted."""
     from sweep.running.trust import require_trust_of_study
     from sweep.stores.location import located
@@ -211,7 +233,7 @@ def load(
         require_trust_of_study(find_study(study), trust)
     elif (file := function.rpartition(":")[0]).endswith(".py"):
         require_trust_of_study(Path(file), trust)
-    loaded = load_study(study, settings, axes)
+    loaded = load_study(study, **overrides)
     return loaded, store or located(Path("results") / f"{loaded.name}.zarr")
 
 

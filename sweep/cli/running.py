@@ -2,7 +2,8 @@
 
 import logging
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -40,8 +41,7 @@ if TYPE_CHECKING:
 @json_option
 def run(
     study: str,
-    settings: tuple[str, ...],
-    axes: tuple[str, ...],
+    overrides: Mapping[str, Any],
     store: "Location | None",
     resources: "Resources",
     break_lock: bool,
@@ -60,8 +60,10 @@ def run(
     sweep run quasars
     sweep run quasars --set n_cat=20 -o results/quick.zarr
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
+    sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5 --range gamma=0.01:1:log
+    sweep run sir.py:sir --points runs.csv
     """
-    loaded, path = load(study, settings, axes, store, trust)
+    loaded, path = load(study, overrides, store, trust)
     if dry_run:
         print_plan(loaded, path, resources.workers, as_json, accept_code)
         return
@@ -81,8 +83,7 @@ def run(
 @json_option
 def plan(
     study: str,
-    settings: tuple[str, ...],
-    axes: tuple[str, ...],
+    overrides: Mapping[str, Any],
     store: "Location | None",
     workers: int | None,
     accept_code: bool,
@@ -94,7 +95,7 @@ def plan(
     \b
     sweep plan grid --set n_cat=100
     """
-    loaded, path = load(study, settings, axes, store, trust)
+    loaded, path = load(study, overrides, store, trust)
     print_plan(loaded, path, workers, as_json, accept_code)
 
 

@@ -61,3 +61,13 @@ def same_unit(one: str, other: str) -> bool:
         return bool(Unit(one) == Unit(other))
     except (ValueError, TypeError):
         return False
+
+
+def factor_between(one: str, other: str) -> float | None:
+    """Return the factor that numbers in one unit have in another; None for units of different kinds."""
+    from astropy.units import Unit, UnitsError
+
+    try:
+        return float(Unit(one).to(Unit(other)))
+    except (UnitsError, TypeError, ValueError):
+        return None

@@ -11,12 +11,14 @@ from hashlib import blake2b
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sweep.contract import SweepError, Value
 from sweep.planning.point_cache import PointCache
 from sweep.planning.point_warnings import PointWarnings
 from sweep.planning.unused import UnusedSettings
-from sweep.studies.study import Study
+from sweep.studies.designs import remarks
+from sweep.studies.study import POINT, Study
 from sweep.tablefile import as_json
 
 MAX_POINTS = 10_000_000
@@ -37,8 +39,8 @@ class GridPoint:
 
 @dataclass(frozen=True)
 class Grid:
-    """The points of a study: dimensions in the order of its axes; axes that are zipped share the dimension of the
-    first; and what the experiment warns of, where it was asked (`make_grid`).
+    """The points of a study: dimensions in the order of its axes, after that of a table of points; axes that are
+    zipped share the dimension of the first; and what the experiment warns of, where it was asked (`make_grid`).
     """
 
     study: Study
@@ -47,26 +49,42 @@ class Grid:
     @cached_property
     def dimensions(self) -> dict[str, tuple[str, ...]]:
         """The axes along each dimension, by the dimension's name."""
-        partner = {name: group for group in self.study.zipped for name in group}
-        found: dict[str, tuple[str, ...]] = {}
-        for name in self.study.axes:
-            group = partner.get(name, (name,))
-            if not any(name in axes for axes in found.values()):
-                found[group[0]] = group
-        return found
+        return self.study.dimensions
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
         """Length of each dimension."""
-        return tuple(len(self.study.axes[dimension]) for dimension in self.dimensions)
+        return tuple(len(self.study.axes[axes[0]]) for axes in self.dimensions.values())
+
+    @cached_property
+    def first_rows(self) -> NDArray[np.intp] | None:
+        """For each row of a table of points the first row that is the same point; None where no row repeats."""
+        if self.study.points is None:
+            return None
+        rows = self._columns[0]
+        first: dict[tuple[Value, ...], int] = {}
+        found = np.array([first.setdefault(values, place) for place, values in enumerate(rows)])
+        return found if len(first) < len(rows) else None
+
+    def with_repeats(self, of_points: NDArray[Any]) -> NDArray[Any]:
+        """Return an array over the points, (points, ...), in which repeated rows of a table have what the first has:
+        they are the same point, which is computed once.
+        """
+        if self.first_rows is None:
+            return of_points
+        by_row = of_points.reshape(self.shape[0], -1, *of_points.shape[1:])
+        return np.asarray(by_row[self.first_rows].reshape(of_points.shape))
 
     def __len__(self) -> int:
         return math.prod(self.shape)
 
     def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield index and parameters of the points that are not excluded, in C order."""
-        names, clauses = self._names, self.study.excluded
+        """Yield index and parameters of the points that are not excluded, in C order; of repeated ones the first."""
+        names, clauses, first = self._names, self.study.excluded, self.first_rows
+        row = 1 if first is None else len(self) // len(first)
         for index, combination in enumerate(itertools.product(*self._columns)):
+            if first is not None and first[index // row] != index // row:
+                continue
             parameters = self._fixed.copy()
             parameters.update(zip(names, itertools.chain.from_iterable(combination), strict=True))
             if not (clauses and self._excluded(parameters)):
@@ -175,14 +193,16 @@ def make_grid(study: Study) -> Grid:
         sentences += settings.nowhere()
     if sentences:
         raise SweepError(sentences, study.source)
-    grid.warnings.extend(warnings.sentences())
+    grid.warnings.extend([*remarks({} if study.points is None else study.points.origin), *warnings.sentences()])
     return grid
 
 
 def _repeated(grid: Grid) -> list[str]:
     """Say which points occur twice: as every axis has distinct values, only axes that are zipped can make some."""
     sentences: list[str] = []
-    for axes in grid.dimensions.values():
+    for dimension, axes in grid.dimensions.items():
+        if dimension == POINT:
+            continue  # a table may repeat a point
         counts = Counter(zip(*(grid.study.axes[name] for name in axes), strict=True))
         repeated = [values for values, n in counts.items() if n > 1]
         for values in repeated[:MAX_PROBLEMS]:

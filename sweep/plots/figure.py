@@ -7,14 +7,17 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.analysis.measured_claims import claims_of
-from sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity
+from sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
+from sweep.analysis.sensitivity import is_sensitivity
 from sweep.contract import SweepError, shown, suggest
 from sweep.planning.point_status import Status
 from sweep.plots.kinds import GRID, SCALING
 from sweep.plots.scaling import is_scaling
 from sweep.plots.scatter import sampled
+from sweep.plots.sensitivity import sensitivity_figure
 from sweep.plots.style import value_text, wrapped
 from sweep.plots.tie.figure import draw_link, is_link
+from sweep.studies.study import POINT
 
 MAP_POINTS = 5
 """A map is drawn unasked where two axes have at least so many points each."""
@@ -37,6 +40,10 @@ def draw_figure(
         return draw_link(dataset, kind)
     if kind is not None and kind not in (known := [*GRID, *SCALING]):
         raise SweepError(f"no kind {shown(kind)}{suggest(kind, known)}")
+    if is_sensitivity(dataset):
+        if kind is not None or variables or over:
+            raise SweepError("a figure of sensitivity indices has nothing to choose")
+        return sensitivity_figure(dataset)
     if is_scaling(dataset):
         if kind not in (None, *SCALING):
             raise SweepError(f"no {kind} of this; possible is {' or '.join(SCALING)}")
@@ -77,6 +84,9 @@ def _suits_scatter(dataset: xr.Dataset, variables: Sequence[str], over: Sequence
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
+    varied = varied_parameters(dataset)
+    if POINT in dataset[variable].dims and varied and all(name in varied for name in over):
+        return "points"
     if len(over) == 2:
         return "map"
     laws = {(claim.slope.variable, claim.slope.over) for claim in claims_of(dataset) if claim.slope is not None}

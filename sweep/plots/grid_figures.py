@@ -6,7 +6,7 @@ from typing import NamedTuple
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis
+from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError, shown, suggest
 from sweep.plots.law import draw_law, draw_law_residuals
@@ -15,8 +15,10 @@ from sweep.plots.lines import draw_lines
 from sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
 from sweep.plots.panels import draw_panels
 from sweep.plots.point import draw_point
+from sweep.plots.points import pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
 from sweep.plots.style import figure_size, legend_below, wanted_width, wrapped
+from sweep.studies.study import POINT
 
 SCATTER_INCHES = 6.0
 """In a narrower figure the numbers of a scatter stand below it, not beside it."""
@@ -109,7 +111,7 @@ def _scatter(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> 
 
 def _one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     """Return the axis to draw along: as asked for, or the longest of numbers, or the longest."""
-    axes = [str(n) for n, c in dataset.coords.items() if c.dims and c.dims[0] in dataset["status"].dims and c.ndim == 1]
+    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)]
     axes += [name for name in numeric_axes(dataset, variable) if name not in axes]
     if over:
         if len(over) > 1 or over[0] not in axes:
@@ -138,7 +140,35 @@ def _two_components(dataset: xr.Dataset, dimension: str) -> tuple[str, str]:
     return str(known[0]), str(known[1])
 
 
-LINES = GridFigure(lambda dataset, variable: bool(dataset["status"].ndim or numeric_axes(dataset, variable)), _lines)
+def _ordered(dataset: xr.Dataset) -> list[str]:
+    """Return the dimensions of the grid but that of a table of points."""
+    return [str(d) for d in dataset["status"].dims if d != POINT]
+
+
+def _points(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    return points_figure(dataset, variables, _chosen(dataset, over))
+
+
+def _pairs(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    if len(variables) > 1:
+        raise SweepError(f"pairs are coloured by one variable, not by {', '.join(variables)}")
+    return pairs_figure(dataset, variables[0], _chosen(dataset, over))
+
+
+def _chosen(dataset: xr.Dataset, over: Sequence[str]) -> list[str]:
+    known = varied_parameters(dataset)
+    if unknown := [name for name in over if name not in known]:
+        raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
+    return list(over) or known
+
+
+def _has_points(dataset: xr.Dataset, variable: str) -> bool:
+    return POINT in dataset[variable].dims and bool(varied_parameters(dataset))
+
+
+LINES = GridFigure(lambda dataset, variable: bool(_ordered(dataset) or numeric_axes(dataset, variable)), _lines)
+POINTS = GridFigure(_has_points, _points)
+PAIRS = GridFigure(lambda dataset, name: _has_points(dataset, name) and len(varied_parameters(dataset)) > 1, _pairs)
 LAW = GridFigure(lambda dataset, variable: bool(numeric_axes(dataset, variable)), _law)
 MAP = GridFigure(lambda dataset, variable: len({dataset[a].dims[0] for a in numeric_axes(dataset, variable)}) > 1, _map)
 SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter)

@@ -25,6 +25,8 @@ GRID: Mapping[str, Kind] = {
     "law": Kind("sweep.plots.grid_figures:LAW"),
     "map": Kind("sweep.plots.grid_figures:MAP"),
     "scatter": Kind("sweep.plots.grid_figures:SCATTER"),
+    "points": Kind("sweep.plots.grid_figures:POINTS"),
+    "pairs": Kind("sweep.plots.grid_figures:PAIRS"),
 }
 """Of the results of a study: values of type `GridFigure`."""
 

@@ -9,6 +9,7 @@ from bokeh.resources import Resources
 
 from sweep.analysis.quantity import prediction_name, quantities, standard_error
 from sweep.readable import Prefixed, prefixed, written
+from sweep.studies.study import POINT
 
 DIGITS = 7
 """Significant digits of a number in the page: more than any Monte Carlo knows."""
@@ -93,9 +94,13 @@ def _component_units(dataset: xr.Dataset, name: str, dimension: str) -> list[Pre
 
 
 def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> list[str]:
-    """Return the coordinates along dimensions, and the dimensions without one."""
+    """Return the coordinates along dimensions, and the dimensions without one; of unordered points those of numbers,
+    last.
+    """
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and str(n).removesuffix("_unit") == str(n)]
-    return [n for d in dims for n in dict.fromkeys([d, *(m for m in names if dataset[m].dims == (d,))])]
+    found = [n for d in dims for n in dict.fromkeys([d, *(m for m in names if dataset[m].dims == (d,))])]
+    unordered = [n for n in found if n != POINT and dataset[n].dims == (POINT,) and dataset[n].dtype.kind in "iuf"]
+    return [n for n in found if dataset[n].dims != (POINT,)] + unordered + [n for n in found if n == POINT]
 
 
 def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
@@ -108,6 +113,7 @@ def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
         "dim": str(array.dims[0]),
         "unit": written(unit),
         "numeric": numeric,
+        "ordered": array.dims[0] != POINT,
         "logarithmic": unit in LOGARITHMIC_UNITS,
         "values": values,
     }

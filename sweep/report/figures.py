@@ -23,6 +23,7 @@ from sweep.plots.kinds import LINK
 from sweep.plots.scatter import sampled
 from sweep.plots.style import settings
 from sweep.plots.tie.figure import link_figures
+from sweep.studies.study import POINT
 
 POINTS_PER_INCH = 72.0
 
@@ -60,11 +61,11 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
         wanted = [("kept samples", ()), *wanted]
     found = []
     for i, (name, chosen) in enumerate(wanted):
-        found.append(_picture(untitled, name, chosen, f"{number}-{i}"))
-        if len(chosen) == 1 and (residual := differences(untitled, name)) is not None:
+        found.append(drawn(untitled, name, f"{number}-{i}", chosen))
+        ordered = POINT not in dataset["status"].dims
+        if ordered and len(chosen) == 1 and (residual := differences(untitled, name)) is not None:
             words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
-            variable = f"{name}_{SUFFIX}"
-            found.append(_picture(residual, words, (variable,), f"{number}-{i}-residual", "lines", add_band))
+            found.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", add_band))
     return found
 
 
@@ -92,14 +93,17 @@ def _varies(array: xr.DataArray) -> bool:
     return bool(finite.size and finite.min() < finite.max())
 
 
-def _picture(
+def drawn(
     dataset: xr.Dataset,
     name: str,
-    variables: Sequence[str],
     salt: str,
+    variables: Sequence[str] = (),
     kind: str | None = None,
     add: Callable[[Figure], None] | None = None,
 ) -> Picture:
+    """Return the figure that suits a dataset, or of a kind, after ``add`` was done to it; ``salt`` sets the identifiers
+    in it apart from those of others.
+    """
     with _inside_a_page(salt):
         try:
             figure = draw_figure(dataset, kind, variables)

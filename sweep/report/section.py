@@ -4,23 +4,29 @@ import json
 import math
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import xarray as xr
 
+from sweep.analysis import sensitivity_tables as tables
 from sweep.analysis.answer import Answer, answer_in_short, answers, completeness, failed, headline
 from sweep.analysis.compare import compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
+from sweep.analysis.quantity import varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
+from sweep.analysis.sensitivity import sensitivity
 from sweep.analysis.tables import Column, headline_columns, warnings_of
 from sweep.analysis.verdicts import Comparison, in_readable_unit
+from sweep.contract import SweepError
 from sweep.readable import with_micro_signs, written
 from sweep.report.explorer import explorer
-from sweep.report.figures import Picture, pictures
+from sweep.report.figures import Picture, drawn, pictures
 from sweep.studies.provenance import FUNCTION, outer_draw_of
+from sweep.studies.study import POINT_TABLE
 
 SEVERITY = ("NOT reproduced", "incomplete", "within tolerance", "not comparable", "reproduced")
 """The order of verdicts in the table: what needs to be looked at comes first."""
@@ -96,6 +102,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
     names = headline(dataset)
     comparisons = compare(dataset)
     explored, numbers, left_out = explorer(in_readable_units(dataset), names, room)
+    indices = _indices(dataset, names)
     attributes = dataset.attrs
     failures = json.loads(attributes.get("failures", "{}"))
     versions = json.loads(attributes.get("versions", "{}"))
@@ -115,13 +122,16 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         changed=str(attributes.get("study_overrides", "")),
         comparisons=comparisons,
         verdicts=summary_line(comparisons) if comparisons else "",
-        pictures=pictures(dataset, names, number),
+        pictures=[
+            *pictures(dataset, names, number),
+            *(drawn(one, f"sensitivity of {name}", f"{number}-s{i}") for i, (name, one) in enumerate(indices.items())),
+        ],
         explorer=explored | {"title": title},
         not_explored=left_out,
         numbers=numbers,
         results=_results(headline_columns(dataset)),
         caption="Headline results, ± their one-sigma errors",
-        tables={},
+        tables={f"Sensitivity of {name}: {tables.notes(one)[0]}": _sensitivity(one) for name, one in indices.items()},
         comparison=_comparison(comparisons) if comparisons else None,
         notes=[
             *warnings_of(dataset),
@@ -135,6 +145,26 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         study=str(attributes.get("study", "")) or _document(attributes),
         version=str(versions.get("linksweep", "unknown")),
     )
+
+
+def _indices(dataset: xr.Dataset, names: list[str]) -> dict[str, xr.Dataset]:
+    """Return the sensitivity indices of results of a table of points, of those with one number a point."""
+    found: dict[str, xr.Dataset] = {}
+    for name in names if POINT_TABLE in dataset.attrs and len(varied_parameters(dataset)) > 1 else ():
+        if dataset[name].squeeze().ndim == 1:
+            with suppress(SweepError):
+                found[name] = sensitivity(dataset.squeeze(), name)
+    return found
+
+
+def _sensitivity(result: xr.Dataset) -> Table:
+    cells = tables.columns_of(result)
+    values = ([row[name.partition(" ")[0]] for row in tables.rows(result)] for name in cells)
+    rows = zip(
+        *(list(zip(texts, numbers, strict=True)) for texts, numbers in zip(cells.values(), values, strict=True)),
+        strict=True,
+    )
+    return Table(list(cells), [list(row) for row in rows])
 
 
 def _worded(label: str, attributes: Mapping[Any, Any]) -> str:

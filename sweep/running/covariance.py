@@ -44,7 +44,8 @@ def _shared_dimensions(plan: Plan, output: Output, samples: int) -> list[str]:
     grid, experiment = plan.grid, plan.grid.study.experiment
     size = len(grid) * experiment.size_of(output)
     shared = [d for d, axes in grid.dimensions.items() if set(axes) <= set(experiment.shared)]
-    return [d for d in shared if size * max(len(grid.study.axes[d]), samples) <= LARGEST]
+    lengths = dict(zip(grid.dimensions, grid.shape, strict=True))
+    return [d for d in shared if size * max(lengths[d], samples) <= LARGEST]
 
 
 def _with_error(plan: Plan) -> list[Output]:
@@ -95,7 +96,7 @@ def _deviations(
         for name, mine in deviations.items():
             values = np.reshape(results[name], (count, -1)).T
             mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))
-    return deviations
+    return {name: grid.with_repeats(mine) for name, mine in deviations.items()}
 
 
 def _covariance(plan: Plan, deviations: Array, output: Output, dimension: str) -> Variable:

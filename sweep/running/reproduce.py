@@ -25,7 +25,7 @@ from sweep.stores.opened import OpenStore
 from sweep.studies.axes import parse_places, parse_value
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.record import as_recorded
-from sweep.studies.study import Study
+from sweep.studies.study import POINT, Study
 
 MAX_NAMED = 10
 
@@ -85,7 +85,15 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
     fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}
     alone = replace(
-        study, axes={}, zipped=(), excluded=(), fixed=fixed | own, published=None, claims=(), conclusion=None
+        study,
+        axes={},
+        zipped=(),
+        points=None,
+        excluded=(),
+        fixed=fixed | own,
+        published=None,
+        claims=(),
+        conclusion=None,
     )
     alone = as_recorded(alone, opened.attributes)
     result = compute(Plan(Grid(alone)))
@@ -152,19 +160,21 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
     problems: list[str] = []
     given: dict[str, Any] = {}
     for name, text in parse_places([at] if at.strip() else []).items():
-        if name not in study.axes:
+        if name == POINT and study.points is not None:
+            given |= _row(study, text, problems)
+        elif name not in study.axes:
             hint = suggest(name, list(study.axes)) if study.axes else ""
             problems.append(f"--at {name}: is not an axis{hint or f'; axes are {_listed(study.axes)}'}")
         else:
             given[name] = _on_axis(study.experiment, study.axes, name, text, problems)
     fitting = {
         dimension: [values for values in rows if all(given.get(n, v) == v for n, v in zip(axes, values, strict=True))]
-        for dimension, axes in Grid(study).dimensions.items()
-        for rows in [list(zip(*(study.axes[name] for name in axes), strict=True))]
+        for dimension, axes in study.dimensions.items()
+        for rows in [dict.fromkeys(zip(*(study.axes[name] for name in axes), strict=True))]
     }
     if not problems:
         problems += [
-            f"--at: {dimension} needs a value, one of {_listed(study.axes[dimension])}"
+            f"--at: {dimension} needs a value, one of {_listed(study.axes.get(dimension) or range(len(rows)))}"
             if rows
             else f"--at {shown(at)}: no point has these values together"
             for dimension, rows in fitting.items()
@@ -173,11 +183,21 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
     if problems:
         raise SweepError(problems, where)
     parameters = study.experiment.defaults() | dict(study.fixed)
-    for dimension, axes in Grid(study).dimensions.items():
+    for dimension, axes in study.dimensions.items():
         parameters |= dict(zip(axes, fitting[dimension][0], strict=True))
     if any(all(c.holds(parameters[c.name]) for c in clause) for clause in study.excluded):
         raise SweepError(f"--at {shown(at)}: the study excludes this point", where)
     return parameters
+
+
+def _row(study: Study, text: str, problems: list[str]) -> dict[str, Any]:
+    """Return the parameters of a row of a table of points, which are counted from 0."""
+    assert study.points is not None, "asked before"
+    rows = len(study.axes[study.points.names[0]])
+    if not text.isdecimal() or int(text) >= rows:
+        problems.append(f"--at {POINT} = {shown(text)}: must be the number of a point, from 0 to {rows - 1}")
+        return {}
+    return {name: study.axes[name][int(text)] for name in study.points.names}
 
 
 def _on_axis(
@@ -197,7 +217,7 @@ def _indices(study: Study, place: Mapping[str, Any]) -> dict[str, int]:
     """Return where along each dimension a point stands."""
     return {
         dimension: list(zip(*(study.axes[name] for name in axes), strict=True)).index(tuple(place[n] for n in axes))
-        for dimension, axes in Grid(study).dimensions.items()
+        for dimension, axes in study.dimensions.items()
     }
 
 

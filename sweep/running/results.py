@@ -15,7 +15,7 @@ from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.point_status import Status
-from sweep.studies.study import Published, printed_rounding
+from sweep.studies.study import POINT, Published, printed_rounding
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
@@ -27,12 +27,15 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     grid = plan.grid
     study = grid.study
     experiment = study.experiment
-    done = accumulator.status == Status.DONE
+    status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
+    done = status == Status.DONE
     variables: dict[str, Any] = {}
     results: Mapping[str, Array] = {}
     if done.any():
         n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        results = experiment.results(accumulator.total[done], accumulator.realisations[done].astype(float), n_cat)
+        results = experiment.results(
+            grid.with_repeats(accumulator.total)[done], realisations[done].astype(float), n_cat
+        )
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already
@@ -42,8 +45,8 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"
-        variables["n_sim_done"] = _variable(grid, accumulator.realisations.copy(), Output("n_sim_done", "", meaning))
-    variables["status"] = _variable(grid, accumulator.status.copy(), Output("status", "", "state of the point"))
+        variables["n_sim_done"] = _variable(grid, realisations.copy(), Output("n_sim_done", "", meaning))
+    variables["status"] = _variable(grid, status.copy(), Output("status", "", "state of the point"))
     variables["status"][2].update(flag_values=list(map(int, Status)), flag_meanings=" ".join(s.word for s in Status))
     variables |= _published(grid)
     return xr.Dataset(variables, coords=_coordinates(grid))
@@ -70,6 +73,7 @@ def assemble_samples(
             drawn = samples(ledger_key(point.digest, block)).reshape(block.n_cat, block.n_sim, -1)
             kept[point.index, catalogues, first : first + block.n_sim] = drawn
             start[block.group] = first + block.n_sim
+    kept = grid.with_repeats(kept)
     variables: dict[str, Any] = {}
     column = 0
     for output in experiment.sample_outputs:
@@ -85,7 +89,7 @@ def assemble_samples(
 def code_variable(plan: Plan, codes: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
     """Return which code made each point, for a store that several have made."""
     meaning = "code that made the point: its place, from 1, in the attribute code; 0 none, -1 several"
-    return _variable(plan.grid, codes, Output("code", "", meaning))
+    return _variable(plan.grid, plan.grid.with_repeats(codes), Output("code", "", meaning))
 
 
 def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
@@ -106,6 +110,8 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
     study = grid.study
     experiment = study.experiment
     coordinates: dict[str, Any] = {}
+    if study.points is not None:
+        coordinates[POINT] = (POINT, np.arange(grid.shape[0]), {"units": "", "long_name": "number of the point"})
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)

@@ -25,7 +25,7 @@ from sweep.stores.fresh import replace_store
 from sweep.stores.location import Where
 from sweep.stores.lock import locked
 from sweep.stores.opened import OpenStore
-from sweep.stores.store import Store, create_store, find_store, open_store
+from sweep.stores.store import Store, check_points, create_store, find_store, open_store
 from sweep.studies.provenance import provenance
 from sweep.studies.record import RECORD, as_recorded, recorded
 from sweep.studies.study import Study
@@ -73,6 +73,8 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     opened = open_store(found, plan.grid.study)
     if opened is not None and not accept_code:
         check_code(opened, study)
+    if study.points is not None and found is not None and part_of_larger(found, plan.grid) is None:
+        check_points(found, study)
     return plan, _accumulator(plan, opened).survey
 
 
@@ -116,6 +118,8 @@ def run_study(
             check_code(opened, study)
         if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:
             return _left_alone(part, store, progress)
+        if found is not None:
+            check_points(found, study)
         again = _clear_failures(opened, plan, progress) if retry else None
         accumulator = _accumulator(plan, opened, again)
         pending = accumulator.survey.pending

@@ -96,7 +96,8 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger) -> Progress:
         for dimension, names in grid.dimensions.items()
     }
     units = {name: study.experiment.parameter(name).unit for name in study.axes}
-    return axes, units, accumulator.status.reshape(grid.shape), accumulator.realisations.reshape(grid.shape)
+    status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
+    return axes, units, status.reshape(grid.shape), realisations.reshape(grid.shape)
 
 
 def _plain(value: Any) -> Any:
@@ -130,7 +131,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     cores = max(1, min(workers or available_cores(), available_cores(), tasks))
     return {
         "title": study.title,
-        "grid": " x ".join(f"{name} {len(study.axes[name])}" for name in grid.dimensions) or "one point",
+        "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
         "points": survey.total.points,
         "points_done": survey.total.points - survey.pending.points,
         **(

@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from threading import Event, RLock, Thread
-from types import TracebackType
+from types import MappingProxyType, TracebackType
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -40,6 +41,9 @@ LONG_WRITE_POINTS = 100_000
 
 MAX_FAILURES_NAMED = 1000
 
+KEPT = ("merged",)
+"""Attributes of a store that stay whatever goes on with it."""
+
 
 @dataclass(frozen=True)
 class Taken:
@@ -67,11 +71,14 @@ class Writer:
         pending: Pending,
         store: Store,
         held: Callable[[], AbstractContextManager[None]] = nullcontext,
+        further: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
-        """Start with an open store whose ledger the accumulator holds."""
+        """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
         self.plan, self.accumulator, self.store = plan, accumulator, store
         self._pending, self._held = pending, held
         self._provenance = provenance(plan.grid.study) | {RECORD: recorded(plan.grid.study, plan.costs())}
+        kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
+        self._provenance |= {**kept, **further}
         self._provenance["started"] = store.attributes.get("started", self._provenance["started"])
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
@@ -136,8 +143,9 @@ class Writer:
         if len(records := records_of(self.store.attributes)) > 1:
             codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
             dataset = dataset.assign(code=code_variable(self.plan, codes))
-        points = int(np.count_nonzero(self.accumulator.status != Status.EXCLUDED))
-        done = int(np.count_nonzero(self.accumulator.status == Status.DONE))
+        status = self.plan.grid.with_repeats(self.accumulator.status)
+        points = int(np.count_nonzero(status != Status.EXCLUDED))
+        done = int(np.count_nonzero(status == Status.DONE))
         dataset.attrs = self._provenance | {
             "finished": now(),
             "points": points,

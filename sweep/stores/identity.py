@@ -4,8 +4,10 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from sweep.contract import Named
 from sweep.stores.ledger import shapes_of
 from sweep.stores.root import FORMAT
+from sweep.studies.designs import DESIGNS
 from sweep.studies.study import Study
 from sweep.tablefile import content_digest
 
@@ -31,3 +33,39 @@ def differences(attributes: Mapping[str, Any], study: Study) -> list[str]:
         for name in sorted({*old["fixed"], *new["fixed"]} - axes)
     ]
     return [f"{key}: {was!r} in the store, {now!r} in the study" for key, was, now in pairs if was != now]
+
+
+def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
+    """Say in what a study's table of points differs from that of a store; nothing where one only has more rows at its
+    end, or where there is no table in either.
+    """
+    document = json.loads(attributes.get("study_document", "{}"))
+    table = document.get("points") or {}
+    old: dict[str, list[Any]] = table.get("columns", {})
+    if study.points is None or not old:
+        return []
+    names = list(dict.fromkeys([*old, *study.points.names]))
+    settings = study.experiment.defaults()
+    rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
+    was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}
+    now = {name: study.axes.get(name) or rows * [study.fixed.get(name, settings[name])] for name in names}
+    changed = next(((i, n) for i in range(rows) for n in names if _differ(was[n][i], now[n][i])), None)
+    if changed is None:
+        return []
+    row, name = changed
+    sentences = [f"points, row {row + 1}: {name} is {was[name][row]!r} in the store, {now[name][row]!r} in the study"]
+    return [*sentences, *_why(table.get("origin", {}), study.points.origin)]
+
+
+def _differ(was: Any, now: Any) -> bool:
+    return bool(was != (str(now) if isinstance(now, Named) else now))
+
+
+def _why(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """Say in what two designs differ, and that one cannot grow where that is it."""
+    if "design" not in old or "design" not in new:
+        return []
+    differing = [key for key in ("design", "n", "seed", "ranges") if old.get(key) != new.get(key)]
+    if differing == ["n"] and not DESIGNS[new["design"]].grows:
+        return [f"a {new['design']} design cannot grow: n = {new['n']} makes other points than n = {old['n']}"]
+    return [f"points.{key} is {old[key]!r} in the store, {new[key]!r} in the study" for key in differing]

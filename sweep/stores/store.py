@@ -15,7 +15,7 @@ from sweep.functions.value_types import TEXT_BYTES
 from sweep.stores import failures, snapshot
 from sweep.stores.checksums import group_document, sealed
 from sweep.stores.chunked_rows import DamagedError
-from sweep.stores.identity import differences, identity
+from sweep.stores.identity import changed_points, differences, identity
 from sweep.stores.ledger import columns_of
 from sweep.stores.location import Where, located, reading, writing
 from sweep.stores.opened import OpenStore, damaged_ledger
@@ -258,6 +258,19 @@ def find_store(where: Where, study: Study) -> OpenStore | None:
             str(location),
         )
     return OpenStore(location, root)
+
+
+def check_points(found: OpenStore, study: Study) -> None:
+    """Raise SweepError where rows of a study's table of points are others than those of a store."""
+    if changed := changed_points(found.attributes, study):
+        raise SweepError(
+            [
+                "holds a table of other points; one may only grow at its end: give another store with -o, or --fresh "
+                "replaces this one",
+                *changed,
+            ],
+            str(found.location),
+        )
 
 
 def open_store(found: OpenStore | None, study: Study) -> Store | None:

@@ -3,6 +3,7 @@
 import math
 import tomllib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from sweep.contract import SweepError, shown
@@ -93,6 +94,9 @@ def override(document: dict[str, Any], option: str, problems: list[str], as_axis
         section, other, parsed = "axes", "fixed", _parse_axis_option(value)
     elif sampling_key in Sampling.model_fields:
         section, other, key, parsed = "sampling", "", sampling_key, parse_value(value)
+    elif key.startswith("points.") and isinstance(document.setdefault("points", {}), dict):
+        document["points"][key.removeprefix("points.")] = parse_value(value)
+        return ("points", key.removeprefix("points."))
     elif key == "title":
         document[key] = value
         return (key,)
@@ -104,6 +108,43 @@ def override(document: dict[str, Any], option: str, problems: list[str], as_axis
     document.setdefault(section, {})[key] = parsed
     document.get(other, {}).pop(key, None)
     return section, key
+
+
+def override_points(
+    document: dict[str, Any], file: str | None, design: str | None, ranges: Sequence[str], problems: list[str]
+) -> None:
+    """Lay --points, --design and --range over the table [points] of a document."""
+    points: dict[str, Any] = {"file": str(Path(file).resolve())} if file is not None else {}
+    if design is not None:
+        name, *numbers = design.split(":")
+        points |= {"design": name} | {key: parse_value(text) for key, text in zip(("n", "seed"), numbers, strict=False)}
+        if len(numbers) > 2:
+            problems.append(f"--design {shown(design)}: must be written NAME:N or NAME:N:SEED")
+    old = document.get("points")
+    kept = old if isinstance(old, dict) and file is None else {}
+    if design is not None:
+        kept = {key: kept[key] for key in ("seed", "ranges") if key in kept}
+    points = {**kept, **points}
+    for option in ranges:
+        key, value = split_assignment(option)
+        if not key or not isinstance(points.setdefault("ranges", {}), dict):
+            problems.append(f"--range {shown(option)}: must be written NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=A,B,C")
+            continue
+        points["ranges"] = points["ranges"] | {key: _parse_range_option(value)}
+    document["points"] = points
+
+
+def _parse_range_option(text: str) -> Any:
+    """``0.1:0.5`` is a range, ``1:100:log`` one on a logarithmic scale, anything else a list of values.
+
+    >>> _parse_range_option("1:100:log"), _parse_range_option("amex,gaia")
+    ({'low': 1, 'high': 100, 'spacing': 'log'}, {'values': ['amex', 'gaia']})
+    """
+    parts = text.split(":")
+    if len(parts) in (2, 3):
+        spacing = {"spacing": parts[2]} if len(parts) == 3 else {}
+        return {"low": parse_value(parts[0]), "high": parse_value(parts[1]), **spacing}
+    return {"values": [parse_value(part.strip()) for part in text.split(",")]}
 
 
 def parse_places(texts: Sequence[str]) -> dict[str, str]:

@@ -1,10 +1,9 @@
 """Checks the exclusions of a study."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 from sweep.contract import Experiment, Value, shown
 from sweep.studies.axes import is_number
-from sweep.studies.form import Form
 from sweep.studies.problems import Problems
 from sweep.studies.source import Place
 from sweep.studies.study import Condition
@@ -15,20 +14,28 @@ ValueAt = Callable[[Place, str, object], Value]
 
 def exclusion(
     experiment: Experiment,
-    form: Form,
+    given: Collection[str],
     index: int,
     clause: Mapping[str, object],
     problems: Problems,
     value: ValueAt,
 ) -> tuple[Condition, ...]:
-    """Return the conditions of one exclusion; ``problems`` takes what is wrong."""
+    """Return the conditions of one exclusion; ``given`` are the parameters that the study sets, ``problems`` takes
+    what is wrong.
+    """
     if not clause:
         problems.add(("exclude", index), "is empty and would leave out every point")
-    return tuple(_condition(experiment, form, index, name, rule, problems, value) for name, rule in clause.items())
+    return tuple(_condition(experiment, given, index, name, rule, problems, value) for name, rule in clause.items())
 
 
 def _condition(
-    experiment: Experiment, form: Form, index: int, name: str, rule: object, problems: Problems, value: ValueAt
+    experiment: Experiment,
+    given: Collection[str],
+    index: int,
+    name: str,
+    rule: object,
+    problems: Problems,
+    value: ValueAt,
 ) -> Condition:
     where = ("exclude", index, name)
     try:
@@ -51,7 +58,7 @@ def _condition(
         return Condition(name, among=tuple(value(where, name, raw) for raw in listed))
     if parameter.kind not in ("float", "int"):
         problems.add(where, f"{name} has no order: use equal or in")
-    elif parameter.default is None and name not in form.axes and name not in form.fixed:
+    elif parameter.default is None and name not in given:
         problems.add(where, f"{name} has no value to compare: it is neither an axis nor fixed, and has no default")
     bounds: dict[str, float] = {}
     for key, raw in rule.items():

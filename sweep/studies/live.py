@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from sweep.contract import Experiment, SweepError, shown
 from sweep.functions.adapter import is_plain_function
 from sweep.functions.signature import name_of
 from sweep.session import importable, keep
+from sweep.studies.points import columns_of
 from sweep.studies.reader import study_from_dict
 from sweep.studies.study import Study
 from sweep.tablefile import content_digest
@@ -24,10 +26,12 @@ def study_of_function(
     fixed: Mapping[str, Any] | None = None,
     sampling: Mapping[str, Any] | None = None,
     title: str | None = None,
+    points: Any = None,
 ) -> Study:
     """Return the study of a function, named after it; raises SweepError as `load_study`."""
     document: dict[str, Any] = {"experiment": function}
     document |= {} if title is None else {"title": title}
+    document |= {} if points is None else {"points": points}
     tables = {"axes": axes, "fixed": fixed, "sampling": sampling}
     return live_study(document | {name: table for name, table in tables.items() if table})
 
@@ -35,10 +39,15 @@ def study_of_function(
 def live_study(document: Mapping[str, Any]) -> Study:
     """Return the study that a mapping of the shape of a study file describes.
 
-    Its experiment may be a function or an `Experiment`, its axes may be arrays, ranges or pandas indexes, and it needs
-    no title.  Two such studies have the same name only where they are about the same function and say the same.
+    Its experiment may be a function or an `Experiment`, its axes may be arrays, ranges or pandas indexes, its points a
+    table, and it needs no title.  Two such studies have the same name only where they are about the same function and
+    say the same.
     """
-    plain = {str(key): _plain(value) for key, value in document.items() if key != "experiment"}
+    plain: dict[str, Any] = {
+        str(key): value if key == "points" else _plain(value) for key, value in document.items() if key != "experiment"
+    }
+    if "points" in plain:
+        plain["points"] = _points(document["points"])
     given = document.get("experiment", "core.experiment:link")
     plain["experiment"] = given if isinstance(given, str) else reference_of(given)
     name = plain["experiment"].rpartition(":")[2] if isinstance(given, str) else _name_of(given)
@@ -72,6 +81,32 @@ def _plain(value: Any) -> Any:
         items = sorted(value) if isinstance(value, set | frozenset) else value
         return [_plain(item) for item in items]
     return value
+
+
+def _points(given: Any) -> dict[str, Any]:
+    """Return a table of points as a study file has it: of a DataFrame, an astropy Table, a mapping of columns, the name
+    of a file, or what a study file may have there.
+    """
+    if isinstance(given, str | PathLike):
+        return {"file": str(given)}
+    if isinstance(given, Mapping):
+        if any(isinstance(given.get(key), str) for key in ("file", "design")) or isinstance(given.get("columns"), dict):
+            return {str(key): _plain(value) for key, value in given.items()}
+        return {"columns": {str(name): _plain(values) for name, values in given.items()}}
+    if hasattr(given, "colnames"):
+        columns, units = columns_of(given)
+        return {"columns": columns, **({"units": units} if units else {})}
+    if hasattr(given, "columns") and hasattr(given, "to_dict"):
+        if twice := given.columns[given.columns.duplicated()].tolist():
+            raise SweepError(f"points: two columns are called {shown(twice[0])}")
+        return {"columns": {str(name): _with_gaps(given[name]) for name in given.columns}}
+    raise SweepError(f"points = {shown(given)}: must be a DataFrame, a Table, a mapping of columns, a file or a design")
+
+
+def _with_gaps(series: Any) -> list[Any]:
+    """Return the values of a pandas Series, None where one is missing."""
+    known = zip(series.tolist(), series.notna().tolist(), strict=True)
+    return [value if there else None for value, there in known]
 
 
 def _digest(value: object) -> str:

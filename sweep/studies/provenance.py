@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sweep.functions.adapter import FunctionExperiment
-from sweep.studies.study import Study
+from sweep.studies.study import POINT_TABLE, PointTable, Study
 from sweep.tablefile import content_digest
 
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
@@ -48,6 +48,7 @@ def provenance(study: Study) -> dict[str, Any]:
         **study.numbers(),
         **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
         "error_convention": ERROR_CONVENTION,
+        **({} if study.points is None else {POINT_TABLE: _point_table(study.points)}),
         **(_common(study) if study.sampling.common_random_numbers else {}),
         **_words(study),
         "study_document": json.dumps(study.document),
@@ -72,6 +73,10 @@ def provenance(study: Study) -> dict[str, Any]:
     if commit := git_commit():
         attributes["git_commit"] = commit
     return attributes
+
+
+def _point_table(points: PointTable) -> str:
+    return json.dumps({"parameters": list(points.names), **points.origin})
 
 
 def is_of_the_link(attributes: Mapping[Any, Any]) -> bool:

@@ -12,24 +12,32 @@ from pydantic import ValidationError
 
 from sweep.contract import Experiment, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, read_experiment
-from sweep.studies.axes import axis_values, override
+from sweep.studies.axes import axis_values, override, override_points
 from sweep.studies.claims import ClaimContext, checked_claim
 from sweep.studies.conclusion import checked_conclusion
 from sweep.studies.definitions import defined_values
 from sweep.studies.exclusions import exclusion
 from sweep.studies.form import Form, known_keys
+from sweep.studies.points import read_points
 from sweep.studies.problems import Problems
 from sweep.studies.published import read_published
 from sweep.studies.rules import check_sampling, zipped_axes
 from sweep.studies.source import Place, find_study, parsed, read_text, reference_in
-from sweep.studies.study import Claim, Conclusion, Sampling, Study
+from sweep.studies.study import POINT, Claim, Conclusion, PointTable, Sampling, Study
 from sweep.tablefile import TableFile, table_file
 
 ONCE = Sampling(n_sim=1)
 """The sampling of what is computed once."""
 
 
-def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[str] = ()) -> Study:
+def load_study(
+    name_or_path: str,
+    settings: Sequence[str] = (),
+    axes: Sequence[str] = (),
+    points: str | None = None,
+    design: str | None = None,
+    ranges: Sequence[str] = (),
+) -> Study:
     """Return the study of a built-in name or a TOML file, read and checked.
 
     Args:
@@ -37,6 +45,9 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
             ``module:function``, which are studies by themselves.
         settings: ``KEY=VALUE``, laid over the file as ``sweep run --set`` does.
         axes: ``NAME=SPEC``, laid over the file as ``sweep run --axis`` does.
+        points: the file of a table of points, in place of the study's, as ``sweep run --points``.
+        design: ``NAME:N`` or ``NAME:N:SEED``, in place of the study's points, as ``sweep run --design``.
+        ranges: ``NAME=LOW:HIGH``, ``NAME=LOW:HIGH:log`` or ``NAME=A,B,C``, of a design, as ``sweep run --range``.
 
     Returns:
         The study; its parameters have values that the experiment allows.
@@ -65,7 +76,12 @@ def load_study(name_or_path: str, settings: Sequence[str] = (), axes: Sequence[s
         overridden[override(document, axis, problems, as_axis=True)] = f"--axis {_option(axis)}"
     if any(place[:1] == ("fixed",) or (place[:1] == ("axes",) and place[1] not in before) for place in overridden):
         document.pop("conclusion", None)  # its words are about the parameters that the study fixes
-    overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes])
+    chosen = [("--points", points), ("--design", design), *(("--range", text) for text in ranges)]
+    if laid := [f"{flag} {_option(text)}" for flag, text in chosen if text is not None]:
+        document.pop("conclusion", None)
+        override_points(document, points, design, ranges, problems)
+        overridden[("points",)] = laid[0]
+    overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes] + laid)
     return _Reader(document, text, path, problems, overrides, overridden, where=function).study()
 
 
@@ -131,19 +147,22 @@ class _Reader:
         if experiment.deterministic:
             form = self._without_sampling_of_parameters(form, experiment)
         experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.problems.add)
-        axes = {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
+        points, origin, columns = self._points(experiment, form)
+        axes = points | {name: self._axis(experiment, name, spec) for name, spec in form.axes.items()}
         fixed = {name: self._fixed(experiment, form, name, raw) for name, raw in form.fixed.items()}
-        self._check_required(experiment, form)
-        zipped = zipped_axes(form.grid.zip, axes, self.problems)
+        self._check_required(experiment, form, points)
+        crossed = {name: values for name, values in axes.items() if name in form.axes}
+        zipped = zipped_axes(form.grid.zip, crossed, self.problems)
         value = partial(self._value, experiment)
+        given = {*axes, *form.fixed}
         excluded = tuple(
-            exclusion(experiment, form, i, clause, self.problems, value) for i, clause in enumerate(form.exclude)
+            exclusion(experiment, given, i, clause, self.problems, value) for i, clause in enumerate(form.exclude)
         )
         published = None
         if form.published is not None:
-            published = read_published(form.published, self.path.parent, experiment, form.axes, self.problems)
+            published = read_published(form.published, self.path.parent, experiment, axes, self.problems)
         check_sampling(form.sampling, experiment, self.problems)
-        around = self._claim_context(experiment, form, axes)
+        around = self._claim_context(experiment, form, crossed)
         claims = self._claims(form, around)
         conclusion = self._conclusion(form, around)
         self.problems.raise_if_any()
@@ -157,6 +176,7 @@ class _Reader:
             fixed=fixed,
             sampling=ONCE if experiment.deterministic else form.sampling,
             zipped=zipped,
+            points=None if form.points is None else PointTable(tuple(points), origin),
             excluded=excluded,
             published=published,
             source=self.where,
@@ -164,15 +184,21 @@ class _Reader:
             conclusion=conclusion,
             text=self.text,
             overrides=self.overrides,
-            document=self._portable(form, fixed) | ({"define": definitions} if definitions else {}),
+            document=self._portable(form, fixed, columns, origin) | ({"define": definitions} if definitions else {}),
         )
 
-    def _portable(self, form: Form, fixed: Mapping[str, Value]) -> dict[str, Any]:
-        """Return the document with places of files that hold from any directory."""
+    def _portable(
+        self, form: Form, fixed: Mapping[str, Value], columns: Mapping[str, list[Any]], origin: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Return the document with places of files that hold from any directory, and the values of a table of points,
+        wherever they come from.
+        """
         document = {**self.document, "experiment": absolute_reference(form.experiment, self.path.parent)}
         if "fixed" in document:
             paths = {name: value.path for name, value in fixed.items() if isinstance(value, TableFile)}
             document["fixed"] = document["fixed"] | paths
+        if form.points is not None:
+            document["points"] = {"columns": dict(columns), **({"origin": dict(origin)} if origin else {})}
         if form.published is not None:
             file = str((self.path.parent / form.published.file).resolve())
             document["published"] = document["published"] | {"file": file}
@@ -196,9 +222,34 @@ class _Reader:
             del self.document["sampling"]
         return Form.model_validate(self.document)
 
-    def _check_required(self, experiment: Experiment, form: Form) -> None:
+    def _points(
+        self, experiment: Experiment, form: Form
+    ) -> tuple[dict[str, tuple[Value, ...] | None], dict[str, Any], Mapping[str, list[Any]]]:
+        """Return the values of a table of points by parameter, where it comes from, and its columns as written."""
+        if form.points is None:
+            return {}, {}, {}
+        parameters, outputs = ({one.name for one in ones} for ones in (experiment.parameters, experiment.outputs))
+        if POINT in parameters | outputs | experiment.coordinates.keys():
+            self.problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
+        columns, origin = read_points(form.points, experiment, form.fixed, self.path.parent, self.problems)
+        found: dict[str, tuple[Value, ...] | None] = {}
+        for name, raw_values in columns.items():
+            where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)
+            if name in {**form.axes, **form.fixed}:
+                what = "an axis" if name in form.axes else "fixed"
+                self.problems.add(where, f"is {what} too; leave out one of the two")
+            try:
+                if not (parameter := experiment.parameter(name)).may_be_axis:
+                    raise ValueError(f"a {parameter.kind} cannot differ from point to point")
+            except ValueError as error:
+                self.problems.add(where, str(error))
+                continue
+            found[name] = self._values(experiment, where, name, raw_values, row=True)
+        return found, origin, columns
+
+    def _check_required(self, experiment: Experiment, form: Form, points: Mapping[str, object]) -> None:
         for parameter in experiment.parameters:
-            if parameter.required and parameter.name not in {**form.axes, **form.fixed}:
+            if parameter.required and parameter.name not in {**form.axes, **form.fixed, **points}:
                 sentence = f"{parameter.name} has no default: the study must set it, here or in [axes]"
                 self.problems.add(("fixed", parameter.name), sentence)
 
@@ -222,8 +273,8 @@ class _Reader:
         """Return the form without its broken sections, so that the others are checked too."""
         if "experiment" in broken:
             return None
-        if "axes" in broken:
-            broken = broken | {"grid", "claim", "conclusion"}
+        if {"axes", "points"} & broken:
+            broken = broken | {"grid", "claim", "conclusion", "published"}
         if "grid" in broken:
             broken = broken | {"claim", "conclusion"}
         rest = {key: value for key, value in self.document.items() if key not in broken}
@@ -244,14 +295,14 @@ class _Reader:
             self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
         return self._value(experiment, ("fixed", name), name, raw)
 
-    def _value(self, experiment: Experiment, where: tuple[str | int, ...], name: str, raw: object) -> Value:
+    def _value(self, experiment: Experiment, where: Place, name: str, raw: object, which: str = "") -> Value:
         try:
             parameter = experiment.parameter(name)
             value = parameter.parse(raw)
             folder = Path.cwd() if where[:2] in self.overridden else self.path.parent
             return table_file(folder / value) if parameter.kind == "file" else value
         except ValueError as error:
-            self.problems.add(where, str(error))
+            self.problems.add(where, f"{which}{error}")
         except SweepError as error:
             self.problems.add(where, f"{shown(raw)}: {error}")
         return None
@@ -268,16 +319,30 @@ class _Reader:
             return None
         if not raw_values:
             self.problems.add(where, "an axis needs at least one value")
+        if (values := self._values(experiment, where, name, raw_values)) is None:
+            return None
+        repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
+        if repeated:
+            more = ", ..." if len(repeated) > 10 else ""
+            self.problems.add(
+                where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated[:10])}{more}"
+            )
+        return values
+
+    def _values(
+        self, experiment: Experiment, where: Place, name: str, raw_values: Sequence[object], row: bool = False
+    ) -> tuple[Value, ...] | None:
+        """Return the values along an axis, None if any is wrong; problems name the ``row`` of a table, from 1."""
         before = len(self.problems.found)
         values = []
-        for raw in raw_values:
-            values.append(self._value(experiment, where, name, raw))
+        for number, raw in enumerate(raw_values, start=1):
+            values.append(self._value(experiment, where, name, raw, f"row {number}: " if row else ""))
             if len(self.problems.found) >= before + 5:
                 self.problems.add(where, "... and perhaps more values like these")
                 return None
         if len(self.problems.found) > before:
             return None
-        if parameter.kind == "any":
+        if experiment.parameter(name).kind == "any":
             kinds = {type(value) for value in values}
             if kinds == {int, float}:
                 values = [float(value) for value in values]
@@ -285,12 +350,6 @@ class _Reader:
                 named = ", ".join(sorted(kind.__name__ for kind in kinds))
                 self.problems.add(where, f"has values of several types ({named}); an axis is of one")
                 return None
-        repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
-        if repeated:
-            more = ", ..." if len(repeated) > 10 else ""
-            self.problems.add(
-                where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated[:10])}{more}"
-            )
         return tuple(values)
 
     def _claim_context(

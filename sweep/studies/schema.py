@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from sweep.contract import Experiment, Parameter
+from sweep.studies.designs import DESIGNS
 from sweep.studies.form import Form
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -23,6 +24,11 @@ def study_schema(experiment: Experiment) -> Schema:
         "axes": _table({p.name: _axis(p) for p in parameters if p.may_be_axis}),
         "fixed": _table({p.name: _value(p) for p in parameters}),
         "define": _table({p.name: {"type": "object", "description": f"own values of {p.name}"} for p in definable}),
+    }
+    schema["$defs"]["PointsForm"]["properties"] |= {
+        "design": {"enum": list(DESIGNS), "description": "a design of points in the ranges"},
+        "ranges": _table({p.name: _range(p) for p in parameters if p.may_be_axis}),
+        "columns": _table({p.name: {"type": "array", "items": _value(p)} for p in parameters if p.may_be_axis}),
     }
     schema["properties"]["exclude"]["items"] = _table({p.name: _described(p) for p in parameters})
     return {"$schema": DIALECT, **schema, "title": f"a study of the experiment {experiment.name}"}
@@ -46,6 +52,16 @@ def _axis(parameter: Parameter) -> Schema:
         ends = {"start": number, "stop": number}
         count = {"type": "integer", "minimum": 1}
         ways += [_way({**ends, "step": number}), _way({**ends, "num": count}, {"spacing": {"enum": ["linear", "log"]}})]
+    return {**_described(parameter), "anyOf": ways}
+
+
+def _range(parameter: Parameter) -> Schema:
+    """Return the ways to write the range of a parameter in a design."""
+    number: Schema = {"type": "number"}
+    ways = [_way({"values": {"type": "array", "items": _value(parameter), "minItems": 1}})]
+    if parameter.kind in ("int", "float", "any") and not parameter.choices:
+        ways.append({"type": "array", "items": number, "minItems": 2, "maxItems": 2})
+        ways.append(_way({"low": number, "high": number}, {"spacing": {"enum": ["linear", "log"]}}))
     return {**_described(parameter), "anyOf": ways}
 
 

@@ -183,6 +183,24 @@ class Conclusion(Section, frozen=True):
     values: dict[str, ConclusionValue] = Field(default_factory=dict)
 
 
+POINT = "point"
+"""The dimension of the points of a table or a design, which are in no order."""
+
+POINT_TABLE = "point_table"
+"""The attribute of results that have this dimension: JSON of the table's parameters, and where it comes from."""
+
+
+@dataclass(frozen=True)
+class PointTable:
+    """A table of points: the parameters that its columns are, and what it comes from.
+
+    ``origin`` has ``file``, or ``design``, ``n``, ``seed`` and ``ranges`` as the study writes them.
+    """
+
+    names: tuple[str, ...]
+    origin: Mapping[str, Any] = field(default_factory=dict)
+
+
 def printed_rounding(text: str) -> float:
     """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for what is no finite
     number.
@@ -197,6 +215,7 @@ def printed_rounding(text: str) -> float:
 @dataclass(frozen=True)
 class Study:
     """A validated study.  ``axes`` maps a parameter to its values; ``fixed`` holds the other parameters that it sets.
+    Axes that are ``zipped`` share a dimension, and so do those that are columns of ``points``, where values may repeat.
 
     ``text`` is the file as written, ``document`` what a store needs to make the study again: overrides laid over it,
     and places of files absolute.
@@ -210,6 +229,7 @@ class Study:
     fixed: Mapping[str, Value]
     sampling: Sampling
     zipped: tuple[tuple[str, ...], ...] = ()
+    points: PointTable | None = None
     excluded: tuple[tuple[Condition, ...], ...] = ()
     published: Published | None = None
     source: str = ""
@@ -219,6 +239,18 @@ class Study:
     text: str = ""
     overrides: tuple[str, ...] = ()
     document: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def dimensions(self) -> dict[str, tuple[str, ...]]:
+        """The axes along each dimension, by the dimension's name: `POINT`, or the first of these axes."""
+        groups = [] if self.points is None else [(POINT, self.points.names)]
+        partner = {name: group for group in self.zipped for name in group}
+        groups += [(group[0], group) for group in (partner.get(name, (name,)) for name in self.axes)]
+        found: dict[str, tuple[str, ...]] = {}
+        for dimension, group in groups:
+            if not any(group[0] in axes for axes in found.values()):
+                found[dimension] = group
+        return found
 
     @property
     def keeps_samples(self) -> bool:
@@ -252,6 +284,7 @@ class Study:
             **self.numbers(),
             **({} if self.sampling.precision is None else {"precision": [self.sampling.precision, self.sampling.most]}),
             "zip": self.zipped,
+            **({} if self.points is None else {"points": self.points.names}),
             "exclude": [[vars(c) for c in clause] for clause in self.excluded],
         }
         return hashlib.sha256(json.dumps(whole, sort_keys=True, default=content_digest).encode()).hexdigest()

@@ -3,6 +3,7 @@
 import json
 
 from sweep.contract import Experiment, Parameter
+from sweep.studies.designs import DESIGNS
 from sweep.studies.study import Sampling
 
 SAMPLING = {
@@ -33,6 +34,16 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         "# NAME = { start = 1.0, stop = 2.0, step = 0.5 }",
         '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
         *(f"{name} = {_toml(values)}" for name, values in axes.items()),
+    ]
+    lines += [
+        "",
+        "# [points]  # many parameters at once, crossed with the axes: a table, or a design in ranges",
+        '# file = "runs.csv"  # a column for each parameter',
+        f'# design = "sobol"  # {", ".join(DESIGNS)}',
+        "# n = 256",
+        "# ranges.NAME = [0.1, 0.5]",
+        '# ranges.NAME = { low = 0.01, high = 1.0, spacing = "log" }',
+        '# ranges.NAME = { values = ["a", "b"] }',
     ]
     if not experiment.deterministic:
         lines += ["", "[sampling]"]

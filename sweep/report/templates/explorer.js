@@ -235,7 +235,8 @@
       this.drawn = [];
       everything.forEach((rows, number) => {
         const name = series ? String(series.values[number]) : quantity.name;
-        const parts = this.series(figure, rows, { name, number, numeric, factors, logY });
+        const joined = numeric && x.ordered;
+        const parts = this.series(figure, rows, { name, number, numeric, joined, factors, logY });
         this.drawn[number] = parts.kinds;
         if (parts.renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers: parts.renderers }));
         values.push(...parts.values);
@@ -291,7 +292,7 @@
       }
     }
 
-    series(figure, rows, { name, number, numeric, factors, logY }) {
+    series(figure, rows, { name, number, numeric, joined, factors, logY }) {
       const tint = colour(this.element, `series-${number % COLOURS}`);
       const marker = MARKERS[(number + Math.floor(number / COLOURS)) % MARKERS.length];
       const place = (row) => (numeric ? row.x : factors[row.i]);
@@ -315,7 +316,7 @@
       });
       const kinds = { predicted: [], published: [], error: [] };
       const lineOf = (part, options) => {
-        if (!numeric) return;
+        if (!joined) return;
         const y = rows.map((row) => (logY && row[part] <= 0 ? NaN : row[part]));
         if (y.filter(Number.isFinite).length < 2) return;
         const line = figure.line(rows.map(place), y, { line_color: tint, ...options });
@@ -324,7 +325,7 @@
       };
       if (this.quantity.predicted) {
         lineOf("predicted", { line_width: 1.4 });
-        if (!numeric) {
+        if (!joined) {
           const predicted = at("predicted");
           if (predicted.data.x.length) {
             const dash = figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 });

@@ -32,6 +32,7 @@ GOOD: dict[str, Any] = {
     "fixed": {"catalogue": "quasars", "omega": [1.0, 2.0, 3.0], "corrections": False, "error_scale": 2.0},
     "sampling": {"n_sim": 10, "n_cat": 2, "seed": 3},
     "grid": {"zip": [["v_max", "n_obj"]]},
+    "points": {"design": "random", "n": 3, "ranges": {"mission_length": {"low": 2.0, "high": 6.0, "spacing": "log"}}},
     "exclude": [{"model": "gaia", "v_max": {"above": 15.0}}, {"n_obj": {"in": [10, 11]}}],
     "published": {"file": "table.csv", "source": "A paper", "tolerance": 0.1, "tolerance_reason": "a guess"},
     "claim": [
@@ -52,9 +53,10 @@ GOOD: dict[str, Any] = {
 
 WORDS = """
     title experiment axes fixed sampling grid exclude published claim v_max n_obj model catalogue omega corrections
-    n_sim seed zip file source start stop step num spacing log linear values above below equal in amex gaia synthetic
-    quasars text exact tolerance slope ratio value variable over component of to at where sigma covariance omega_x 0.60
-    nan mission_length satellite_errors normal none table.csv core.experiment:link math:tau : x.py:y . 10**5000
+    n_sim seed zip file source start stop step num spacing log linear values above below equal in amex gaia
+    synthetic quasars points design n ranges columns sobol low high text exact tolerance slope ratio value variable
+    over component of to at where sigma covariance omega_x 0.60 nan mission_length satellite_errors normal none
+    table.csv core.experiment:link math:tau : x.py:y . 10**5000
 """.split()  # noqa: SIM905
 
 keys = st.one_of(st.sampled_from(WORDS), st.sampled_from(["", "a.b", "\x1b[31m", "\0", "\n", "ä", "\u202e", "😀" * 50]))

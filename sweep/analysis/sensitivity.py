@@ -1,0 +1,230 @@
+"""How much of the variation of a result each parameter makes: Sobol indices of grids, designs and tables."""
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from sweep.analysis.given_data import first_order
+from sweep.analysis.lines import require_done
+from sweep.analysis.quantity import (
+    main_quantity,
+    require_quantity,
+    shares_random_numbers,
+    standard_error,
+    varied_parameters,
+)
+from sweep.analysis.salib_indices import morris_effects, saltelli_indices
+from sweep.analysis.variance_grid import indices_of_grid
+from sweep.contract import Array, SweepError
+from sweep.planning.point_status import Status
+from sweep.studies.designs import DESIGNS, size_of
+from sweep.studies.ranges import Range
+from sweep.studies.study import POINT, POINT_TABLE
+
+METHOD = "sensitivity_method"
+"""The attribute of a dataset of indices that says how they were made."""
+
+MEANINGS = {
+    "first": "first-order index: share of the variance that the parameter makes by itself",
+    "total": "total index: share of the variance that it has a part in",
+    "mu_star": "mean absolute effect of the parameter over its range",
+    "mu": "mean effect of the parameter over its range",
+    "sigma": "standard deviation of its effects: interactions and curvature",
+}
+
+FEW_VALUES = 8
+"""On an axis of real numbers with fewer values than these a function may do much between them."""
+
+CORRELATED = 0.3
+"""Points of a table whose parameters go together more than this are said to."""
+
+
+class _Method(NamedTuple):
+    """What makes indices of the values, and their errors, over some dimensions of a variable; and in words."""
+
+    name: str
+    parameters: list[str]
+    over: list[str]
+    estimate: Callable[[Array, Array | None], dict[str, Array]]
+    notes: list[str]
+
+
+def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -> xr.Dataset:
+    """Return how much of the variance of an output each parameter makes.
+
+    Of a full grid these are first-order and total Sobol indices by analysis of variance over all axes, each value of
+    an axis counting the same; of a saltelli design the same two by SALib; of a morris design ``mu_star``, ``mu`` and
+    ``sigma``; of any other points first-order indices alone, for which no special design is needed.  Points count the
+    same: indices are of the distribution that the design or table has.
+
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        output: the name of an output; the main one unless given.
+        seed: of the resampling that makes errors.
+
+    Returns:
+        A dataset over ``parameter``, and over the dimensions that are no parameters of the table or grid (those of the
+        output itself, and axes crossed with points), with ``first`` and ``total`` or what there is of them, each with
+        a one-sigma ``NAME_error``; its attributes say how they were made, and ``notes`` what is to be known.
+
+    Raises:
+        SweepError: for an unknown output, points that are not done or not finite, and grids that are not full.
+
+    Example:
+        >>> import linksweep
+        >>> def area(width: float, height: float):
+        ...     return width * height
+        >>> axes = {"width": [0.5, 1.5, 2.5], "height": [1.0, 2.0, 3.0]}
+        >>> found = sensitivity(linksweep.run(area, "area.zarr", axes=axes, pool="serial"))
+        >>> found.parameter.values.tolist(), found["first"].values.round(3).tolist()
+        (['width', 'height'], [0.578, 0.325])
+    """
+    output = output or main_quantity(dataset)
+    require_quantity(dataset, output)
+    require_done(dataset)
+    if np.any(dataset["status"].values == Status.EXCLUDED):
+        raise SweepError("the study excludes points: indices need every point of a grid or a design")
+    method = _of_points(dataset, seed) if POINT in dataset[output].dims else _of_grid(dataset, output, seed)
+    array = dataset[output]
+    others = [str(d) for d in array.dims if d not in method.over]
+    values = array.transpose(*others, *method.over).values.astype(float)
+    if not np.isfinite(values).all():
+        raise SweepError(f"{output} is not a finite number at {int(np.sum(~np.isfinite(values)))} points")
+    error = standard_error(dataset, output)
+    errors = None if error is None else error.transpose(*others, *method.over).values
+    shape = values.shape[: len(others)]
+    made = {i: method.estimate(values[i], None if errors is None else errors[i]) for i in np.ndindex(*shape)}
+    names = list(next(iter(made.values())))
+    unit = "" if "first" in names else str(array.attrs.get("units", ""))
+    variables = {
+        name: (
+            (*others, "parameter"),
+            np.array([one[name] for one in made.values()]).reshape(*shape, len(method.parameters)),
+            {"units": unit, "long_name": MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}")},
+        )
+        for name in names
+    }
+    coordinates = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
+    about: dict[str, Any] = {"title": str(dataset.attrs.get("title", "")), "output": output, METHOD: method.name}
+    about |= {"points": int(np.prod([dataset.sizes[d] for d in method.over])), "notes": json.dumps(method.notes)}
+    labels = {"parameter": np.array(method.parameters, dtype=object)}
+    return xr.Dataset(variables, {**coordinates, **labels}, about)
+
+
+def is_sensitivity(dataset: xr.Dataset) -> bool:
+    """Return whether a dataset is one of indices."""
+    return METHOD in dataset.attrs
+
+
+def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
+    told = json.loads(dataset.attrs.get(POINT_TABLE, "{}"))
+    design = told.get("design", "")
+    parameters = [n for n in told.get("ranges", told.get("parameters", [])) if n in dataset.coords]
+    whole = size_of(design, told["n"], len(parameters)) == dataset.sizes[POINT] if design in DESIGNS else False
+    if design in ("saltelli", "morris") and not whole:
+        raise SweepError(f"indices of a {design} design need all of its points")
+    if design == "saltelli":
+        return _Method("SALib, of a saltelli design", parameters, [POINT], _saltelli(len(parameters), seed), [NOISE])
+    places = [_places(dataset, name, told.get("ranges", {}).get(name)) for name in parameters]
+    if design == "morris":
+
+        def effects(values: Array, _errors: Array | None) -> dict[str, Array]:
+            return morris_effects(values, np.stack(places, axis=1), seed)
+
+        notes = ["effects are over the whole range of each parameter; they rank parameters, and are no shares"]
+        return _Method("SALib, of a morris design", parameters, [POINT], effects, notes)
+    parameters = [name for name in varied_parameters(dataset) if name in parameters]
+    if not parameters:
+        raise SweepError("the points do not differ in any parameter")
+    places = [_places(dataset, name, told.get("ranges", {}).get(name)) for name in parameters]
+
+    even = bool(design) and design != "random"
+
+    def given(values: Array, _errors: Array | None) -> dict[str, Array]:
+        return dict(
+            zip(
+                ("first", "first_error"),
+                first_order(values, places, even, seed),
+                strict=True,
+            )
+        )
+
+    notes = [
+        "total indices need a full grid or a saltelli design",
+        *([] if design else _correlated(parameters, places)),
+    ]
+    return _Method(f"regression on each parameter, of {design or 'given'} points", parameters, [POINT], given, notes)
+
+
+NOISE = "Monte-Carlo errors of the points count as interactions: they are in the total indices"
+"""What is to be known of indices of a Saltelli design."""
+
+
+def _saltelli(parameters: int, seed: int) -> Callable[[Array, Array | None], dict[str, Array]]:
+    def estimate(values: Array, _errors: Array | None) -> dict[str, Array]:
+        if not np.ptp(values) > 0.0:
+            return dict.fromkeys(INDICES, np.full(parameters, np.nan))
+        return dict(zip(INDICES, saltelli_indices(values, parameters, seed), strict=True))
+
+    return estimate
+
+
+INDICES = ("first", "first_error", "total", "total_error")
+
+
+def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:
+    over = [str(d) for d in dataset["status"].dims if dataset.sizes[d] > 1]
+    if not over:
+        raise SweepError("indices need several points")
+    axes = {str(n): c for n, c in dataset.coords.items() if not str(n).endswith("_unit")}
+    joint = {d: [d, *(name for name, c in axes.items() if c.dims == (d,) and name != d)] for d in over}
+    parameters = ["+".join(names) for names in joint.values()]
+    continuous = [len(joint[d]) == 1 and d in dataset.coords and dataset[d].dtype.kind == "f" for d in over]
+    shared = shares_random_numbers(dataset, over)
+
+    def estimate(values: Array, errors: Array | None) -> dict[str, Array]:
+        found = dict(zip(INDICES, indices_of_grid(values, errors, continuous, seed), strict=True))
+        if shared:
+            found |= {name: np.full(len(over), np.nan) for name in ("first_error", "total_error")}
+        return found
+
+    notes = ["every value of an axis counts the same: of real numbers they are midpoints of equal cells"]
+    notes += [f"{n} goes along with the others of its zipped axes" for n in parameters if "+" in n]
+    coarse = [n for n, c, d in zip(parameters, continuous, over, strict=True) if c and dataset.sizes[d] < FEW_VALUES]
+    if coarse:
+        notes.append(
+            f"{', '.join(coarse)} with fewer than {FEW_VALUES} values: what happens between them is not in the errors"
+        )
+    if shared:
+        notes.append("points share random numbers, so that the errors are not known")
+    return _Method("analysis of variance of the grid", parameters, over, estimate, notes)
+
+
+def _places(dataset: xr.Dataset, name: str, spec: Any) -> Array:
+    """Return the places of a parameter's values in the unit interval: by its range in the design, or by their order."""
+    array = dataset[name]
+    whole = array.dtype.kind == "i"
+    if isinstance(spec, list):
+        return Range(name, spec[0], spec[1], whole=whole).places(array.values)
+    if isinstance(spec, dict) and "low" in spec:
+        log = spec.get("spacing") == "log"
+        return Range(name, spec["low"], spec["high"], log, whole).places(array.values)
+    values = array.values.astype(str) if array.dtype.kind == "O" else array.values
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    before = np.cumsum(counts) - counts
+    return np.asarray((before + 0.5 * counts)[place] / array.size)
+
+
+def _correlated(parameters: Sequence[str], places: Sequence[Array]) -> list[str]:
+    """Return a sentence where parameters of a table go together, so that each has a part in the index of the other."""
+    if len(parameters) < 2:
+        return []
+    correlation = np.abs(np.corrcoef(np.stack(places)))
+    np.fill_diagonal(correlation, 0.0)
+    one, other = map(int, np.unravel_index(int(np.argmax(correlation)), correlation.shape))
+    if not correlation[one, other] > CORRELATED:
+        return []
+    return [f"{parameters[one]} and {parameters[other]} go together in these points: each has a part of the other's"]

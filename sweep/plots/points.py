@@ -1,0 +1,181 @@
+"""Points of a table or a design, which are in no order: a quantity over each parameter, and parameters in pairs."""
+
+import math
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
+from numpy.typing import NDArray
+
+from sweep.analysis.quantity import standard_error
+from sweep.contract import SweepError
+from sweep.plots.lines import positions
+from sweep.plots.style import (
+    COLOURS,
+    MARKERS,
+    finish,
+    is_wide,
+    label,
+    legend,
+    logarithmic,
+    quantity_label,
+    value_text,
+)
+from sweep.studies.study import POINT
+
+MOST_PARAMETERS = 12
+MOST_PAIRED = 8
+
+FEW_POINTS = 300
+"""More points than these are small and without their errors."""
+
+SPREAD, GOLDEN = 0.5, 0.6180339887498949
+"""Width over which points of one text are spread, and the step of that, by which no two stand together."""
+
+MOST_VECTORS = 2000
+"""More points than these are one image in the picture."""
+
+
+def points_figure(dataset: xr.Dataset, variables: list[str], parameters: list[str]) -> Figure:
+    """Return a figure with a row for each variable and a column for each parameter, more rows where these are many.
+
+    Raises SweepError for a variable with dimensions that leave too many series, and too many parameters.
+    """
+    _require_at_most(parameters, MOST_PARAMETERS)
+    across = len(parameters) if len(variables) > 1 else min(len(parameters), 4)
+    down = len(variables) if len(variables) > 1 else math.ceil(len(parameters) / across)
+    size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(down, across, sharey="row" if len(variables) > 1 else True, squeeze=False)
+    for number, axes in enumerate(grid.flat):
+        if number >= len(variables) * len(parameters):
+            axes.set_visible(False)
+            continue
+        variable, parameter = variables[number // len(parameters)], parameters[number % len(parameters)]
+        _draw(axes, dataset, variable, parameter)
+        axes.set_ylabel(quantity_label(dataset, variable) if number % across == 0 else "")
+    handles, texts = grid.flat[0].get_legend_handles_labels()
+    if len(texts) > 1 and grid.size > 1:
+        figure.legend(handles, texts, loc="outside lower center", ncols=min(len(texts), 6), frameon=False)
+    elif len(texts) > 1:
+        legend(grid.flat[0])
+    return figure
+
+
+def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> Figure:
+    """Return a figure of parameters in pairs, coloured by a variable; on the diagonal is the variable over each.
+
+    Raises SweepError for one parameter, for too many, and where a variable has further dimensions.
+    """
+    _require_at_most(parameters, MOST_PAIRED)
+    if len(parameters) < 2:
+        raise SweepError(f"pairs need two parameters; the points differ in {', '.join(parameters)} alone")
+    if further := [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]:
+        raise SweepError(f"pairs are of one value a point; fix {', '.join(further)} with --at AXIS=VALUE")
+    n = len(parameters)
+    figure = Figure(figsize=(1.8 + 1.7 * n, 1.2 + 1.6 * n), layout="constrained")
+    grid = figure.subplots(n, n, sharex="col", squeeze=False)
+    values = dataset[variable].squeeze().values.astype(float)
+    norm = _norm(values)
+    known = np.isfinite(values)
+    order = np.flatnonzero(known)[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
+    for row, column in np.ndindex(n, n):
+        axes: Any = grid[row, column]
+        if column > row:
+            axes.set_visible(False)
+            continue
+        x = _places(axes, dataset, parameters[column], "x", few_ticks=True)
+        if row == column:
+            y = values
+            _scale(axes, "y", values, few_ticks=True)
+        else:
+            y = _places(axes, dataset, parameters[row], "y", few_ticks=True)
+        shades: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": norm, "linewidths": 0.0}
+        size = 10.0 if len(x) <= FEW_POINTS else 4.0
+        drawn = axes.scatter(x[order], y[order], s=size, rasterized=len(x) > MOST_VECTORS, **shades)
+        axes.set_xlabel(label(dataset[parameters[column]], parameters[column]) if row == n - 1 else "")
+        name = quantity_label(dataset, variable) if row == 0 else label(dataset[parameters[row]], parameters[row])
+        axes.set_ylabel(name if column == 0 else "")
+        finish(axes)
+        axes.tick_params(labelleft=column == 0, labelbottom=row == n - 1)
+    figure.colorbar(drawn, ax=grid[:, -1], label=quantity_label(dataset, variable), shrink=0.7)
+    return figure
+
+
+def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
+    """Draw a variable over a parameter, one colour for every combination of the other dimensions."""
+    array = dataset[variable]
+    others = [str(d) for d in array.dims if d != POINT]
+    count = int(np.prod([array.sizes[d] for d in others], dtype=int))
+    if count > len(COLOURS):
+        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in others)
+        raise SweepError(f"{variable} has {sizes} at each point, too many to tell apart; fix some with --at AXIS=VALUE")
+    error = standard_error(dataset, variable)
+    for number, index in enumerate(np.ndindex(*(array.sizes[d] for d in others))):
+        place = dict(zip(others, index, strict=True))
+        one = dataset.isel(place)
+        text = ", ".join(value_text(dataset, d, one[d].item()) for d in others if d in one.coords)
+        y = one[variable].values.astype(float)
+        x = _places(axes, dataset, parameter, "x")
+        style = {"color": COLOURS[number], "label": text or variable, **_marks(len(x), MARKERS[number])}
+        if error is not None and len(x) <= FEW_POINTS:
+            axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
+        else:
+            axes.plot(x, y, **style)
+    _scale(axes, "y", array.values)
+    axes.set_xlabel(label(dataset[parameter], parameter))
+    finish(axes)
+
+
+def _places(
+    axes: Axes, dataset: xr.Dataset, parameter: str, which: str, few_ticks: bool = False
+) -> NDArray[np.float64]:
+    """Return where the values of a parameter stand on an axis, whose scale and ticks are set for them; what has no
+    numbers is spread a little, so that points do not hide each other.
+    """
+    array = dataset[parameter]
+    if array.dtype.kind in "if":
+        x, _ = positions(array)
+        _scale(axes, which, x, str(array.attrs.get("units", "")), few_ticks)
+        return x
+    names = sorted(set(map(str, array.values.tolist())))
+    (axes.set_xticks if which == "x" else axes.set_yticks)(range(len(names)), names)
+    (axes.set_xlim if which == "x" else axes.set_ylim)(-0.5, len(names) - 0.5)
+    place = {name: float(k) for k, name in enumerate(names)}
+    spread = SPREAD * (np.arange(array.size) * GOLDEN % 1.0 - 0.5)
+    return np.asarray(np.array([place[str(value)] for value in array.values.tolist()]) + spread)
+
+
+def _scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bool = False) -> None:
+    if not is_wide(values, unit):
+        return
+    logarithmic(axes, which, values)
+    if few_ticks and np.nanmax(values) > 10.0 * np.nanmin(values):
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        axis.set_major_locator(LogLocator(numticks=5))
+        axis.set_minor_locator(NullLocator())
+
+
+def _marks(points: int, marker: str = "o") -> dict[str, Any]:
+    few = points <= FEW_POINTS
+    style: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 3.0 if few else 2.0}
+    return style | {"markeredgewidth": 0.0, "alpha": 0.8 if few else 0.4, "rasterized": points > MOST_VECTORS}
+
+
+def _norm(values: NDArray[np.float64]) -> Normalize:
+    known = values[np.isfinite(values)]
+    if not known.size:
+        raise SweepError("no point has a value yet")
+    return LogNorm(known.min(), known.max()) if is_wide(known) else Normalize(known.min(), known.max())
+
+
+def _require_at_most(parameters: list[str], most: int) -> None:
+    if len(parameters) > most:
+        raise SweepError(
+            f"{len(parameters)} parameters are too many for one picture, at most {most}; choose some with --over: "
+            f"{', '.join(parameters)}"
+        )

@@ -1,0 +1,80 @@
+"""Sensitivity indices: a mark with its error for each parameter, or curves along a dimension of the output."""
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sweep.analysis.sensitivity import METHOD
+from sweep.contract import SweepError
+from sweep.plots.style import BAND, COLOURS, MARKERS, finish, label, legend, symbol, unit_text
+
+WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
+
+
+def sensitivity_figure(dataset: xr.Dataset) -> Figure:
+    """Return a figure of indices; raises SweepError where they have more than one further dimension."""
+    kinds = [name for name in WORDS if name in dataset]
+    further = [str(d) for d in dataset[kinds[0]].dims if d != "parameter" and dataset.sizes[d] > 1]
+    dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
+    if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):
+        raise SweepError(f"indices of {' and '.join(further)} are no one picture; fix some with --at AXIS=VALUE")
+    if further:
+        figure = Figure(figsize=(7.0, 4.4), layout="constrained")
+        axes = figure.add_subplot()
+        _curves(axes, dataset, kinds, further[0])
+    else:
+        figure = Figure(figsize=(6.4, 1.4 + 0.45 * dataset.sizes["parameter"]), layout="constrained")
+        axes = figure.add_subplot()
+        _marks(axes, dataset, kinds)
+    about = f"sensitivity of {symbol(dataset.attrs['output'])}, by {dataset.attrs[METHOD]}"
+    figure.suptitle("\n".join(filter(None, [dataset.attrs["title"], about])), fontsize="medium")
+    return figure
+
+
+def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
+    order = np.argsort(np.nan_to_num(dataset[kinds[-1] if "total" in kinds else kinds[0]].values))
+    names = [dataset["parameter"].values[k] for k in order]
+    for number, kind in enumerate(kinds):
+        places = np.arange(len(order)) + 0.14 * (0.5 * (len(kinds) - 1) - number)
+        error = dataset[f"{kind}_error"].values[order] if f"{kind}_error" in dataset else None
+        style: dict[str, Any] = {"linestyle": "none", "marker": MARKERS[number], "markersize": 4.5, "elinewidth": 1.0}
+        axes.errorbar(
+            dataset[kind].values[order], places, xerr=error, color=COLOURS[number], label=WORDS[kind], **style
+        )
+    axes.set_yticks(range(len(names)), ["+".join(symbol(part) for part in str(name).split("+")) for name in names])
+    axes.set_ylim(-0.6, len(names) - 0.4)
+    unit = str(dataset[kinds[0]].attrs.get("units", ""))
+    if "first" in kinds:
+        low, high = axes.get_xlim()  # with the errors of all marks in it
+        axes.set_xlim(min(-0.02, low), max(1.02, high))
+        axes.set_xlabel("share of the variance")
+    else:
+        axes.set_xlabel(f"effect over the range [{unit_text(unit)}]" if unit else "effect over the range")
+    axes.axvline(0.0, color="0.6", linewidth=0.6)
+    finish(axes)
+    legend(axes)
+
+
+def _curves(axes: Axes, dataset: xr.Dataset, kinds: list[str], over: str) -> None:
+    x = dataset[over].values.astype(float)
+    for number, name in enumerate(map(str, dataset["parameter"].values)):
+        one = dataset.isel(parameter=number)
+        colour = COLOURS[number % len(COLOURS)]
+        for kind, line in zip(kinds[:2], ("solid", "dashed"), strict=False):
+            y = one[kind].values
+            axes.plot(
+                x, y, color=colour, linestyle=line, linewidth=1.2, label=symbol(name) if line == "solid" else None
+            )
+            if f"{kind}_error" in one:
+                half = np.nan_to_num(one[f"{kind}_error"].values)
+                axes.fill_between(x, y - half, y + half, color=colour, **BAND)
+    axes.set_xlabel(label(dataset[over], over))
+    axes.set_ylabel("share of the variance" if "first" in kinds else "effect over the range")
+    if len(kinds) > 1:
+        axes.plot([], [], color="0.35", linewidth=1.2, label=WORDS[kinds[0]])
+        axes.plot([], [], color="0.35", linewidth=1.2, linestyle="dashed", label=WORDS[kinds[1]])
+    finish(axes)
+    legend(axes)

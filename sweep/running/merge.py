@@ -1,0 +1,232 @@
+"""Two stores of one experiment become one that holds the points of both."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.code_identity import code_differences
+from sweep.contract import Array, Named, SweepError, Value
+from sweep.functions.adapter import layout_of_record
+from sweep.functions.layout import differences as layout_differences
+from sweep.planning.accumulator import Accumulator
+from sweep.planning.grid import Grid, describe
+from sweep.planning.plan import Plan
+from sweep.planning.work_queue import Pending
+from sweep.running.reproduce import study_of
+from sweep.running.writer import Writer
+from sweep.stores import failures
+from sweep.stores.code import CodeRecord, as_json, records_of
+from sweep.stores.identity import differences
+from sweep.stores.location import Location, Where, located
+from sweep.stores.lock import holder, locked
+from sweep.stores.opened import OpenLedger, OpenStore
+from sweep.stores.store import Store, create_store, find_store
+from sweep.stores.texts import Texts
+from sweep.studies.provenance import provenance
+from sweep.studies.reader import study_of_attributes
+from sweep.studies.record import RECORD, recorded, recorded_study
+from sweep.studies.study import Study
+
+MERGED = "merged"
+"""The attribute of a store made of others: JSON of where their results come from."""
+
+KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", "host", "versions", "git_commit")
+"""Attributes of a store that one made of it remembers."""
+
+ROWS_AT_ONCE = 10_000
+DIGEST = slice(0, failures.DIGEST_BYTES)
+"""Of a block's key, the digest of its point."""
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A store that is merged."""
+
+    location: Location
+    attributes: Mapping[str, Any]
+    study: Study
+    ledger: OpenLedger
+    sums: Array
+    texts: Texts
+
+    def points(self) -> dict[bytes, dict[str, Any]]:
+        """Return the parameters of each point by its digest."""
+        return {point.digest: point.parameters for point in Grid(self.study).points()}
+
+
+def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, trust: bool = False) -> xr.Dataset:
+    """Make the store ``into`` of two stores of one experiment, and return its results; it goes on as any other.
+
+    The points are those of both: a grid where they fill one, else a table of points.  What both have is kept once.
+    Raises SweepError, with nothing written, for stores of other experiments, samplings or code (unless
+    ``accept_code``), for points that have other bits in the two, and where something is at the place already.
+    """
+    first, second = sources = [_source(located(place), trust) for place in (one, other)]
+    _require_alike(first, second, accept_code)
+    place = located(into)
+    study = _study(first, second, str(place))
+    if find_store(place, study) is not None:
+        raise SweepError("holds a store already; give a free place with -o", str(place))
+    rows = _rows(first, second)
+    failed = _failures(first, second)
+    plan = Plan(Grid(study))
+    told = {MERGED: json.dumps([_about(source) for source in sources])}
+    with locked(place):
+        made = {**provenance(study), **told, RECORD: recorded(study, plan.costs())}
+        store = Store(create_store(place, study, made), study)
+        _fill(store, sources, rows)
+        for digest, record in failed.items():
+            store.fail(digest, record)
+        store.flush()
+        if records := _codes(sources, rows):
+            store.record_code(as_json(records))
+        accumulator = Accumulator(plan, store.rows, store.sums(), store.failures, samples=store.samples)
+        return Writer(plan, accumulator, Pending(plan, accumulator), store, further=told).write(final=True)
+
+
+def _source(location: Location, trust: bool) -> _Source:
+    if (runs := holder(location)) is not None:
+        raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
+    opened = OpenStore(location)
+    plain = "function" in json.loads(opened.attributes.get(RECORD, "{}"))
+    study = recorded_study(opened.attributes, str(location)) if plain else study_of(location, trust=trust)
+    ledger = opened.ledger()
+    return _Source(location, opened.attributes, study, ledger, ledger.ledger.sums(), Texts(location, ledger.keys))
+
+
+def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
+    """Raise SweepError that says in what two stores differ."""
+    old, new = json.loads(one.attributes["study_meaning"]), json.loads(other.attributes["study_meaning"])
+    found = differences({**one.attributes, "study_meaning": json.dumps({**old, "fixed": new["fixed"]})}, other.study)
+    found = [
+        text.replace(" in the store", f" in {one.location}").replace(" in the study", f" in {other.location}")
+        for text in found
+    ]
+    numbers = ("n_sim", "n_cat", "precision", "max_n_sim")
+    pairs = [(key, getattr(one.study.sampling, key), getattr(other.study.sampling, key)) for key in numbers]
+    found += [f"sampling.{key}: {a} in {one.location}, {b} in {other.location}" for key, a, b in pairs if a != b]
+    if not accept_code:
+        codes = [records_of(source.attributes) for source in (one, other)]
+        if all(codes):
+            was, now = f"in {one.location}", f"in {other.location}"
+            found += code_differences(codes[0][-1].code, codes[1][-1].code, was, now)
+    layouts = [layout_of_record(json.loads(source.attributes.get(RECORD, "{}"))) for source in (one, other)]
+    if layouts[0] is not None and layouts[1] is not None and layouts[0] != layouts[1]:
+        found += layout_differences(layouts[0], layouts[1]) or ["results of other types"]
+    if found:
+        raise SweepError([f"cannot be merged with {other.location}: these differ", *found], str(one.location))
+
+
+def _study(one: _Source, other: _Source, where: str) -> Study:
+    """Return the study of the points of both."""
+    first, second = one.study, other.study
+    if layout_of_record(json.loads(one.attributes.get(RECORD, "{}"))) is None:
+        first = replace(first, experiment=second.experiment)  # no point of it was ever computed
+    document = {key: value for key, value in first.document.items() if key not in _GRID}
+    crossed = [_crossed(study) for study in (first, second)]
+    same = crossed[0] == crossed[1] and None not in (first.points, second.points) and not first.excluded
+    axes = crossed[0] if same else {}
+    settings = [study.experiment.defaults() | dict(study.fixed) for study in (first, second)]
+    differing = [name for name in settings[0] if settings[0][name] != settings[1][name]]
+    names = [name for name in dict.fromkeys([*first.axes, *second.axes, *differing]) if name not in axes]
+    rows = list(dict.fromkeys((*_points(first, names), *_points(second, names))))
+    columns = {name: list(dict.fromkeys(row[k] for row in rows)) for k, name in enumerate(names)}
+    fixed = {name: raw for name, raw in document.get("fixed", {}).items() if name not in names}
+    document |= {"fixed": fixed} if fixed else {}
+    if not fixed:
+        document.pop("fixed", None)
+    whole = int(np.prod([len(values) for values in columns.values()], dtype=object)) == len(rows)
+    if whole and not same and first.points is None and second.points is None:
+        document["axes"] = {name: _written(_ordered(values)) for name, values in columns.items()}
+    else:
+        document["axes"] = {name: _written(values) for name, values in axes.items()}
+        document["points"] = {"columns": {name: _written([row[k] for row in rows]) for k, name in enumerate(names)}}
+        if first.points is not None and len(rows) == len(first.axes[first.points.names[0]]):
+            document["points"]["origin"] = dict(first.points.origin)
+    attributes = {"study_document": json.dumps(document), "study": "", "study_overrides": "", "study_name": first.name}
+    return study_of_attributes(attributes, where, lambda _: first.experiment)
+
+
+_GRID = ("axes", "points", "grid", "exclude", "published", "claim")
+"""Sections of a study about its grid."""
+
+
+def _crossed(study: Study) -> dict[str, tuple[Value, ...]]:
+    """Return the axes of a study that are along no dimension with others."""
+    own = () if study.points is None else study.points.names
+    zipped = {name for group in study.zipped for name in group}
+    return {name: values for name, values in study.axes.items() if name not in own and name not in zipped}
+
+
+def _points(study: Study, names: Sequence[str]) -> Iterator[tuple[Value, ...]]:
+    for _, parameters in Grid(study).parameters():
+        yield tuple(parameters[name] for name in names)
+
+
+def _ordered(values: Sequence[Value]) -> list[Value]:
+    """Return numbers in ascending order, anything else as it is."""
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return sorted(values) if numbers else list(values)
+
+
+def _written(values: Sequence[Value]) -> list[Any]:
+    return [value.name if isinstance(value, Named) else value for value in values]
+
+
+def _rows(one: _Source, other: _Source) -> list[list[bytes]]:
+    """Return the blocks to take from each, in the order of their rows; raises SweepError for one with other bits."""
+    mine, theirs = one.ledger.ledger.rows, other.ledger.ledger.rows
+    for key in mine.keys() & theirs.keys():
+        same = one.sums[mine[key]].tobytes() == other.sums[theirs[key]].tobytes()
+        if same and one.study.keeps_samples:
+            same = one.ledger.ledger.samples(key).tobytes() == other.ledger.ledger.samples(key).tobytes()
+        if not same:
+            place = one.points().get(key[DIGEST])
+            words = "a point" if place is None else describe(one.study, place)
+            raise SweepError(f"has other numbers than {other.location} at {words}", str(one.location))
+    return [sorted(mine, key=mine.__getitem__), sorted(theirs.keys() - mine.keys(), key=theirs.__getitem__)]
+
+
+def _failures(one: _Source, other: _Source) -> dict[bytes, failures.Record]:
+    """Return the failures of both, without those of points that the other has computed."""
+    done = [{key[DIGEST] for key in source.ledger.ledger.rows} for source in (one, other)]
+    kept = {digest: record for digest, record in one.ledger.failures.items() if digest not in done[1]}
+    return kept | {
+        digest: record
+        for digest, record in other.ledger.failures.items()
+        if digest not in done[0] and digest not in kept
+    }
+
+
+def _fill(store: Store, sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> None:
+    for source, keys in zip(sources, rows, strict=True):
+        at = source.ledger.ledger.rows
+        for start in range(0, len(keys), ROWS_AT_ONCE):
+            part = keys[start : start + ROWS_AT_ONCE]
+            samples = [source.ledger.ledger.samples(key) for key in part] if store.study.keeps_samples else []
+            store.append(part, source.sums[[at[key] for key in part]], samples, source.texts)
+
+
+def _codes(sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> list[CodeRecord]:
+    """Return which code made which rows of the new ledger."""
+    found: list[CodeRecord] = []
+    before = 0
+    for source, keys in zip(sources, rows, strict=True):
+        at = source.ledger.ledger.rows
+        numbers = [at[key] for key in keys]
+        for record in records_of(source.attributes):
+            first = before + int(np.searchsorted(numbers, record.first_row))
+            found = [earlier for earlier in found if earlier.first_row < first]
+            if not found or found[-1].code != record.code:
+                found.append(CodeRecord(first, record.code))
+        before += len(keys)
+    return found
+
+
+def _about(source: _Source) -> dict[str, Any]:
+    told = {key: source.attributes[key] for key in KEPT if source.attributes.get(key, "") != ""}
+    return {"store": str(source.location), **told}

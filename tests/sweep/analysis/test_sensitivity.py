@@ -1,0 +1,312 @@
+"""Sobol indices beside closed forms and independent quadrature, within the errors that they state."""
+
+import itertools
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import linksweep
+from linksweep import SweepError, experiment, sensitivity
+from sweep.analysis.given_data import first_order
+from sweep.analysis.salib_indices import saltelli_indices
+from sweep.analysis.variance_grid import indices_of_grid, weights_of_order
+from sweep.studies.designs import DESIGNS
+
+PI = np.pi
+A, B = 7.0, 0.1
+VARIANCE = 0.5 + A**2 / 8 + B * PI**4 / 5 + B**2 * PI**8 / 18
+ALONE = np.array([0.5 * (1 + B * PI**4 / 5) ** 2, A**2 / 8, 0.0]) / VARIANCE
+TOTAL = ALONE + np.array([1.0, 0.0, 1.0]) * B**2 * PI**8 * (1 / 18 - 1 / 50) / VARIANCE
+"""Indices of the Ishigami function: Saltelli, Chan & Scott 2000, Sensitivity Analysis, eq. 2.46 ff."""
+
+BOX = {name: [-PI, PI] for name in ("x1", "x2", "x3")}
+
+
+def ishigami_of(x1, x2, x3):
+    return np.sin(x1) + A * np.sin(x2) ** 2 + B * x3**4 * np.sin(x1)
+
+
+@experiment(vectorised=True)
+def ishigami(x1: float, x2: float, x3: float):
+    return {"y": ishigami_of(x1, x2, x3)}
+
+
+BOREHOLE = {
+    **{"rw": [0.05, 0.15], "r": [100.0, 50_000.0], "tu": [63_070.0, 115_600.0], "hu": [990.0, 1110.0]},
+    **{"tl": [63.1, 116.0], "hl": [700.0, 820.0], "length": [1120.0, 1680.0], "kw": [9855.0, 12_045.0]},
+}
+"""Ranges of Morris, Mitchell & Ylvisaker 1993, Technometrics 35, 243, all uniform."""
+
+
+def flow_of(rw, r, tu, hu, tl, hl, length, kw):
+    ratio = np.log(r / rw)
+    return 2 * PI * tu * (hu - hl) / (ratio * (1 + 2 * length * tu / (ratio * rw**2 * kw) + tu / tl))
+
+
+@experiment(vectorised=True)
+def borehole(rw: float, r: float, tu: float, hu: float, tl: float, hl: float, length: float, kw: float):
+    return {"flow": flow_of(rw, r, tu, hu, tl, hl, length, kw)}
+
+
+def by_quadrature(function, ranges, nodes):
+    """Return first-order and total indices from Gauss-Legendre quadrature over the box."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    axes = [low + (high - low) * 0.5 * (x + 1.0) for low, high in ranges]
+    values = function(*np.meshgrid(*axes, indexing="ij", sparse=True))
+    values = np.broadcast_to(values, (nodes,) * len(axes))
+    w = 0.5 * w
+
+    def moment(kept):
+        """Return the mean of the squared mean over what is not kept."""
+        means = values
+        for axis in sorted(set(range(len(axes))) - set(kept), reverse=True):
+            means = np.tensordot(means, w, (axis, 0))
+        means = means**2
+        for _ in kept:
+            means = means @ w
+        return float(means)
+
+    every = set(range(len(axes)))
+    mean, whole = moment(()), moment(every)
+    first = [(moment({k}) - mean) / (whole - mean) for k in every]
+    total = [1.0 - (moment(every - {k}) - mean) / (whole - mean) for k in every]
+    return np.array(first), np.array(total)
+
+
+def run(function, store, **given):
+    return linksweep.run(function, store=store, pool="serial", **given)
+
+
+def agrees(found, name, truth, most=4.0):
+    deviations = np.abs(found[name].values - truth) / found[f"{name}_error"].values
+    return bool(np.all(deviations < most)), deviations
+
+
+def test_the_quadrature_of_these_tests_gives_the_closed_form():
+    first, total = by_quadrature(ishigami_of, BOX.values(), 20)
+    assert first == pytest.approx(ALONE, abs=1e-9)
+    assert total == pytest.approx(TOTAL, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def borehole_indices():
+    return by_quadrature(flow_of, BOREHOLE.values(), 4)
+
+
+@pytest.mark.parametrize("n", [12, 15])
+def test_a_grid_of_the_ishigami_function(n, tmp_path):
+    middle = (np.arange(n) + 0.5) / n * 2 * PI - PI
+    ds = run(ishigami, tmp_path / "s.zarr", axes=dict.fromkeys(BOX, middle))
+    found = sensitivity(ds)
+    assert found.parameter.values.tolist() == list(BOX)
+    for name, truth in (("first", ALONE[:2]), ("total", TOTAL)):
+        part = found.isel(parameter=slice(len(truth)))
+        assert agrees(part, name, truth, most=2.0)[0], (name, agrees(part, name, truth)[1])
+        assert float(part[f"{name}_error"].max()) < 0.5 / n
+    assert abs(found["first"].values[2]) < 1e-12
+    coarse = sensitivity(ds.isel({name: slice(0, 6) for name in BOX}))
+    assert "with fewer than 8 values" in coarse.attrs["notes"]
+
+
+def test_a_grid_of_three_parameters_of_the_borehole_function(tmp_path):
+    ranges = [BOREHOLE[name] for name in ("rw", "hu", "length")]
+    fixed = {name: sum(ends) / 2 for name, ends in BOREHOLE.items() if name not in ("rw", "hu", "length")}
+    axes = {
+        name: low + (high - low) * (np.arange(10) + 0.5) / 10
+        for name, (low, high) in zip(("rw", "hu", "length"), ranges, strict=True)
+    }
+    found = sensitivity(run(borehole, tmp_path / "s.zarr", axes=axes, fixed=fixed))
+    first, total = by_quadrature(lambda rw, hu, length: flow_of(**fixed, rw=rw, hu=hu, length=length), ranges, 12)
+    for name, truth in (("first", first), ("total", total)):
+        assert found[name].values == pytest.approx(truth, abs=0.01)
+        assert agrees(found, name, truth, most=2.0)[0], agrees(found, name, truth)
+
+
+def test_saltelli_designs_of_both_functions(borehole_indices, tmp_path):
+    design = {"design": "saltelli", "n": 512, "seed": 4}
+    found = sensitivity(run(ishigami, tmp_path / "i.zarr", points=design | {"ranges": BOX}))
+    assert agrees(found, "first", ALONE)[0]
+    assert agrees(found, "total", TOTAL)[0]
+    assert float(found.total_error.max()) < 0.08
+    [axes] = linksweep.plot(found).axes
+    low, high = axes.get_xlim()
+    assert low < float((found["first"] - found.first_error).min())
+    assert high > 1.0
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["first order", "total"]
+    deep = sensitivity(run(borehole, tmp_path / "b.zarr", points=design | {"ranges": BOREHOLE}))
+    for name, truth in zip(("first", "total"), borehole_indices, strict=True):
+        ok, deviations = agrees(deep, name, truth)
+        assert ok, (name, deviations)
+    assert deep.parameter.values[np.argmax(deep.total.values)] == "rw"
+    assert deep.equals(sensitivity(linksweep.open(tmp_path / "b.zarr")))  # the same errors every time
+
+
+@pytest.mark.parametrize("design", ["sobol", "halton", "latin-hypercube", "random"])
+def test_first_order_indices_of_any_points(design, borehole_indices, tmp_path):
+    points = {"design": design, "n": 1024, "seed": 2}
+    found = sensitivity(run(ishigami, tmp_path / "i.zarr", points=points | {"ranges": BOX}))
+    assert agrees(found, "first", ALONE)[0], agrees(found, "first", ALONE)
+    assert "total" not in found
+    assert "total indices need a full grid or a saltelli design" in found.attrs["notes"]
+    deep = sensitivity(run(borehole, tmp_path / "b.zarr", points=points | {"ranges": BOREHOLE}))
+    ok, deviations = agrees(deep, "first", borehole_indices[0])
+    assert ok, deviations
+
+
+def test_morris_effects_of_a_linear_function_are_its_slopes(tmp_path):
+    def plane(a: float, b: float, c: float):
+        return {"z": 3.0 * a - 2.0 * b + 0.0 * c}
+
+    points = {"design": "morris", "n": 6, "ranges": {"a": [0, 1], "b": [0, 10], "c": [1, 2]}}
+    found = sensitivity(run(plane, tmp_path / "s.zarr", points=points))
+    assert found.mu_star.values == pytest.approx([3.0, 20.0, 0.0])
+    assert found.mu.values == pytest.approx([3.0, -20.0, 0.0])
+    assert found.sigma.values == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_texts_and_whole_numbers_are_groups_and_a_table_may_be_any(tmp_path):
+    @experiment()
+    def mixed(kind: str = "a", k: int = 1, x: float = 0.0):
+        return {"y": {"a": 0.0, "b": 1.0, "c": 5.0}[kind] + (k % 3), "none": x * 0.0 + 1.0}
+
+    rng = np.random.default_rng(8)
+    table = {"kind": rng.choice(["a", "b", "c"], 600).tolist(), "k": rng.integers(1, 7, 600), "x": rng.random(600)}
+    ds = run(mixed, tmp_path / "s.zarr", points=table)
+    found = sensitivity(ds, "y")
+    first = np.var([0.0, 1.0, 5.0]), np.var([0, 1, 2])
+    assert agrees(found, "first", np.array([*first, 0.0]) / sum(first))[0]
+    assert np.isnan(sensitivity(ds, "none")["first"].values).all()
+    table["x"] = [float(k) for k in table["k"]]
+    both = sensitivity(run(mixed, tmp_path / "t.zarr", points=table), "y")
+    assert "k and x go together in these points" in both.attrs["notes"]
+
+
+def test_crossed_axes_and_dimensions_of_an_output_have_indices_each(tmp_path):
+    t = np.linspace(0.0, 1.0, 3)
+
+    def course(a: float, b: float, scale: float = 1.0):
+        return xr.DataArray(scale * (a * (1.0 - t) + b * t), {"time": t}, name="y")
+
+    points = {"design": "sobol", "n": 128, "ranges": {"a": [0, 1], "b": [0, 1]}}
+    found = sensitivity(run(course, tmp_path / "s.zarr", points=points, axes={"scale": [1.0, 2.0]}))
+    assert found["first"].dims == ("scale", "time", "parameter")
+    expected = [[1, 0], [0.5, 0.5], [0, 1]]
+    assert np.allclose(found["first"].values, expected, atol=0.04)
+    figure = linksweep.plot(found.isel(scale=0))
+    assert figure.axes[0].get_xlabel() == "time"
+    with pytest.raises(SweepError, match="fix some with --at"):
+        linksweep.plot(found)
+
+
+def test_noise_of_the_points_is_taken_out_of_the_indices_of_a_grid(tmp_path):
+    def noisy(a: float, b: float, *, rng, n_sim):
+        return {"y": a + 2.0 * b + 3.0 * rng.standard_normal(n_sim)}
+
+    axes = {"a": [0.0, 1.0, 2.0, 3.0], "b": [0.0, 1.0, 2.0, 3.0]}
+    ds = run(noisy, tmp_path / "s.zarr", axes=axes, sampling={"n_sim": 20, "seed": 1})
+    found = sensitivity(ds, "y_mean")
+    for name in ("first", "total"):
+        ok, deviations = agrees(found, name, np.array([0.2, 0.8]), most=3.0)
+        assert ok, deviations
+    assert float(found.total_error.min()) > 0.01
+
+
+def test_what_has_no_indices_says_why(tmp_path):
+    def f(a: float, b: float = 1.0):
+        if a > 0.9:
+            raise ValueError("no")
+        return {"y": a * b, "text": "t"}
+
+    points = {"design": "sobol", "n": 32, "ranges": {"a": [0, 1], "b": [0, 1]}}
+    with pytest.raises(SweepError, match="incomplete"):
+        sensitivity(run(f, tmp_path / "s.zarr", points=points))
+    good = run(f, tmp_path / "g.zarr", points=points | {"ranges": {"a": [0, 0.5], "b": [0, 1]}})
+    with pytest.raises(SweepError, match="no quantity 'text'"):
+        sensitivity(good, "text")
+    with pytest.raises(SweepError, match="8 points are too few for indices: at least 18"):
+        sensitivity(good.isel(point=slice(8)))
+    pytest.importorskip("SALib")
+    few = run(f, tmp_path / "q.zarr", points={"design": "saltelli", "n": 8, "ranges": {"a": [0, 0.5], "b": [0, 1]}})
+    with pytest.raises(SweepError, match="indices of a saltelli design need all of its points"):
+        sensitivity(few.isel(point=slice(8)))
+    excluding = {"experiment": f, "axes": {"a": [0.1, 0.2], "b": [1.0, 2.0]}, "exclude": [{"a": 0.1, "b": 1.0}]}
+    with pytest.raises(SweepError, match="the study excludes points"):
+        sensitivity(run(excluding, tmp_path / "e.zarr"))
+
+
+def test_the_command_prints_writes_and_draws(tmp_path, sweep):
+    (tmp_path / "plane.py").write_text("def plane(a: float, b: float):\n    return {'z': a + 2.0 * b}\n")
+    run(f"{tmp_path}/plane.py:plane", tmp_path / "s.zarr", axes={"a": [0, 1.0, 2.0, 3.0], "b": [0, 1.0, 2.0, 3.0]})
+    code, out, err = sweep("sensitivity", "s.zarr", cwd=tmp_path)
+    assert code == 0, err
+    assert "by analysis of variance of the grid, from 16 points" in out
+    for name in ("s.png", "s.svg", "s.csv", "s.json", "i.zarr"):
+        code, out, err = sweep("sensitivity", "s.zarr", "--json", "-o", name, cwd=tmp_path)
+        assert code == 0, err
+        assert (tmp_path / name).exists()
+    rows = json.loads(out)["rows"]
+    assert [row["first"] for row in rows] == pytest.approx([0.2, 0.8])
+    stored = xr.open_zarr(tmp_path / "i.zarr", consolidated=False).load()
+    assert stored.total.values == pytest.approx([0.2, 0.8])
+    assert json.loads((tmp_path / "s.json").read_text())["rows"] == rows
+    assert (tmp_path / "s.csv").read_text().startswith("parameter,first,first_error,total,total_error\na,0.2")
+    for name, said in (("x.txt", "the name must end with"), ("i.zarr", "exists already")):
+        code, out, err = sweep("sensitivity", "s.zarr", "-o", name, cwd=tmp_path)
+        assert (code, out) == (2, "")
+        assert said in err
+
+
+def test_weights_of_higher_order_integrate_polynomials_exactly():
+    for n, order in itertools.product((3, 5, 8, 20), (3, 5, 7)):
+        x = (np.arange(n) + 0.5) / n
+        for power in range(min(order, n)):
+            assert weights_of_order(order, n) @ x**power == pytest.approx(1.0 / (power + 1.0)), (n, order)
+
+
+def covered(estimates, errors, truth, sigmas=2.0):
+    """Return the share of estimates that are within so many of their errors."""
+    return float(np.mean(np.abs(np.array(estimates) - truth) < sigmas * np.array(errors)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [128, 512])
+def test_errors_of_given_points_cover_the_truth(n):
+    found = []
+    for seed in range(200):
+        unit = np.random.default_rng(seed).random((n, 3))
+        found.append(first_order(ishigami_of(*(2 * PI * unit.T - PI)), list(unit.T)))
+    estimates, errors = np.moveaxis(np.array(found), 1, 0)
+    for k in range(3):
+        assert 0.9 < covered(estimates[:, k], errors[:, k], ALONE[k]) <= 1.0, k
+        assert np.std(estimates[:, k]) > 0.3 * np.mean(errors[:, k])  # and they are not merely large
+
+
+@pytest.mark.slow
+def test_errors_of_saltelli_designs_cover_the_truth():
+    found = []
+    for seed in range(60):
+        unit = DESIGNS["saltelli"].make(256, 3, seed)
+        found.append(saltelli_indices(ishigami_of(*(2 * PI * unit.T - PI)), 3, seed))
+    first, first_error, total, total_error = np.moveaxis(np.array(found), 1, 0)
+    for k in range(3):
+        assert covered(first[:, k], first_error[:, k], ALONE[k]) > 0.9
+        assert covered(total[:, k], total_error[:, k], TOTAL[k]) > 0.9
+
+
+@pytest.mark.slow
+def test_errors_of_noisy_grids_cover_the_truth():
+    rng = np.random.default_rng(3)
+    a = np.arange(5.0)
+    truth = a[:, None] + 2.0 * a + 0.3 * a[:, None] * a
+    expected = indices_of_grid(truth, None, [False, False])
+    found = [
+        indices_of_grid(truth + rng.standard_normal(truth.shape), np.ones(truth.shape), [False, False], seed)
+        for seed in range(150)
+    ]
+    first, first_error, total, total_error = np.moveaxis(np.array(found), 1, 0)
+    for k in range(2):
+        assert 0.88 < covered(first[:, k], first_error[:, k], expected[0][k]) <= 1.0
+        assert 0.88 < covered(total[:, k], total_error[:, k], expected[2][k]) <= 1.0
+        assert np.mean(total[:, k]) == pytest.approx(expected[2][k], abs=0.01)  # no bias of the noise

@@ -1,0 +1,93 @@
+"""Pictures of points in no order: scatters and pairs, never a line through them."""
+
+import numpy as np
+import pytest
+
+import linksweep
+from linksweep import SweepError
+
+
+@pytest.fixture(scope="module")
+def points(tmp_path_factory):
+    def model(x: float = 1.0, k: int = 1, kind: str = "one", scale: float = 1.0):
+        return {"y": x * k * scale, "z": x, "curve": np.array([x, k])}
+
+    ranges = {"x": {"low": 0.01, "high": 1.0, "spacing": "log"}, "k": [1, 9], "kind": {"values": ["one", "two"]}}
+    design = {"design": "sobol", "n": 16, "ranges": ranges}
+    store = tmp_path_factory.mktemp("points") / "s.zarr"
+    return linksweep.run(model, store, points=design, axes={"scale": [1.0, 2.0]}, pool="serial")
+
+
+def lines_in(figure):
+    return [line for axes in figure.axes for line in axes.get_lines()]
+
+
+def drawn(figure):
+    """Return what each visible panel shows: its labels."""
+    return [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes if axes.get_visible()]
+
+
+def test_points_are_drawn_over_each_parameter_and_never_joined(points):
+    figure = linksweep.plot(points.isel(scale=0))
+    assert [x for x, _ in drawn(figure)] == ["$x$", "$k$", "kind"]
+    lines = lines_in(figure)
+    assert {line.get_linestyle() for line in lines} == {"None"}
+    assert np.array_equal(np.sort(lines[0].get_xdata()), np.sort(points.x.values))
+    assert np.array_equal(lines[0].get_ydata(), points.y.values[:, 0])
+    assert figure.axes[0].get_xscale() == "log"
+
+
+def test_crossed_axes_are_colours_and_variables_rows(points):
+    figure = linksweep.plot(points, variables=["y", "z"], over=["x", "k"])
+    assert len(drawn(figure)) == 4
+    assert {line.get_linestyle() for line in lines_in(figure)} == {"None"}
+    [legend] = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["scale = 1", "scale = 2"]
+
+
+def test_pairs_have_a_panel_for_every_two_parameters(points):
+    figure = linksweep.plot(points.isel(scale=1), kind="pairs")
+    panels = [axes for axes in figure.axes if axes.get_visible()][:-1]  # the last is the scale of colours
+    assert len(panels) == 6
+    assert not lines_in(figure)
+    offsets = panels[0].collections[0].get_offsets()
+    assert sorted(offsets[:, 1].tolist()) == sorted(points.y.values[:, 1].tolist())
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({"kind": "lines", "over": ["x"]}, "x is not one axis to draw along; there are scale"),
+        ({"kind": "map"}, "no map of y here; possible are lines, law, points, pairs"),
+        ({"kind": "points", "over": ["q"]}, "the points do not differ in 'q'; known are k, kind, x"),
+        ({"kind": "pairs"}, "fix scale with --at"),
+        ({"kind": "pairs", "variables": ["y", "z"]}, "coloured by one variable, not by y, z"),
+    ],
+)
+def test_what_cannot_be_drawn_says_why(points, options, problem):
+    with pytest.raises(SweepError, match=problem):
+        linksweep.plot(points, **options)
+
+
+def test_points_with_errors_show_them(tmp_path):
+    def waiting(load: float = 0.5, size: float = 1.0, *, rng):
+        return {"wait": rng.exponential(load * size)}
+
+    table = {"load": [0.5, 0.2, 0.9], "size": [1.0, 3.0, 2.0]}
+    ds = linksweep.run(waiting, tmp_path / "s.zarr", points=table, sampling={"n_sim": 40}, pool="serial")
+    figure = linksweep.plot(ds)
+    segments = figure.axes[0].containers[0].lines[2][0].get_segments()
+    half = [(high[1] - low[1]) / 2 for low, high in segments]
+    assert half == pytest.approx(ds.wait_mean_mc_error.values)
+
+
+def test_a_report_of_points_has_scatters_and_does_not_join_them(points, tmp_path):
+    pytest.importorskip("bokeh")
+    from sweep.report.explorer import explorer
+    from sweep.report.section import section
+
+    page = section("s.zarr", points, 1, 100_000)
+    assert all(picture.svg for picture in page.pictures)
+    assert not any("What changes it" in text and "point by" in text for one in page.answers for text in one.sentences)
+    axes = {axis["name"]: axis["ordered"] for axis in explorer(points, ["y"], 10_000)[0]["axes"]}
+    assert axes == {"scale": True, "x": False, "k": False, "point": False, "curve_dim_0": True}

@@ -1,0 +1,164 @@
+"""Two stores become one: the points of both, each once, and nothing that does not belong together."""
+
+import json
+
+import numpy as np
+import pytest
+
+import linksweep
+from linksweep import SweepError
+from sweep.running.merge import MERGED, merge
+from sweep.stores.opened import OpenStore
+from sweep.stores.repair import check
+
+MODEL = (
+    "def model(x: float = 1.0, k: int = 1):\n"
+    "    if k == 9:\n        raise ValueError('nine')\n"
+    "    return {'y': x * k, 'name': f'{x:g}'}\n"
+)
+
+
+@pytest.fixture
+def run(tmp_path):
+    (tmp_path / "model.py").write_text(MODEL)
+
+    def compute(store, study=f"{tmp_path}/model.py:model", **given):
+        return linksweep.run(study, store=tmp_path / store, pool="serial", **given)
+
+    return compute
+
+
+def same(one, other):
+    """Return whether results have the same bits, whatever their coordinates are made of."""
+    return all(np.array_equal(one[name].values, other[name].values) for name in ("y", "name", "status"))
+
+
+def test_two_halves_of_a_grid_are_the_grid(run, tmp_path):
+    whole = run("w.zarr", axes={"x": [1.0, 2.0, 3.0, 4.0], "k": [1, 2]})
+    run("a.zarr", axes={"x": [2.0, 4.0], "k": [1, 2]})
+    run("b.zarr", axes={"k": [1, 2], "x": [1.0, 2.0, 3.0]})
+    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    assert dict(ds.sizes) == {"x": 4, "k": 2}
+    assert same(ds, whole)
+    assert not check(tmp_path / "c.zarr")
+    assert len(OpenStore(tmp_path / "c.zarr").ledger().ledger.rows) == 8
+    told = json.loads(ds.attrs[MERGED])
+    assert [one["store"].rpartition("/")[2] for one in told] == ["a.zarr", "b.zarr"]
+    assert told[0]["study_digest"] == OpenStore(tmp_path / "a.zarr").attributes["study_digest"]
+    more = run("c.zarr", axes={"x": [1.0, 2.0, 3.0, 4.0, 5.0], "k": [1, 2]})  # it goes on as any other
+    assert more.attrs["complete"] == 1
+    assert len(OpenStore(tmp_path / "c.zarr").ledger().ledger.rows) == 10
+    assert json.loads(linksweep.open(tmp_path / "c.zarr").attrs[MERGED]) == told
+
+
+def test_what_is_no_grid_together_is_a_table_of_points(run, tmp_path):
+    run("a.zarr", axes={"x": [1.0, 2.0]}, fixed={"k": 3})
+    run("b.zarr", axes={"k": [3, 4]}, fixed={"x": 2.0})
+    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    assert list(zip(ds.x.values.tolist(), ds.k.values.tolist(), ds.y.values.tolist(), strict=True)) == [
+        (1.0, 3, 3.0),
+        (2.0, 3, 6.0),
+        (2.0, 4, 8.0),
+    ]
+    run("d.zarr", axes={"x": [1.0]}, fixed={"k": 5})
+    more = merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr")
+    assert more.y.values.tolist() == [3.0, 6.0, 8.0, 5.0]
+
+
+def test_tables_are_joined_and_keep_the_axes_that_cross_them(run, tmp_path):
+    ranges = {"x": [0, 1]}
+    few = {"design": "sobol", "n": 4, "seed": 1, "ranges": ranges}
+    run("a.zarr", points=few, axes={"k": [1, 2]})
+    run("b.zarr", points=few | {"seed": 2}, axes={"k": [1, 2]})
+    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    assert dict(ds.sizes) == {"point": 8, "k": 2}
+    assert np.array_equal(ds.y.values, ds.x.values[:, None] * ds.k.values)
+
+
+def test_the_link_merges_to_the_bits_of_one_run(tmp_path):
+    study = {
+        "experiment": "core.experiment:link",
+        "sampling": {"n_sim": 40, "n_cat": 2, "seed": 8, "keep_samples": True},
+    }
+
+    def compute(store, n_obj):
+        given = study | {"axes": {"n_obj": n_obj, "model": ["amex", "gaia"]}}
+        return linksweep.run(given, tmp_path / store, pool="serial")
+
+    whole = compute("w.zarr", [20, 30, 40])
+    compute("a.zarr", [40])
+    compute("b.zarr", [20, 30, 40])
+    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    for name in whole.data_vars:
+        assert np.array_equal(ds[name].values, whole[name].values, equal_nan=whole[name].dtype.kind == "f"), name
+    assert not check(tmp_path / "c.zarr")
+
+
+def test_failures_are_kept_unless_the_other_store_has_the_point(run, tmp_path):
+    run("a.zarr", axes={"k": [1, 9]})
+    run("b.zarr", axes={"k": [2]})
+    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    assert json.loads(ds.attrs["failures"]) == {"k=9": "ValueError: nine"}
+    assert ds.status.values.tolist() == [1, 1, 2]
+    (tmp_path / "model.py").write_text(MODEL.replace("k == 9", "k == 99"))
+    run("d.zarr", axes={"k": [9]})
+    with pytest.raises(SweepError, match=r"model\.py has changed"):
+        merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr")
+    assert not (tmp_path / "e.zarr").exists()
+    healed = merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr", accept_code=True)
+    assert healed.status.values.tolist() == [1, 1, 1]
+    assert healed.code.values.tolist() == [1, 1, 2]
+    assert healed.attrs["failures"] == "{}"
+
+
+def test_what_does_not_belong_together_is_refused_and_nothing_is_written(run, tmp_path):
+    run("a.zarr", axes={"k": [1]})
+    (tmp_path / "other.py").write_text("def model(k: int = 1):\n    return {'y': 1.0, 'name': 'x'}\n")
+    run("b.zarr", f"{tmp_path}/other.py:model", axes={"k": [1]})
+    with pytest.raises(SweepError, match="these differ"):
+        merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    link = {"experiment": "core.experiment:link", "fixed": {"n_obj": 20}}
+    for store, sampling in (("s.zarr", {"n_sim": 10, "seed": 1}), ("t.zarr", {"n_sim": 20, "seed": 2})):
+        linksweep.run(link | {"sampling": sampling}, tmp_path / store, pool="serial")
+    with pytest.raises(SweepError) as told:
+        merge(tmp_path / "s.zarr", tmp_path / "t.zarr", tmp_path / "c.zarr")
+    assert f"seed: 1 in {tmp_path}/s.zarr, 2 in {tmp_path}/t.zarr" in told.value.problems
+    assert f"sampling.n_sim: 10 in {tmp_path}/s.zarr, 20 in {tmp_path}/t.zarr" in told.value.problems
+    with pytest.raises(SweepError, match="experiment: "):
+        merge(tmp_path / "a.zarr", tmp_path / "s.zarr", tmp_path / "c.zarr")
+    run("d.zarr", axes={"k": [2]})
+    with pytest.raises(SweepError, match="holds a store already"):
+        merge(tmp_path / "a.zarr", tmp_path / "d.zarr", tmp_path / "a.zarr")
+    assert not (tmp_path / "c.zarr").exists()
+
+
+def test_other_bits_of_the_same_point_are_refused(tmp_path):
+    (tmp_path / "m.py").write_text(
+        "import pathlib\ndef m(k: int = 1):\n    return float(pathlib.Path('n').read_text())\n"
+    )
+
+    def compute(store, number):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(tmp_path)
+            (tmp_path / "n").write_text(number)
+            linksweep.run(f"{tmp_path}/m.py:m", tmp_path / store, axes={"k": [1, 2]}, pool="serial")
+
+    compute("a.zarr", "1.0")
+    compute("b.zarr", "1.0000000000000002")
+    with pytest.raises(SweepError, match=r"has other numbers than .*b\.zarr at k="):
+        merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    assert not (tmp_path / "c.zarr").exists()
+
+
+def test_the_command_merges_and_the_result_is_reproduced(run, tmp_path, sweep):
+    run("a.zarr", axes={"x": [1.0]}, fixed={"k": 2})
+    run("b.zarr", axes={"x": [2.0]}, fixed={"k": 2})
+    code, out, err = sweep("merge", "a.zarr", "b.zarr", "-o", "c.zarr", "--json", cwd=tmp_path)
+    assert code == 0, err
+    assert [row["y"] for row in json.loads(out)["rows"]] == [2.0, 4.0]
+    assert err.endswith("wrote c.zarr\n")
+    code, out, err = sweep("reproduce", "c.zarr", "--at", "x=2", cwd=tmp_path)
+    assert (code, err) == (0, "every bit as in c.zarr\n")
+    code, out, err = sweep("merge", "a.zarr", "b.zarr", "-o", "c.zarr", cwd=tmp_path)
+    assert (code, out) == (2, "")
+    assert "holds a store already" in err

@@ -1,0 +1,210 @@
+"""Tables of points from a study to a store: once each, the bits of a grid, growth at the end, reproduction."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import linksweep
+from linksweep import SweepError
+from sweep.stores.opened import OpenStore
+from sweep.studies.study import POINT, POINT_TABLE
+
+
+def run(study, store, **given):
+    return linksweep.run(study, store=store, pool="serial", **given)
+
+
+def counting():
+    calls = []
+
+    def model(x: float = 1.0, k: int = 1):
+        calls.append((x, k))
+        return {"y": 0.1 * x + k, "name": f"{x:g}"}
+
+    return model, calls
+
+
+def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_path):
+    model, calls = counting()
+    ds = run(model, tmp_path / "s.zarr", points={"x": [1.0, 2.0, 1.0, 3.0, 2.0]}, axes={"k": [1, 2]})
+    assert calls == [(1.0, 1), (1.0, 2), (2.0, 1), (2.0, 2), (3.0, 1), (3.0, 2)]
+    assert ds.y.dims == (POINT, "k")
+    assert ds.x.dims == (POINT,)
+    assert ds.point.values.tolist() == [0, 1, 2, 3, 4]
+    expected = [[0.1 * x + k for k in (1, 2)] for x in (1.0, 2.0, 1.0, 3.0, 2.0)]
+    assert ds.y.values.tolist() == expected
+    assert ds.name.values[:, 0].tolist() == ["1", "2", "1", "3", "2"]
+    assert (ds.attrs["points"], ds.attrs["points_done"], ds.attrs["complete"]) == (10, 10, 1)
+    assert np.all(ds.status == 1)
+    assert xr.open_zarr(tmp_path / "s.zarr").load().y.values.tolist() == expected
+
+
+def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path):
+    model, calls = counting()
+    store = tmp_path / "s.zarr"
+    run(model, store, points={"x": [1.0, 2.0]})
+    more = run(model, store, points={"x": [1.0, 2.0, 3.0]})
+    assert calls == [(1.0, 1), (2.0, 1), (3.0, 1)]
+    before = OpenStore(store).attributes["generation"]
+    with pytest.raises(SweepError, match=r"row 2: x is 2.0 in the store, 2.5 in the study"):
+        run(model, store, points={"x": [1.0, 2.5, 3.0, 4.0]})
+    with pytest.raises(SweepError, match=r"row 1: k is 1 in the store, 4 in the study"):
+        run(model, store, points={"x": [1.0, 2.0, 3.0, 4.0], "k": [4, 1, 1, 1]})
+    assert OpenStore(store).attributes["generation"] == before
+    assert run(model, store, points={"x": [1.0]}).y.values.tolist() == more.y.values[:1].tolist()
+    same = run(model, store, points={"x": [1.0, 2.0, 3.0], "k": [1, 1, 1]})
+    assert same.y.values.tolist() == more.y.values.tolist()
+    assert len(calls) == 3
+    assert run(model, store, points={"x": [9.0]}, fresh=True).y.values.tolist() == [1.9]
+
+
+@pytest.mark.parametrize("design", ["sobol", "halton", "random", "saltelli", "morris"])
+def test_a_larger_design_keeps_the_old_points_and_their_bits(design, tmp_path):
+    model, calls = counting()
+    points = {"design": design, "n": 8, "seed": 5, "ranges": {"x": [0.5, 2.0], "k": [1, 1000]}}
+    few = run(model, tmp_path / "s.zarr", points=points)
+    assert json.loads(few.attrs[POINT_TABLE]) == {"parameters": ["x", "k"], **points}
+    before = len(calls)
+    many = run(model, tmp_path / "s.zarr", points=points | {"n": 16})
+    size = few.sizes[POINT]
+    assert many.sizes[POINT] == 2 * size
+    assert len(calls) == len(set(calls))  # what was there is not computed again
+    assert len(calls) == len(set(zip(many.x.values.tolist(), many.k.values.tolist(), strict=True)))
+    assert before < len(calls)
+    assert many.isel(point=slice(size)).drop_attrs().equals(few.drop_attrs())
+
+
+def test_a_design_that_cannot_grow_says_so(tmp_path):
+    model, _ = counting()
+    points = {"design": "latin-hypercube", "n": 8, "ranges": {"x": [0.5, 2.0], "k": [1, 1000]}}
+    run(model, tmp_path / "s.zarr", points=points)
+    with pytest.raises(SweepError, match="a latin-hypercube design cannot grow: n = 9 makes other points than n = 8"):
+        run(model, tmp_path / "s.zarr", points=points | {"n": 9})
+    with pytest.raises(SweepError, match=r"points.seed is 0 in the store, 1 in the study"):
+        run(model, tmp_path / "s.zarr", points=points | {"seed": 1})
+
+
+LINK = {"experiment": "core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
+
+
+def test_a_point_of_a_table_has_the_bits_of_the_same_point_in_a_grid(tmp_path):
+    grid = run(LINK | {"axes": {"n_obj": [20, 40], "model": ["amex", "gaia"]}}, tmp_path / "g.zarr")
+    rows = [(40, "gaia"), (20, "amex"), (40, "amex"), (40, "gaia")]
+    columns = {"n_obj": [n for n, _ in rows], "model": [model for _, model in rows]}
+    table = run(LINK | {"points": {"columns": columns}}, tmp_path / "t.zarr")
+    for name in set(grid.data_vars) - {"status"}:
+        for row, (n, model) in enumerate(rows):
+            expected = grid[name].sel(n_obj=n, model=model).values
+            assert np.array_equal(table[name].isel(point=row).values, expected, equal_nan=True), name
+    on = run(LINK | {"points": {"columns": columns}}, tmp_path / "g.zarr")  # the store of the grid has them all
+    assert on.sigma_spin.equals(table.sigma_spin)
+
+
+def test_common_random_numbers_have_a_covariance_between_points(tmp_path):
+    study = LINK | {"points": {"columns": {"error_scale": [1.0, 2.0, 1.0]}}, "fixed": {"n_obj": 20}}
+    study |= {"sampling": {"n_sim": 40, "n_cat": 6, "common_random_numbers": True}}
+    ds = run(study, tmp_path / "s.zarr")
+    covariance = ds.sigma_spin_mc_covariance_point
+    assert covariance.dims == (POINT, "point_other")
+    assert np.array_equal(covariance.values[0], covariance.values[2])
+
+
+@pytest.fixture
+def file(tmp_path):
+    (tmp_path / "model.py").write_text(
+        "def model(x: float = 1.0, k: int = 1):\n"
+        "    if k == 3:\n        raise ValueError('three')\n"
+        "    return {'y': x * k}\n"
+    )
+    return "model.py:model"
+
+
+def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(file, tmp_path, sweep):
+    (tmp_path / "t.csv").write_text("x,k\n0.5,2\n0.25,3\n0.5,2\n")
+    code, out, err = sweep("run", file, "--points", "t.csv", "-o", "s.zarr", "--json", cwd=tmp_path)
+    assert code == 1, err
+    assert "1 point failed: ValueError: three, at x=0.25,k=3" in err
+    assert [(row["point"], row["y"], row["status"]) for row in json.loads(out)["rows"]] == [
+        (0, 1.0, "done"),
+        (1, None, "failed"),
+        (2, 1.0, "done"),
+    ]
+    (tmp_path / "t.csv").write_text("x,k\n0.5,2\n0.25,3\n0.5,2\n2.0,7\n")
+    code, out, err = sweep("plan", file, "--points", "t.csv", "-o", "s.zarr", "--json", cwd=tmp_path)
+    assert (json.loads(out)["grid"], json.loads(out)["blocks_pending"]) == ("point 4", 1)
+    code, out, err = sweep("run", file, "--points", "t.csv", "-o", "s.zarr", "-q", cwd=tmp_path)
+    assert code == 1, err
+    (tmp_path / "t.csv").unlink()
+    code, out, err = sweep("status", "s.zarr", "--json", cwd=tmp_path)
+    assert json.loads(out)["points"] == {"missing": 0, "done": 3, "failed": 1, "excluded": 0}
+    assert json.loads(out)["axes"][POINT][3]["at"] == {"x": 2.0, "k": 7}
+    for at in ("point=3", "x=2.0", "x=0.5,k=2"):
+        code, out, err = sweep("reproduce", "s.zarr", "--at", at, cwd=tmp_path)
+        assert (code, err) == (0, "every bit as in s.zarr\n"), err
+    code, out, err = sweep("reproduce", "s.zarr", "--at", "point=4", cwd=tmp_path)
+    assert code == 2
+    assert "must be the number of a point, from 0 to 3" in err
+    source = (tmp_path / "model.py").read_text().replace("k == 3", "k == 300")
+    (tmp_path / "model.py").write_text(source)
+    code, out, err = sweep("retry", "s.zarr", "--json", cwd=tmp_path)
+    assert code == 2
+    code, out, err = sweep("retry", "s.zarr", "--json", "--accept-code", cwd=tmp_path)
+    assert code == 0, err
+    assert [row["y"] for row in json.loads(out)["rows"]] == [1.0, 0.75, 1.0, 14.0]
+    code, out, err = sweep("find", "s.zarr", "--where", "y > 0.9", "--json", cwd=tmp_path)
+    assert [row["point"] for row in json.loads(out)["rows"]] == [0, 2, 3]
+
+
+def test_a_design_on_the_command_line_grows(file, tmp_path, sweep):
+    options = ["--range", "x=0.1:10:log", "--range", "k=4,5,6", "-o", "s.zarr", "--json", "--pool", "serial"]
+    code, out, err = sweep("run", file, "--design", "sobol:4:9", *options, cwd=tmp_path)
+    assert code == 0, err
+    few = json.loads(out)["rows"]
+    code, out, err = sweep("run", file, "--design", "sobol:6:9", *options, cwd=tmp_path)
+    assert code == 0, err
+    assert json.loads(out)["rows"][:4] == few
+    assert "warning: points.n = 6 is not a power of two" in err
+    code, out, err = sweep("fit", "s.zarr", "--over", "x", cwd=tmp_path)
+    assert code == 2
+    assert "the points differ in k too, so that x is no axis of y" in err
+    study = tmp_path / "s.toml"
+    study.write_text(f'title = "t"\nexperiment = "{file}"\n[points]\ndesign = "sobol"\nn = 4\n[points.ranges]\nx = 1\n')
+    code, out, err = sweep("plan", "s.toml", cwd=tmp_path)
+    assert (code, out) == (2, "")
+    assert "points.ranges.x (line 7): 1: write [low, high]" in err
+    code, out, err = sweep("plan", "s.toml", "--range", "x=1:2", "--set", "points.n=8", "--json", cwd=tmp_path)
+    assert json.loads(out)["grid"] == "point 8", err
+
+
+def test_a_table_of_one_parameter_is_an_axis_in_any_order(tmp_path):
+    model, _ = counting()
+    ds = run(model, tmp_path / "s.zarr", points={"x": [4.0, 1.0, 2.0, 1.0, 8.0]}, fixed={"k": 0})
+    law = linksweep.fit_power_law(ds, "y", over="x")
+    assert law.exponent.item() == pytest.approx(1.0)
+    crossing = linksweep.find(ds, "y < 0.3", along="x")
+    assert crossing["first"].item() == pytest.approx(3.0)
+
+
+def test_ten_thousand_points_of_a_vectorised_function(tmp_path):
+    @linksweep.experiment(vectorised=True)
+    def many(x: float = 1.0, y: float = 1.0):
+        return {"z": x + y}
+
+    ranges = {"x": [0, 1], "y": [0, 1]}
+    ds = run(many, tmp_path / "s.zarr", points={"design": "random", "n": 10_000, "ranges": ranges})
+    assert np.array_equal(ds.z.values, ds.x.values + ds.y.values)
+    assert ds.z.mean().item() == pytest.approx(1.0, abs=0.02)
+
+
+def test_exclusions_and_keeping_samples_know_repeated_points(tmp_path):
+    columns = {"n_obj": [20, 40, 20], "model": ["amex", "gaia", "amex"]}
+    study = LINK | {"points": {"columns": columns}, "exclude": [{"n_obj": {"above": 30}}]}
+    study |= {"sampling": {"n_sim": 12, "keep_samples": True}}
+    ds = run(study, tmp_path / "s.zarr")
+    assert ds.status.values.tolist() == [1, 3, 1]
+    assert ds.attrs["points"] == 2
+    samples = next(v for v in ds.data_vars.values() if "sample" in v.dims)
+    assert np.isfinite(samples.isel(point=0)).all()
+    assert np.array_equal(samples.values[0], samples.values[2])

@@ -1,0 +1,212 @@
+"""The table [points]: files, designs and columns become the same points, and what is wrong is told by name and row."""
+
+from typing import Annotated, Literal
+
+import astropy.units as u
+import numpy as np
+import pandas as pd
+import pytest
+from astropy.table import MaskedColumn, Table
+
+from linksweep import Parameter, SweepError, experiment
+from sweep.contract import Parameter as Declared
+from sweep.planning.grid import make_grid
+from sweep.studies.designs import DESIGNS
+from sweep.studies.live import study_of_function
+from sweep.studies.ranges import Range, read_range
+
+
+@experiment()
+def f(
+    beta: Annotated[float, Parameter("rate", unit="1/d", above=0)] = 0.3,
+    k: int = 2,
+    solver: Literal["a", "b"] = "a",
+):
+    return beta * k
+
+
+COLUMNS = {"beta": [0.5, 0.25, 0.5], "k": [1, 3, 1], "solver": ["a", "b", "a"]}
+FRAME = pd.DataFrame(COLUMNS)
+
+
+def read(points, **more):
+    study = study_of_function(f, points=points, **more)
+    return {name: list(study.axes[name]) for name in study.points.names}
+
+
+def written(folder, name):
+    path = folder / name
+    if name.endswith(".csv"):
+        FRAME.to_csv(path, index=False)
+    elif name.endswith(".parquet"):
+        FRAME.to_parquet(path)
+    else:
+        table = Table.from_pandas(FRAME)
+        table["beta"] = table["beta"] / 24 * u.Unit("1/h")
+        table.write(path, format="ascii.ecsv")
+    return path
+
+
+@pytest.mark.parametrize("kind", ["t.csv", "t.parquet", "t.ecsv", "frame", "arrays", "table"])
+def test_a_table_is_the_same_whatever_holds_it(kind, tmp_path):
+    given = {
+        "frame": FRAME,
+        "arrays": {name: np.array(values) for name, values in COLUMNS.items()},
+        "table": Table(COLUMNS, units={"beta": "1/d"}),
+    }
+    found = read(given[kind] if kind in given else written(tmp_path, kind))
+    assert found.keys() == COLUMNS.keys()
+    assert found["beta"] == pytest.approx(COLUMNS["beta"], rel=1e-15)  # of hours into days
+    assert (found["k"], found["solver"]) == (COLUMNS["k"], COLUMNS["solver"])
+    assert {type(value) for value in found["k"]} == {int}
+
+
+@pytest.mark.parametrize(
+    ("points", "problem"),
+    [
+        ({"beta": [1.0, 2.0], "kk": [1, 2]}, r"points.columns.kk: unknown parameter 'kk'; did you mean 'k'\?"),
+        ({"beta": [1.0, np.nan]}, "points.columns.beta: has no value in row 2"),
+        (pd.DataFrame({"k": pd.array([1, None, 2], dtype="Int64")}), "points.columns.k: has no value in row 2"),
+        (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
+        ({"beta": [1.0, -2.0]}, "points.columns.beta: row 2: beta = -2.0: must be a finite number > 0"),
+        ({"k": [1, 2.5]}, "points.columns.k: row 2: k = 2.5: must be an integer"),
+        ({"solver": ["a", "c"]}, "points.columns.solver: row 2: solver = 'c': must be one of 'a', 'b'"),
+        ({"beta": ["x", "y"]}, "points.columns.beta: row 1: beta = 'x': must be a finite number"),
+        ({"beta": [1.0, 2.0], "k": [1]}, "must have the same number of values: beta has 2, k has 1"),
+        ({"beta": []}, "has 0 points"),
+        (Table({"beta": [1.0] * u.m}), "its column is in m, and the parameter is in 1/d"),
+        (Table({"k": [1] * u.m}), "its column is in m, and the parameter has no unit"),
+        ("nowhere.csv", "no such file"),
+        (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
+        ({"design": "sobl", "n": 4, "ranges": {"beta": [1, 2]}}, "no design 'sobl'; did you mean 'sobol'"),
+        ({"design": "sobol", "ranges": {"beta": [1, 2]}}, "points.n: is required: how many points"),
+        ({"design": "sobol", "n": 4}, "points.ranges: is required"),
+        ({"design": "sobol", "n": 4, "ranges": {"beta": [0, 2]}}, "points.ranges.beta: beta = 0: must be .* > 0"),
+        ({"design": "sobol", "n": 4, "ranges": {"beta": [2, 1]}}, "low = 2 must be less than high = 1"),
+        ({"design": "sobol", "n": 4, "ranges": {"beta": 2}}, r"write \[low, high\]"),
+        ({"design": "sobol", "n": 4, "ranges": {"solver": ["a", "b"]}}, r"write { values = \[...\] }"),
+        ({"design": "sobol", "n": 4, "ranges": {"q": [1, 2]}}, "unknown parameter 'q'"),
+        (
+            {"design": "sobol", "n": 4, "ranges": {"k": {"low": 0, "high": 9, "spacing": "log"}}},
+            "log spacing needs low > 0",
+        ),
+        ({"design": "morris", "n": 4, "ranges": {"solver": {"values": ["a", "b"]}}}, "steps between 4 numbers"),
+        ({"design": "morris", "n": 4, "ranges": {"k": [1, 3]}}, "steps between 4 numbers"),
+        ({"design": "saltelli", "n": 10**6, "ranges": {"beta": [1, 2]}}, "makes 3,000,000 points"),
+        ({"file": "t.csv", "n": 3}, "points.n: does not go with file"),
+        ({"columns": {"k": [1]}, "design": "sobol"}, "not design and columns"),
+    ],
+)
+def test_what_is_wrong_is_told_by_name_and_row(points, problem):
+    with pytest.raises(SweepError, match=problem):
+        read(points)
+
+
+def test_a_parameter_is_in_one_place_only():
+    with pytest.raises(SweepError, match="beta: is an axis too"):
+        read({"beta": [1.0]}, axes={"beta": [1.0, 2.0]})
+    with pytest.raises(SweepError, match="k: is fixed too"):
+        read({"k": [1]}, fixed={"k": 2})
+
+
+def test_an_experiment_with_a_point_of_its_own_has_no_table():
+    def pointed(point: float, k: int = 1):
+        return point * k
+
+    with pytest.raises(SweepError, match="has a 'point' of its own"):
+        study_of_function(pointed, points={"k": [1, 2]}, fixed={"point": 1.0})
+
+
+RANGES = {
+    "beta": {"low": 0.01, "high": 1.0, "spacing": "log"},
+    "k": [1, 9],
+    "solver": {"values": ["a", "b"]},
+}
+
+
+def design(name, n, seed=0):
+    ranges = {key: RANGES[key] for key in ("beta", "k")} if name == "morris" else RANGES
+    return read({"design": name, "n": n, "seed": seed, "ranges": ranges})
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_a_larger_design_begins_with_the_same_points_bitwise_where_it_says_so(name):
+    few, many = design(name, 8), design(name, 16)
+    same = all(many[key][: len(values)] == values for key, values in few.items())
+    assert same == DESIGNS[name].grows
+    assert design(name, 8) == few
+    assert design(name, 8, seed=1) != few
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_values_of_a_design_are_within_their_ranges_and_spread_over_them(name):
+    found = design(name, 64)
+    beta, k = np.array(found["beta"]), np.array(found["k"])
+    assert beta.min() >= 0.01
+    assert beta.max() <= 1.0
+    assert np.median(beta) == pytest.approx(0.1, rel=0.6)  # the middle of a logarithmic range
+    assert set(found["k"]) <= set(range(1, 10))
+    assert len(set(found["k"])) == (4 if name == "morris" else 9)
+    assert np.mean(k) == pytest.approx(5.0, abs=1.0)
+    if name != "morris":
+        assert found["solver"].count("a") == pytest.approx(len(beta) / 2, rel=0.4)
+
+
+def test_ranges_go_back_to_the_unit_interval():
+    unit = np.linspace(0.0, 1.0, 11)
+    for one in (Range("x", 2.0, 5.0), Range("x", 0.1, 50.0, log=True)):
+        assert one.places(np.array(one(unit))) == pytest.approx(unit)
+    counts = np.bincount(Range("k", 1, 4, whole=True)(np.linspace(0.0, 1.0, 4001)))
+    assert counts[1:].tolist() == [1000, 1000, 1000, 1001]
+    steps = read_range(Declared("s", "str", "a"), {"values": ["a", "b"]})
+    assert steps.places(np.array(["b", "a"])).tolist() == [0.75, 0.25]
+
+
+def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of_once():
+    def warnings(n):
+        points = {"design": "sobol", "n": n, "ranges": {"beta": [1, 2]}}
+        return make_grid(study_of_function(f, points=points)).warnings
+
+    assert warnings(64) == []
+    [sentence] = warnings(100)
+    assert sentence.startswith("points.n = 100 is not a power of two")
+    assert "take 64 or 128" in sentence
+
+
+def test_a_function_derives_further_columns(tmp_path):
+    (tmp_path / "own.py").write_text(
+        "def rates(row):\n    return {'k': int(10 * row['beta']), 'solver': 'b' if row['beta'] > 0.4 else 'a'}\n"
+        "def wrong(row):\n    return [1]\n"
+        "def fails(row):\n    return {'k': 1 / (row['beta'] - 0.2)}\n"
+        "def bad(row):\n    return {'k': -0.5}\n"
+        "def again(row):\n    return {'beta': 1.0}\n"
+    )
+    points = {"columns": {"beta": [0.5, 0.2]}, "derive": f"{tmp_path}/own.py:rates"}
+    assert read(points) == {"beta": [0.5, 0.2], "k": [5, 2], "solver": ["b", "a"]}
+    study = study_of_function(f, points=points)
+    assert "derive" not in study.document["points"]  # the store has its values, and runs nothing
+    for name, problem in {
+        "wrong": r"row 1: .*:wrong returns \[1\], not a mapping of parameters",
+        "fails": "row 2: .* raises ZeroDivisionError",
+        "bad": "row 1: k = -0.5: must be an integer",
+        "again": "beta is a column already",
+        "none": "none",
+    }.items():
+        with pytest.raises(SweepError, match=problem):
+            read(points | {"derive": f"{tmp_path}/own.py:{name}"})
+
+
+def test_a_store_knows_the_values_not_the_file(tmp_path):
+    path = written(tmp_path, "t.csv")
+    study = study_of_function(f, points=path)
+    path.unlink()
+    assert study.document["points"] == {"columns": COLUMNS, "origin": {"file": "t.csv"}}
+    again = study_of_function(f, points=study.document["points"])
+    assert (again.digest(), again.points) == (study.digest(), study.points)
+    assert study_of_function(f, points=COLUMNS).digest() == study.digest()
+
+
+def test_without_salib_the_design_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "SALib", None)
+    with pytest.raises(SweepError, match=r"saltelli: needs SALib.*linksweep\[sensitivity\]"):
+        design("saltelli", 4)
