@@ -40,7 +40,7 @@ SECTIONS = {
         "check": "Compare every file with its checksum",
         "repair": "Set damaged files aside",
         "reproduce": "Compute one point again, to the bit",
-        "merge": "Bring together what several runs computed",
+        "merge": "Make one store of two of the same experiment",
     },
     "Your own": {
         "new": "Write a commented study to start from",
