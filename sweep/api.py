@@ -19,6 +19,7 @@ from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
 from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
+from sweep.stores.named import store_named
 from sweep.stores.store import open_dataset
 from sweep.studies.live import live_study, study_of_function
 from sweep.studies.reader import load_study
@@ -117,7 +118,7 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
     A link or a forecast that `sweep tie -o` or `sweep forecast -o` wrote is read too.
 
     Args:
-        store: a path or s3://BUCKET/NAME.
+        store: a path, s3://BUCKET/NAME, or the name of a study that was run in this directory.
 
     Returns:
         The outputs of the study over its axes, with units and errors.
@@ -131,8 +132,9 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
         >>> open("one.zarr").equals(saved)
         True
     """
-    result = result_at(store)
-    return open_dataset(store) if result is None else result
+    place = store_named(store)
+    result = result_at(place)
+    return open_dataset(place) if result is None else result
 
 
 def plot(

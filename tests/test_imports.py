@@ -28,7 +28,7 @@ ONLY_IN = {
     "pydantic": {"sweep.studies"},
     "astropy": {
         *("sweep.contract.units", "sweep.table_text", "sweep.table_columns", "sweep.table_reader"),
-        *("sweep.table_parquet", "sweep.analysis", "sweep.search", "sweep.tie"),
+        *("sweep.table_parquet", "sweep.readable", "sweep.analysis", "sweep.search", "sweep.tie"),
     },
     "erfa": {"core.tie.motion"},
     "pygaia": {"core.missions"},

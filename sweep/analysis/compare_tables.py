@@ -3,42 +3,50 @@
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from sweep.analysis.compare import summary
 from sweep.analysis.selection import place_in_words
-from sweep.analysis.verdicts import PROBABILITY, Comparison
+from sweep.analysis.verdicts import PROBABILITY, Comparison, Verdict, in_readable_unit
 from sweep.formatting import finite_or, rounded, to_json, with_error
+from sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+
+COLOURS: Mapping[Verdict, str] = MappingProxyType(
+    {
+        **{"reproduced": "green", "within tolerance": "yellow", "NOT reproduced": "bold red"},
+        **{"not comparable": "dim", "incomplete": "yellow"},
+    }
+)
+"""Of verdicts, on a terminal."""
 
 
 def as_text(comparisons: Sequence[Comparison]) -> "Table":
     """Return a table for reading, one row a published number; a line sets the studies apart."""
     from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("verdict", no_wrap=True)
     for name in ("study", "what", "where"):
         table.add_column(name)
     for name in ("computed", "published", "difference", "", "allowance", "power"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("verdict", no_wrap=True)
     previous = comparisons[0].study if comparisons else ""
-    for c in comparisons:
+    for c in map(in_readable_unit, comparisons):
         if c.study != previous:
             table.add_section()
         previous = c.study
-        name = f"{c.what} [{c.unit}]" if c.unit else c.what
-        table.add_row(
-            *(
-                escape(cell)
-                for cell in (c.study, name, place_in_words(c.where), *numbers_in_words(c), power_in_words(c), c.verdict)
-            )
-        )
+        name = f"{c.what} [{in_ascii(c.unit)}]" if c.unit else c.what
+        words = (c.study, name, place_in_words(c.where), *numbers_in_words(c), power_in_words(c))
+        table.add_row(Text(c.verdict, COLOURS[c.verdict]), *map(escape, words))
     return table
 
 
@@ -72,7 +80,8 @@ def as_csv(comparisons: Sequence[Comparison]) -> str:
 
 def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:
     """Return the comparisons, their number by verdict and remarks; a number that is not there is null."""
-    return to_json({"comparisons": comparisons, "summary": summary(comparisons), "remarks": remarks})
+    counts = {verdict.lower().replace(" ", "_"): n for verdict, n in summary(comparisons).items()}
+    return to_json({"comparisons": comparisons, "summary": counts, "remarks": remarks})
 
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:

@@ -8,6 +8,7 @@ import xarray as xr
 from sweep.analysis.quantity import ERROR_SUFFIXES
 from sweep.contract import Array
 from sweep.planning.point_status import Status
+from sweep.readable import in_three_digits
 
 COVARIANCE, CORRELATION, CONDITION = "covariance", "correlation", "condition_number"
 
@@ -101,7 +102,7 @@ def _lines(point: xr.Dataset, name: str, place: str) -> Iterator[str]:
     labels = list(map(str, point[dimension].values))
     units = point[f"{dimension}_unit"].values.tolist() if f"{dimension}_unit" in point.coords else [""] * len(labels)
     cells = [
-        f"{label} {value:.3g} {str(unit).replace(' ', '')}".strip()
+        f"{label} {in_three_digits(float(value), str(unit))}"
         for label, value, unit in zip(labels, point[name].values, units, strict=True)
     ]
     width = max(map(len, cells)) + 2

@@ -9,6 +9,7 @@ import xarray as xr
 
 from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
 from sweep.formatting import fixed, plain, to_json, with_error
+from sweep.readable import in_ascii, prefixed, with_unit
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -78,7 +79,7 @@ def notes(result: xr.Dataset) -> list[str]:
 def conclusion(result: xr.Dataset, row: Row) -> str:
     """Return in words what follows from one line of a result."""
     if "met" in result:
-        return _met(row, str(result["first"].attrs["units"]))
+        return _met(row, *(str(result[name].attrs["units"]) for name in ("first", "nearest")))
     if row["points"] == 0.0:
         return "excluded by the study"
     if result.attrs["law"] == "levelling":
@@ -94,12 +95,12 @@ def _columns(result: xr.Dataset, everything: Sequence[Row]) -> dict[str, list[st
         columns["points"] = [f"{row['points']:.0f}" for row in everything]
         shown = ["exponent"] if result.attrs["law"] == "power" else ["plateau"]
         for name in shown:
-            columns[_heading(name, result)] = [with_error(row[name], row[f"{name}_error"]) for row in everything]
+            columns |= _in_readable_unit(name, result, everything)
     if "expected" in result:
         columns["expected"] = [fixed(row["expected"], "g") for row in everything]
         columns["deviation"] = [fixed(row["deviation"], "+.1f", " errors") for row in everything]
     if "amplitude" in result:
-        columns[_heading("amplitude", result)] = [with_error(r["amplitude"], r["amplitude_error"]) for r in everything]
+        columns |= _in_readable_unit("amplitude", result, everything)
         columns[_heading("pivot", result)] = [fixed(row["pivot"], ".4g") for row in everything]
     if "end_fall" in result:
         unit = str(result["limit"].attrs["units"]) or "unit"
@@ -114,13 +115,21 @@ def _columns(result: xr.Dataset, everything: Sequence[Row]) -> dict[str, list[st
     return columns | ({"conclusion": words} if any(words) else {})
 
 
-def _met(row: Row, unit: str) -> str:
+def _in_readable_unit(name: str, result: xr.Dataset, everything: Sequence[Row]) -> dict[str, list[str]]:
+    """Return a column of numbers with errors, in the unit in which they read best."""
+    unit, factor = prefixed([row[name] for row in everything], str(result[name].attrs.get("units", "")))
+    cells = [with_error(factor * row[name], factor * row[f"{name}_error"]) for row in everything]
+    return {f"{name}\n[{in_ascii(unit)}]" if unit else name: cells}
+
+
+def _met(row: Row, unit: str, value_unit: str) -> str:
     met, unit = row["met"], unit and f" {unit}"
     first, last = (with_error(row[end], row[f"{end}_error"]) + unit for end in ("first", "last"))
     if met in (FROM, UP_TO):
         return f"{MET_WORDS[met]} {first}"
     if met in (NEVER, ALWAYS):
-        return f"{MET_WORDS[met]}; {row['nearest']:.4g} at {row['nearest_at']:g}{unit} is nearest to the limit"
+        nearest = with_unit(row["nearest"], 0.0, value_unit)
+        return f"{MET_WORDS[met]}; {nearest} at {row['nearest_at']:g}{unit} is nearest to the limit"
     return MET_WORDS[met] + ("" if met == LEFT_OUT else f", first at {first}, last at {last}")
 
 
@@ -151,4 +160,4 @@ def _dims(result: xr.Dataset) -> list[str]:
 
 def _heading(name: str, result: xr.Dataset) -> str:
     unit = result[name].attrs.get("units", "")
-    return f"{name}\n[{unit}]" if unit else name
+    return f"{name}\n[{in_ascii(unit)}]" if unit else name

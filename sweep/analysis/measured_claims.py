@@ -22,7 +22,7 @@ from sweep.analysis.selection import place_in_words
 from sweep.analysis.verdicts import Measured
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status
-from sweep.studies.study import Claim, Ratio, Reading, Slope
+from sweep.studies.study import Claim, Derived, Ratio, Reading, Slope
 
 Index = Mapping[str, int]
 
@@ -60,7 +60,7 @@ def unit_of(dataset: xr.Dataset, quantity: Reading) -> str:
     return str(variable.attrs.get("units", ""))
 
 
-def measure(dataset: xr.Dataset, claim: Claim, quantity: Slope | Ratio | Reading) -> Iterator[Measured]:
+def measure(dataset: xr.Dataset, claim: Derived, quantity: Slope | Ratio | Reading) -> Iterator[Measured]:
     """Yield our number at every place that a claim speaks of; raises OutsideGridError for one that is not there."""
     points = Points.of(dataset, quantity.variable, quantity.component)
     if isinstance(quantity, Slope):

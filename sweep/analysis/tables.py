@@ -4,15 +4,17 @@ import csv
 import io
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name
+from sweep.analysis.quantity import ERROR_SUFFIXES, PREDICTION_SUFFIXES, prediction_name, standard_error
+from sweep.analysis.readable_units import in_readable_units
 from sweep.formatting import is_missing, plain, rounded, to_json, with_error
 from sweep.planning.point_status import Status
+from sweep.readable import in_ascii
 from sweep.studies.provenance import FUNCTION
 
 if TYPE_CHECKING:
@@ -22,14 +24,41 @@ VISIBLE_BIAS = 1e-3
 """The parts of a prediction are shown where its bias adds a larger share to what the errors make."""
 
 
+GAP = 2
+"""Blanks between two columns."""
+
+LONG_NAME = 13
+"""A longer name of a column is broken into two lines at an underscore."""
+
+VALUE, PUBLISHED, PREDICTED, PARTS = 0, 1, 2, 4
+"""Ranks of the columns of the main quantity; those of others come later by `OTHER`."""
+
+OTHER = 3
+
+
 @dataclass(frozen=True)
 class Column:
-    """A column for reading: ``cells`` as they are printed, and the ``values`` that they stand for and sort by."""
+    """A column for reading: ``cells`` as they are printed, and the ``values`` that they stand for and sort by.
+
+    A table that is too wide leaves out the columns of the largest ``rank`` first, and never those of rank 0.
+    """
 
     name: str
     unit: str
     cells: list[str]
     values: list[Any]
+    of: str = ""
+    rank: int = 0
+
+    @property
+    def heading(self) -> str:
+        """The lines above the column: a long name in two, and the unit."""
+        return "\n".join([*_two_lines(self.name), *([f"[{in_ascii(self.unit)}]"] if self.unit else [])])
+
+    @property
+    def width(self) -> int:
+        """Characters that the column takes, with the gap before the next one."""
+        return max(map(len, [*self.heading.split("\n"), *self.cells])) + GAP
 
 
 MOST_ROWS = 1000
@@ -127,9 +156,17 @@ def as_json(dataset: xr.Dataset) -> str:
     return to_json({"units": units, **({"arrays": arrays} if arrays else {}), "rows": rows})
 
 
-def as_text(dataset: xr.Dataset) -> "Table":
-    """Return the headline results for reading: value +- Monte-Carlo error, prediction, published value and
-    difference; of the first `MOST_ROWS` points.
+def _two_lines(name: str) -> list[str]:
+    places = [i for i, letter in enumerate(name) if letter == "_"]
+    if len(name) <= LONG_NAME or not places:
+        return [name]
+    middle = min(places, key=lambda i: abs(i + 1 - len(name) / 2)) + 1
+    return [name[:middle], name[middle:]]
+
+
+def as_text(dataset: xr.Dataset, width: int | None = None) -> "Table":
+    """Return the headline results for reading: value +- one-sigma error, prediction, published value and
+    difference; of the first `MOST_ROWS` points, and of the columns those that go into ``width`` characters.
     """
     from rich.markup import escape
     from rich.table import Table
@@ -142,13 +179,49 @@ def as_text(dataset: xr.Dataset) -> "Table":
         pad_edge=False,
         header_style="bold",
     )
-    columns = headline_columns(dataset, MOST_ROWS)
+    columns, _ = fitting(headline_columns(dataset, MOST_ROWS), width)
     for column in columns:
-        heading = f"{column.name}\n[{column.unit}]" if column.unit else column.name
-        table.add_column(Text(heading), justify="right", no_wrap=True)
+        table.add_column(Text(column.heading), justify="right", no_wrap=True)
     for row in zip(*(column.cells for column in columns), strict=True):
         table.add_row(*map(escape, row))
     return table
+
+
+def fitting(columns: list[Column], width: int | None) -> tuple[list[Column], list[Column]]:
+    """Return the columns that a table of a width has, and those that it leaves out."""
+    kept = list(columns)
+    while width is not None and sum(column.width for column in kept) - GAP > width:
+        rank = max(column.rank for column in kept)
+        if rank == 0:
+            break
+        last = next(column.of for column in reversed(kept) if column.rank == rank)
+        kept = [column for column in kept if (column.rank, column.of) != (rank, last)]
+    return kept, [column for column in columns if column not in kept]
+
+
+def left_out_in_words(columns: list[Column]) -> str:
+    """Return which columns a table leaves out, in words."""
+    return ", ".join(column.of if column.of == column.name else f"{column.of} {column.name}" for column in columns)
+
+
+def exactly_published(dataset: xr.Dataset) -> list[str]:
+    """Return a sentence for each headline quantity that is everywhere as it was published."""
+    counts = {
+        name: int(dataset[f"{name}_published"].count()) for name in _headline(dataset) if _is_exact(dataset, name)
+    }
+    return [
+        f"{name}: {f'all {n} published values are' if n > 1 else 'the published value is'} met exactly"
+        for name, n in counts.items()
+        if n
+    ]
+
+
+def _is_exact(dataset: xr.Dataset, name: str) -> bool:
+    published = dataset.get(f"{name}_published")
+    if published is None:
+        return False
+    known = published.notnull()
+    return bool(known.any() and (dataset[name].where(known) == published).where(known, True).all())
 
 
 def warnings_of(dataset: xr.Dataset) -> list[str]:
@@ -162,9 +235,10 @@ def rows_left_out(dataset: xr.Dataset) -> int:
 
 
 def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:
-    """Return the columns of the headline results: axes, values with errors, prediction, published and difference; of
-    all points or of the first ones.
+    """Return the columns of the headline results in units that read well: axes, values with errors, prediction,
+    published and difference; of all points or of the first ones.
     """
+    dataset = in_readable_units(dataset)
     whole = _without_excluded(long_table(dataset))
     finished = set(whole["status"][1]) == {"done"}
     long = {name: (unit, values[:most]) for name, (unit, values) in whole.items()}
@@ -172,23 +246,38 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
         Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
         for name in _axis_coordinates(dataset, axes_of(dataset))
     ]
-    for name in filter(long.__contains__, _headline(dataset)):
+    names = [name for name in _headline(dataset) if name in long]
+    for number, name in enumerate(names):
         unit, values = long[name]
+        later = OTHER if number else 0
         if name in array_outputs(dataset):
-            columns.append(Column(name, unit, [_span(value) for value in values], [str(value) for value in values]))
+            cells = [_span(value) for value in values]
+            columns.append(Column(name, unit, cells, [str(value) for value in values], name, later + VALUE))
             continue
-        errors = long[f"{name}_mc_error"][1] if f"{name}_mc_error" in long else [0.0] * len(values)
-        columns.append(Column(name, unit, [with_error(v, e) for v, e in zip(values, errors, strict=True)], values))
+        errors = _errors(long, name)
+        cells = [with_error(v, e) for v, e in zip(values, errors, strict=True)]
+        columns.append(Column(name, unit, cells, values, name, later + VALUE))
         if (predicted := long.get(prediction_name(long, name))) is not None:
             cells = [rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
-            columns.append(Column("predicted", unit, cells, predicted[1]))
-            columns += _parts(long, name, errors)
+            columns.append(Column("predicted", unit, cells, predicted[1], name, later + PREDICTED))
+            columns += [replace(part, of=name, rank=later + PARTS) for part in _parts(long, name, errors)]
         if (published := long.get(f"{name}_published")) is not None and not all(map(is_missing, published[1])):
-            columns.append(Column("published", unit, [rounded(v) for v in published[1]], published[1]))
+            if _is_exact(dataset, name):
+                continue
+            rank = later + PUBLISHED
+            columns.append(Column("published", unit, [rounded(v) for v in published[1]], published[1], name, rank))
             pairs = list(zip(values, published[1], strict=True))
-            columns.append(Column("difference", "", [_difference(*p) for p in pairs], [_relative(*p) for p in pairs]))
+            cells = [_difference(*p) for p in pairs]
+            columns.append(Column("difference", "", cells, [_relative(*p) for p in pairs], name, rank))
     status = long["status"][1]
     return columns if finished else [*columns, Column("status", "", status, status)]
+
+
+def _errors(long: dict[str, tuple[str, list[Any]]], name: str) -> list[float]:
+    """Return the one-sigma errors of a column from all their parts that are known, 0 where there is none."""
+    parts = [long[f"{name}_{suffix}"][1] for suffix in ERROR_SUFFIXES if f"{name}_{suffix}" in long]
+    rows = zip(*parts, strict=True) if parts else ([] for _ in long[name][1])
+    return [math.hypot(*(part for part in row if not is_missing(part))) for row in rows]
 
 
 def arrays_in_words(dataset: xr.Dataset) -> list[str]:
@@ -236,7 +325,9 @@ def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
 
 
 def _headline(dataset: xr.Dataset) -> list[str]:
-    return [str(n) for n, v in dataset.data_vars.items() if v.attrs.get("headline") and str(n) in dataset]
+    """Return the headline results: first those with errors, as `main_quantity` chooses."""
+    names = [str(n) for n, v in dataset.data_vars.items() if v.attrs.get("headline")]
+    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
 
 
 def _difference(value: float, published: float) -> str:

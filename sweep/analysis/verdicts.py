@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
+
+from sweep.readable import prefixed
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
 VERDICTS: tuple[Verdict, ...] = ("reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete")
@@ -47,6 +49,16 @@ class Comparison:
     verdict: Verdict
     source: str
     reason: str = ""
+
+
+def in_readable_unit(comparison: Comparison) -> Comparison:
+    """Return a comparison with its numbers in the unit in which the published one reads best."""
+    chosen = prefixed(comparison.published, comparison.unit)
+    if chosen.factor == 1.0:
+        return comparison
+    numbers = ("value", "mc_error", "published", "rounding", "allowance", "difference", "detectable")
+    scaled = {name: chosen.factor * getattr(comparison, name) for name in numbers}
+    return replace(comparison, unit=chosen.unit, **scaled)
 
 
 @dataclass(frozen=True)

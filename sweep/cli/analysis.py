@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @main.command()
 @store_argument
-@click.option("--over", help="The axis to fit along.  [default: the only one with several numbers]")
+@click.option("--over", "--along", "over", help="The axis to fit along.  [default: the only one with several numbers]")
 @click.option("--variable", help="What to fit.  [default: the main result]")
 @click.option(
     "--law",
@@ -51,7 +51,7 @@ def fit(
     \b
     sweep fit results/sqrt-n.zarr --over n_obj --expect -0.5
     sweep fit results/mission-length.zarr --over mission_length --at model=gaia
-    sweep fit results/error-surface.zarr --over satellite_error_scale --range 2: --at reference_error_scale=0
+    sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
     from sweep.analysis.conditions import parse_range
@@ -79,7 +79,9 @@ def fit(
 @main.command()
 @store_argument
 @click.option("--where", required=True, metavar="CONDITION", help="VARIABLE, one of < <= > >=, NUMBER and unit.")
-@click.option("--along", help="The axis to look along.  [default: the only one with several numbers]")
+@click.option(
+    "--along", "--over", "along", help="The axis to look along.  [default: the only one with several numbers]"
+)
 @place_option
 @json_option
 def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:

@@ -15,8 +15,58 @@ EXIT_BAD_INPUT = 2
 atexit.register(gc.freeze)  # else all that was imported is looked through for garbage at the end: a fifth of a second
 
 
+SECTIONS = {
+    "Run": {
+        "run": "Run a study into a store; print table and answer",
+        "plan": "Say what a run would do, and write nothing",
+        "retry": "Compute failed points again",
+        "scaling": "Measure how a study scales with workers",
+    },
+    "Look": {
+        "list": "List the built-in studies and their answers",
+        "show": "Print results as a table, CSV, ECSV or JSON",
+        "plot": "Draw results",
+        "report": "Write one HTML page with everything",
+        "fit": "Fit a law along an axis",
+        "find": "Find where a condition is met along an axis",
+        "sensitivity": "Say which parameters decide a result",
+    },
+    "Compare": {
+        "compare": "Compare with published numbers and claims",
+        "calibrate": "Refit the mission curves to the paper",
+    },
+    "Store care": {
+        "status": "Say how far a run is, and what failed",
+        "check": "Compare every file with its checksum",
+        "repair": "Set damaged files aside",
+        "reproduce": "Compute one point again, to the bit",
+        "merge": "Make one store of two of the same experiment",
+    },
+    "Your own": {
+        "new": "Write a commented study to start from",
+        "params": "List the parameters of a study or experiment",
+        "schema": "Print the JSON Schema of studies",
+        "tie": "Solve for the link of two real tables",
+        "forecast": "Forecast a link with new observations",
+        "match": "Find the galaxies in a star catalogue",
+    },
+}
+"""The commands as the help lists them; a command that is in no section stands at the end."""
+
+
 class _Group(click.Group):
-    """Turns a SweepError of any command into one message and exit code 2, and a signal into 128 and its number."""
+    """Lists its commands by what they are for; turns a SweepError of any command into one message and exit code 2, and
+    a signal into 128 and its number.
+    """
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        named = {name for commands in SECTIONS.values() for name in commands}
+        rest = {name: command.get_short_help_str(60) for name, command in self.commands.items() if name not in named}
+        for title, commands in {**SECTIONS, "Further": rest}.items():
+            rows = [(name, text) for name, text in commands.items() if name in self.commands]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows, col_spacing=max(2, 12 - max(len(name) for name, _ in rows)))
 
     def main(self, *arguments: Any, **named: Any) -> Any:
         try:
@@ -60,6 +110,6 @@ def main() -> None:
     """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
 
     \b
-    sweep run quasars        the paper's Table 1, computed beside the published one
+    sweep run quasars        the paper's Table 1, beside the published one
     sweep list               the other built-in studies
     """

@@ -59,9 +59,20 @@ def located_option(context: click.Context, _parameter: click.Parameter, value: A
     return located(value)
 
 
-store_argument = click.argument("store", callback=located_option, shell_complete=shell_completion.stores)
+def _named(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+    """Turn what names a store that is there, or the study whose store it is, or several, into places."""
+    if isinstance(value, tuple):
+        return tuple(_named(context, parameter, one) for one in value)
+    if value is None or value == "" or context.resilient_parsing:
+        return located_option(context, parameter, value)
+    from sweep.stores.named import store_named
+
+    return store_named(value)
+
+
+store_argument = click.argument("store", callback=_named, shell_complete=shell_completion.stores)
 stores_argument = click.argument(
-    "stores", nargs=-1, metavar="STORE...", callback=located_option, shell_complete=shell_completion.stores
+    "stores", nargs=-1, metavar="STORE...", callback=_named, shell_complete=shell_completion.stores
 )
 
 

@@ -1,5 +1,6 @@
 """How commands print results: tables as wide as they are, JSON, sentences."""
 
+import shutil
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,10 @@ from sweep.formatting import to_json
 if TYPE_CHECKING:
     from sweep.stores.location import Location
     from sweep.studies.study import Study
+
+
+WIDTH = 80
+"""Sentences are broken into lines of so many characters."""
 
 
 def print_whole(renderable: Any) -> None:
@@ -73,13 +78,17 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
     from sweep.analysis import components, tables
 
     if table_format == "text":
-        print_whole(tables.as_text(dataset))
+        width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
+        print_whole(tables.as_text(dataset, width))
         if with_components and (lines := components.component_lines(dataset)):
             click.echo("\n".join(["", *lines, ""]))
         for sentence in filter(None, [*tables.warnings_of(dataset), components.condition_warning(dataset)]):
             click.echo(f"warning: {sentence}")
-        for sentence in tables.arrays_in_words(dataset):
-            click.echo(sentence)
+        for sentence in (*tables.arrays_in_words(dataset), *tables.exactly_published(dataset)):
+            click.echo(click.wrap_text(sentence, WIDTH))
+        if folded := tables.fitting(tables.headline_columns(dataset, tables.MOST_ROWS), width)[1]:
+            words = f"left out to fit {width} columns: {tables.left_out_in_words(folded)}; --format csv has them"
+            click.echo(click.wrap_text(words, WIDTH))
         if left_out := tables.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):
@@ -89,6 +98,14 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
     else:
         write = {"csv": tables.as_csv, "ecsv": tables.as_ecsv, "json": tables.as_json}[table_format]
         click.echo(write(dataset).rstrip("\n"))
+
+
+def print_answer(dataset: Any) -> None:
+    """Print the answer to the study's question, in lines of the width of a terminal."""
+    from sweep.analysis.answer import answer_in_short
+
+    for sentence in answer_in_short(dataset):
+        click.echo(click.wrap_text(sentence, WIDTH))
 
 
 def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -> None:

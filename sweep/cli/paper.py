@@ -73,7 +73,7 @@ def run_what_is_missing(results: Path, resources: "Resources", watching: Watchin
         store = located(store_of(study, results))
         if watching.level < logging.ERROR:
             click.echo(f"{study.name}:", err=True)
-        run_with_progress(study, store, resources, watching)
+        run_with_progress(study, store, resources, watching, None)
     return tuple(located(store_of(study, results)) for study in studies)
 
 

@@ -9,6 +9,21 @@ from sweep.cli.group import main
 from sweep.cli.options import naming, part_of, place_option
 from sweep.plots.kinds import STANDALONE, all_kinds
 
+NARROWEST_MM, WIDEST_MM = 40.0, 1000.0
+
+
+def _millimetres(_context: click.Context, _parameter: click.Parameter, value: str | None) -> float | None:
+    if value is None:
+        return None
+    try:
+        width = float(value.strip().removesuffix("mm"))
+    except ValueError:
+        width = 0.0
+    if not NARROWEST_MM <= width <= WIDEST_MM:
+        wanted = f"must be from {NARROWEST_MM:g}mm to {WIDEST_MM:g}mm, like 88mm or 180mm"
+        raise click.BadParameter(f"{value!r}: {wanted}")
+    return width
+
 
 @main.command()
 @click.argument("source", required=False)
@@ -17,12 +32,31 @@ from sweep.plots.kinds import STANDALONE, all_kinds
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
 @click.option(
-    "--over", multiple=True, help="The axis to draw along; give both for a map, or two components of a scatter."
+    "--over",
+    "--along",
+    "over",
+    multiple=True,
+    help="The axis to draw along; give both for a map, or two components of a scatter.",
 )
 @click.option("--model", "models", multiple=True, help="Accuracy: only this mission; may be given several times.")
 @place_option
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]"
+    "--width",
+    metavar="MM",
+    callback=_millimetres,
+    help="How wide it will be printed, 88mm or 180mm; letters have the same size at any.  [default: each kind's own]",
+)
+@click.option("--style", type=click.Choice(["paper", "talk"]), help="Sizes of letters and lines.  [default: paper]")
+@click.option(
+    "--caption", is_flag=True, help="Write NAME.txt beside the picture: caption and text for who cannot see it."
+)
+@click.option(
+    "-o",
+    "--output",
+    "--out",
+    "out",
+    type=click.Path(path_type=Path),
+    help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]",
 )
 def plot(
     source: str | None,
@@ -31,6 +65,9 @@ def plot(
     over: tuple[str, ...],
     models: tuple[str, ...],
     at: tuple[str, ...],
+    width: float | None,
+    style: str | None,
+    caption: bool,
     out: Path | None,
 ) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
@@ -38,7 +75,7 @@ def plot(
     kinds from solution on.
 
     \b
-    sweep plot results/quasars.zarr --out quasars.svg
+    sweep plot quasars --width 88mm --caption -o quasars.pdf
     sweep plot results/grid.zarr --over n_obj --at error_scale=1
     sweep plot results/grid.zarr --kind map --over n_obj --over v_max --at model=gaia
     sweep plot results/quasars.zarr --kind sky --at model=gaia,v_max=16
@@ -47,7 +84,7 @@ def plot(
     sweep plot tie.zarr --kind residuals -o residuals.png
     """
     try:
-        from sweep.plots import style
+        from sweep.plots import style as styles
     except ImportError as error:
         raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
 
@@ -58,10 +95,17 @@ def plot(
     if kind in STANDALONE and (variables or over):
         raise click.UsageError(f"--variable and --over do not go with --kind {kind}")
     path = out or Path(Path(source or "accuracy").stem + ".png")
-    style.require_format(path)
-    with style.settings():
-        style.save(_figure(source, kind, variables, over, models, at), path)
+    styles.require_format(path)
+    with styles.settings(width, style):
+        figure, dataset = _figure(source, kind, variables, over, models, at)
+        styles.save(figure, path)
     click.echo(f"wrote {path}", err=True)
+    if caption:
+        from sweep.plots.caption import caption_and_description
+
+        beside = path.with_suffix(".txt")
+        styles.save_text(caption_and_description(figure, dataset), beside)
+        click.echo(f"wrote {beside}", err=True)
 
 
 def _figure(
@@ -71,37 +115,41 @@ def _figure(
     over: tuple[str, ...],
     models: tuple[str, ...],
     at: tuple[str, ...],
-) -> Any:
+) -> tuple[Any, Any]:
+    """Return a figure, and the dataset that it is of."""
     from sweep.plots.figure import draw_figure
     from sweep.plots.standalone import accuracy_figure, sky_figure
-    from sweep.stores.location import located
+    from sweep.stores.named import store_named
     from sweep.tie.stored import result_at
 
     if kind == "accuracy":
         from sweep.plots.views import accuracy_curves, models_of
 
-        return accuracy_figure(accuracy_curves(models if source is None else models_of(_study(source), models)))
+        curves = accuracy_curves(models if source is None else models_of(_study(source), models))
+        return accuracy_figure(curves), curves
     assert source is not None, "asked for before"
     if kind == "sky":
         from sweep.plots.views import catalogue_of_point, catalogue_of_table
 
         if Path(source).is_file():
-            return sky_figure(catalogue_of_table(Path(source)))
-        return sky_figure(catalogue_of_point(located(source), at))
-    store = located(source)
-    if (result := result_at(source)) is not None:
+            sky = catalogue_of_table(Path(source))
+        else:
+            sky = catalogue_of_point(store_named(source), at)
+        return sky_figure(sky), sky
+    store = store_named(source)
+    if (result := result_at(store)) is not None:
         if at:
             raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
-        return draw_figure(result, kind, variables, over)
+        return draw_figure(result, kind, variables, over), result
     dataset = part_of(store, at)
     with naming(store):
-        return draw_figure(dataset, kind, variables, over)
+        return draw_figure(dataset, kind, variables, over), dataset
 
 
 def _study(source: str) -> Any:
     """Return the study of a store, or in a file."""
     from sweep.running.reproduce import study_to_look_at
-    from sweep.stores.location import located
+    from sweep.stores.named import store_named
     from sweep.studies.reader import load_study
 
-    return load_study(source) if source.endswith(".toml") else study_to_look_at(located(source))
+    return load_study(source) if source.endswith(".toml") else study_to_look_at(store_named(source))

@@ -50,10 +50,9 @@ def retry(
     from sweep.running.reproduce import study_of
 
     study = study_of(store, trust=trust)
-    dataset, failures = run_with_progress(
-        study, store, resources, watching, retry=True, break_lock=break_lock, accept_code=accept_code
+    failures = run_with_progress(
+        study, store, resources, watching, as_json, retry=True, break_lock=break_lock, accept_code=accept_code
     )
-    print_table(dataset, "json" if as_json else "text")
     if failures:
         sys.exit(EXIT_FAILED_POINTS)
 

@@ -19,7 +19,7 @@ from sweep.cli.options import (
     study_options,
     trust_option,
 )
-from sweep.cli.output import print_plan, print_table
+from sweep.cli.output import print_answer, print_plan, print_table
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 
 if TYPE_CHECKING:
@@ -67,10 +67,9 @@ def run(
     if dry_run:
         print_plan(loaded, path, resources.workers, as_json, accept_code)
         return
-    dataset, failures = run_with_progress(
-        loaded, path, resources, watching, break_lock=break_lock, accept_code=accept_code, fresh=fresh
+    failures = run_with_progress(
+        loaded, path, resources, watching, as_json, break_lock=break_lock, accept_code=accept_code, fresh=fresh
     )
-    print_table(dataset, "json" if as_json else "text")
     if failures:
         sys.exit(EXIT_FAILED_POINTS)
 
@@ -105,13 +104,16 @@ def run_with_progress(
     store: "Location",
     resources: "Resources",
     watching: Watching,
+    as_json: bool | None,
     *,
     retry: bool = False,
     break_lock: bool = False,
     accept_code: bool = False,
     fresh: bool = False,
-) -> tuple[Any, dict[str, str]]:
-    """Run a study with progress and a summary shown; an interruption ends the command."""
+) -> dict[str, str]:
+    """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone; with
+    ``as_json`` None no results.  Return why points failed.  An interruption ends the command.
+    """
     from sweep.interrupt import RunInterruptedError
     from sweep.running.progress import TerminalProgress
     from sweep.running.run import run_study
@@ -123,5 +125,17 @@ def run_with_progress(
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             end_stopped(stop.signal)
-        progress.finish(failures, store)
-        return dataset, failures
+        if as_json is not None:
+            print_table(dataset, "json" if as_json else "text")
+        progress.finish(failures, store, () if as_json is None else next_commands(store))
+    if as_json is False:
+        print_answer(dataset)
+    return failures
+
+
+def next_commands(store: "Location") -> tuple[str, ...]:
+    """Return the commands that look at a store after its run, its name as short as they take it."""
+    from sweep.stores.named import short_name
+
+    name = short_name(store)
+    return (f"sweep plot {name}", f"sweep report {name}")

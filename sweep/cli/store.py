@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import break_lock_option, json_option, store_argument
+from sweep.cli.options import break_lock_option, json_option, part_of, place_option, store_argument
 from sweep.cli.output import print_status, print_table, status_as_json
 
 if TYPE_CHECKING:
@@ -18,25 +18,27 @@ if TYPE_CHECKING:
 @click.option(
     "--format", "table_format", type=click.Choice(["text", "csv", "ecsv", "json"]), default="text", show_default=True
 )
+@place_option
 @json_option
-def show(store: "Location", table_format: str, as_json: bool) -> None:
+def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: bool) -> None:
     """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
     link or forecast, what `sweep tie` or `sweep forecast` printed.
 
     \b
-    sweep show results/quasars.zarr
+    sweep show quasars --at model=gaia
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
-    from sweep.stores.store import open_dataset
     from sweep.tie.stored import result_at
 
     table_format = "json" if as_json else table_format
     if (result := result_at(store)) is not None:
         from sweep.tie.text import as_format
 
+        if at:
+            raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
         click.echo(as_format(result, table_format).rstrip("\n"))
         return
-    print_table(open_dataset(store), table_format, with_components=True)
+    print_table(part_of(store, at), table_format, with_components=True)
 
 
 @main.command()

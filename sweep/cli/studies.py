@@ -3,17 +3,19 @@
 import json
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option
+from sweep.cli.output import WIDTH
 
 
 @main.command("list")
 @json_option
 def list_studies(as_json: bool) -> None:
-    """List the built-in studies.
+    """List the built-in studies: the title and question of each, and its answer where it was run in this directory.
 
     \b
     sweep list
@@ -22,33 +24,67 @@ def list_studies(as_json: bool) -> None:
 
     from sweep.studies.source import built_in_studies
 
-    titles = {
-        name: tomllib.loads(path.read_text(encoding="utf-8"))["title"] for name, path in built_in_studies().items()
-    }
+    studies = {}
+    for name, path in built_in_studies().items():
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        studies[name] = {key: document.get(key, "") for key in ("title", "question")} | {"answer": _answer(name)}
     if as_json:
         from sweep.formatting import to_json
 
-        click.echo(to_json(titles))
+        click.echo(to_json(studies))
         return
-    width = max(map(len, titles))
-    for name, title in titles.items():
-        click.echo(f"{name:{width}}  {title}")
+    for name, study in studies.items():
+        click.secho(name, bold=True)
+        click.echo(_indented(study["title"]))
+        for sentence in study["answer"] or [study["question"]]:
+            click.echo(_indented(sentence))
+
+
+def _experiment(name: str) -> Any:
+    """Return the experiment at a reference, or the one that a study is of."""
+    from sweep.load import load_experiment
+    from sweep.studies.reader import load_study
+    from sweep.studies.source import built_in_studies
+
+    if name.endswith(".toml") or name in built_in_studies():
+        return load_study(name).experiment
+    return load_experiment(name)
+
+
+def _indented(text: str) -> str:
+    return click.wrap_text(text, WIDTH, "    ", "    ")
+
+
+def _answer(name: str) -> list[str]:
+    """Return the answer of a study from its store in the default place; none without one that can be read."""
+    from sweep.stores.named import default_store
+
+    if not default_store(name).exists():
+        return []
+    from sweep.analysis.answer import answer_in_short, completeness
+    from sweep.contract import SweepError
+    from sweep.stores.store import open_dataset
+
+    try:
+        dataset = open_dataset(default_store(name))
+        return [*completeness(dataset)[:1], *answer_in_short(dataset)]
+    except SweepError as error:
+        return [f"Its store cannot be read: {'; '.join(error.problems)}"]
 
 
 @main.command()
 @click.argument("experiment", default="core.experiment:link")
 @json_option
 def params(experiment: str, as_json: bool) -> None:
-    """List the parameters of EXPERIMENT (module:attribute or file.py:attribute) with unit, default, allowed values and
-    meaning.
+    """List the parameters of EXPERIMENT (module:attribute, file.py:attribute, or a study that is of it) with unit,
+    default, allowed values and meaning.
 
     \b
     sweep params
+    sweep params quasars
     sweep params my_experiment.py:experiment
     """
-    from sweep.load import load_experiment
-
-    parameters = load_experiment(experiment).parameters
+    parameters = _experiment(experiment).parameters
     rows = [
         {"name": p.name, "unit": p.unit, "default": p.default, "allowed": p.allowed(), "meaning": p.meaning}
         for p in parameters

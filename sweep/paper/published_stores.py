@@ -15,6 +15,12 @@ from sweep.studies.reader import load_study
 from sweep.studies.source import built_in_studies
 from sweep.studies.study import Study
 
+PAPER_ORDER = (
+    *("algorithm", "error-surface", "sqrt-n", "scatter", "quasars", "galaxies", "completeness", "mission-length"),
+    *("aberration", "radio-stars"),
+)
+"""The studies of Metz & Geffert 2004, by section."""
+
 
 def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]]:
     """Return the comparisons of all stores, and remarks about them.
@@ -43,7 +49,13 @@ def published_studies() -> list[Study]:
     The others are not even checked, because a study may need an optional package.
     """
     documents = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in built_in_studies().items()}
-    return [load_study(name) for name, document in documents.items() if "published" in document or "claim" in document]
+    names = [name for name, document in documents.items() if "published" in document or "claim" in document]
+    return [load_study(name) for name in sorted(names, key=_in_the_paper)]
+
+
+def _in_the_paper(name: str) -> tuple[int, str]:
+    """Return where a study comes: in the order of the paper, the others after it by name."""
+    return (PAPER_ORDER.index(name) if name in PAPER_ORDER else len(PAPER_ORDER), name)
 
 
 def store_of(study: Study, results: Path) -> Path:

@@ -15,7 +15,7 @@ from sweep.plots.kinds import GRID, SCALING
 from sweep.plots.scaling import is_scaling
 from sweep.plots.scatter import sampled
 from sweep.plots.sensitivity import sensitivity_figure
-from sweep.plots.style import value_text
+from sweep.plots.style import value_text, wrapped
 from sweep.plots.tie.figure import draw_link, is_link
 from sweep.studies.study import POINT
 
@@ -105,7 +105,8 @@ def _title(figure: Figure, whole: xr.Dataset, drawn: xr.Dataset) -> None:
     status = drawn["status"].values
     missing = int(np.sum((status != Status.DONE) & (status != Status.EXCLUDED)))
     words = f"INCOMPLETE: {missing} of {status.size} points are not done" if missing else ""
-    figure.suptitle("\n".join(filter(None, (str(whole.attrs.get("title", "")), shared, words))), fontsize="medium")
+    lines = filter(None, (str(whole.attrs.get("title", "")), shared, words))
+    figure.suptitle(wrapped("\n".join(lines), figure), fontsize="medium")
 
 
 def _without_single(dataset: xr.Dataset, over: Sequence[str]) -> xr.Dataset:

@@ -7,15 +7,21 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, varied_parameters
+from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError, shown, suggest
 from sweep.plots.law import draw_law, draw_law_residuals
-from sweep.plots.layout import arrange
+from sweep.plots.layout import Layout, arrange
 from sweep.plots.lines import draw_lines
-from sweep.plots.maps import accuracy_in_words, draw_map
+from sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
 from sweep.plots.panels import draw_panels
+from sweep.plots.point import draw_point
 from sweep.plots.points import pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
+from sweep.plots.style import figure_size, legend_below, wanted_width, wrapped
 from sweep.studies.study import POINT
+
+SCATTER_INCHES = 6.0
+"""In a narrower figure the numbers of a scatter stand below it, not beside it."""
 
 
 class GridFigure(NamedTuple):
@@ -26,6 +32,11 @@ class GridFigure(NamedTuple):
 
 
 def _lines(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    if all(dataset[name].size == 1 for name in variables) and not over:
+        figure = draw_panels(dataset.squeeze(), variables, Layout((), None, None, False), draw_point)
+        width, height = figure.get_size_inches().tolist()
+        figure.set_size_inches(width, min(height, 1.0 + 0.3 * width))
+        return figure
     axis = _one_axis(dataset, variables[0], over)
     layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
     return draw_panels(dataset, variables, layout, lambda axes, part, name: draw_lines(axes, part, name, axis))
@@ -38,11 +49,14 @@ def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
     layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
     if layout.rows or (layout.columns and not layout.far):
         raise SweepError("a law is drawn for one further dimension at most; fix others with --at AXIS=VALUE")
-    figure = Figure(figsize=(6.4, 5.2), layout="constrained")
+    figure = Figure(figsize=figure_size(6.4, 5.2), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    dataset = in_readable_units(dataset)
     draw_law(upper, dataset, variables[0], axis)
     upper.set_xlabel("")
     draw_law_residuals(lower, dataset, variables[0], axis)
+    if layout.columns or layout.series:
+        legend_below(figure)
     return figure
 
 
@@ -59,9 +73,18 @@ def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
         )
     layout = arrange(dataset, variables[0], tuple(str(dataset[axis].dims[0]) for axis in chosen), series=False)
     x, y = chosen
-    figure = draw_panels(dataset, variables, layout, lambda axes, part, name: draw_map(axes, part, name, x, y))
+    readable = in_readable_units(dataset)
+    limits = colour_limits(readable, variables[0])
+    figure = draw_panels(
+        readable,
+        variables,
+        layout,
+        lambda axes, part, name: draw_map(axes, part, name, x, y, limits, bar=False),
+        one_unit=True,
+    )
+    add_bar(figure, readable, variables[0])
     if words := accuracy_in_words(dataset, variables[0]):
-        figure.supxlabel(words, fontsize=8)
+        figure.supxlabel(wrapped(words, figure), fontsize="medium")
     return figure
 
 
@@ -80,8 +103,9 @@ def _scatter(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> 
     if over and len(set(over)) != 2:
         raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
     one, other = over or _two_components(dataset, dimension)
-    figure = Figure(figsize=(7.4, 4.4), layout="constrained")
-    draw_scatter(figure.add_subplot(), dataset, variable, (one, other))
+    narrow = (wanted_width() or SCATTER_INCHES) < SCATTER_INCHES
+    figure = Figure(figsize=figure_size(*((4.4, 6.4) if narrow else (7.4, 4.4))), layout="constrained")
+    draw_scatter(figure.add_subplot(), dataset, variable, (one, other), below=narrow)
     return figure
 
 

@@ -30,6 +30,7 @@ def draw_law(axes: Axes, dataset: xr.Dataset, variable: str, over: str, expected
     There is one colour for every combination of the other dimensions.  The dashed guide has the ``expected`` exponent,
     or the one that a claim of the study states, and meets the law at its pivot.
     """
+    guides: set[str] = set()
     for number, (words, line, law) in enumerate(_laws(dataset, variable, over, expected)):
         colour, x = COLOURS[number % len(COLOURS)], line["x"]
         fine = np.geomspace(x.min(), x.max(), 100)
@@ -37,18 +38,19 @@ def draw_law(axes: Axes, dataset: xr.Dataset, variable: str, over: str, expected
         exponent = with_error(law.exponent, law.exponent_error).replace(" ± ", r" \pm ")
         fitted = _exponent(dataset, over, exponent)
         marker = MARKERS[number % len(MARKERS)]
-        name = ", ".join(filter(None, (words, "simulated")))
+        name = f"{words}: {fitted}" if words else "simulated"
         axes.errorbar(
             x, line["y"], yerr=line["error"], color=colour, marker=marker, markersize=3.5, linestyle="none", label=name
         )
-        axes.plot(fine, curve, color=colour, linewidth=1.0, label=", ".join(filter(None, (words, f"fit {fitted}"))))
+        axes.plot(fine, curve, color=colour, linewidth=1.0, label="" if words else f"fit {fitted}")
         axes.fill_between(fine, curve - spread, curve + spread, color=colour, **BAND)
         if np.isfinite(line["expected"]):
             guide = law.amplitude * (fine / law.pivot) ** line["expected"]
             text = f"guide {_exponent(dataset, over, format(line['expected'], 'g'))}"
             axes.plot(
-                fine, guide, color="black", linewidth=0.8, linestyle=(0, (4, 3)), label=text if not number else ""
+                fine, guide, color="black", linewidth=0.8, linestyle=(0, (4, 3)), label="" if text in guides else text
             )
+            guides.add(text)
     logarithmic(axes, "x", dataset[over].values)
     logarithmic(axes, "y", dataset[variable].values)
     axes.set_xlabel(label(dataset[over], over))
@@ -82,7 +84,7 @@ def draw_law_residuals(
     axes.axhline(0.0, color="black", linewidth=0.6)
     logarithmic(axes, "x", dataset[over].values)
     axes.set_xlabel(label(dataset[over], over))
-    axes.set_ylabel("over the fit [%]")
+    axes.set_ylabel("residual [%]")
     finish(axes)
     return axes
 

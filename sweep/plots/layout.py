@@ -68,6 +68,11 @@ def _separation(array: xr.DataArray, dimension: str) -> float:
     return float(medians.max() / medians.min()) if medians.size else 1.0
 
 
+def is_far(array: xr.DataArray, dimension: str) -> bool:
+    """Return whether values differ so much along a dimension that they need axes of their own."""
+    return _separation(array, dimension) > FAR
+
+
 def _require_few(array: xr.DataArray, layout: Layout) -> None:
     n_series = int(np.prod([array.sizes[d] for d in layout.series], dtype=int))
     panels = [d for d in (layout.columns, layout.rows) if d is not None]

@@ -13,9 +13,9 @@ from sweep.plots.style import (
     BAND,
     COLOURS,
     MARKERS,
+    axis_label,
     finish,
     is_wide,
-    label,
     legend,
     logarithmic,
     quantity_label,
@@ -25,6 +25,15 @@ from sweep.plots.style import (
 PUBLISHED: Mapping[str, Any] = MappingProxyType(
     {"linestyle": "none", "marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}
 )
+
+DASH: Mapping[str, Any] = MappingProxyType(
+    {"linestyle": "none", "marker": "_", "markersize": 14.0, "markeredgewidth": 1.2}
+)
+"""A prediction where the axis has names and no line can be drawn."""
+
+DODGE = 0.12
+COVERED, COVERED_SHARE = 0.015, 0.25
+"""Points cover each other that are nearer than such a share of the axis; series are moved aside if so many do."""
 
 
 def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axes:
@@ -40,12 +49,14 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axe
         dataset.isel(dict(zip(others, index, strict=True))) for index in np.ndindex(*(dataset.sizes[d] for d in others))
     ]
     seen = [one for one in everything if np.isfinite(one[variable].values).any()]  # the others are excluded
+    offsets = _dodges(seen, variable)
     for number, one in enumerate(seen):
         words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if dataset.sizes[d] > 1)
-        _series(axes, one, variable, over, words, number)
+        _series(axes, one, variable, over, words, number, offsets[number])
     colour = COLOURS[0] if len(seen) == 1 else "0.35"
-    if any(_has(one, prediction_name(one, variable)) for one in seen) and _is_numeric(dataset[over]):
-        axes.plot([], [], color=colour, linewidth=1.0, label="predicted")
+    if any(_has(one, prediction_name(one, variable)) for one in seen):
+        line: Mapping[str, Any] = {"linewidth": 1.0} if _is_numeric(dataset[over]) else DASH
+        axes.plot([], [], color=colour, label="predicted", **line)
     if any(_has(one, f"{variable}_published") for one in seen):
         axes.plot([], [], color=colour, **PUBLISHED, label="published")
     _scales(axes, dataset, variable, over)
@@ -61,7 +72,34 @@ def positions(array: xr.DataArray) -> tuple[np.ndarray[Any, Any], list[str] | No
     return np.arange(array.size, dtype=float), [str(value) for value in array.values.tolist()]
 
 
-def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int) -> None:
+def _dodges(seen: list[xr.Dataset], variable: str) -> list[float]:
+    """Return by what share of the distance between points each series is moved aside, 0 where none cover another."""
+    if len(seen) < 2 or not _overlap(seen, variable):
+        return [0.0] * len(seen)
+    return [DODGE * (2.0 * number / (len(seen) - 1) - 1.0) for number in range(len(seen))]
+
+
+def _overlap(seen: list[xr.Dataset], variable: str) -> bool:
+    """Return whether points of two series are so near each other, in many places, that one covers the other."""
+    values = np.stack([one[variable].values.astype(float) for one in seen])
+    if is_wide(values):
+        values = np.log(values)
+    whole = np.nanmax(values) - np.nanmin(values)
+    gaps = np.diff(np.sort(values, axis=0), axis=0)
+    known = gaps[np.isfinite(gaps)]
+    return bool(known.size and (known < COVERED * whole).mean() > COVERED_SHARE)
+
+
+def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray[Any, Any]:
+    """Return places moved by a share of the least distance between two of them, on the scale of the axis."""
+    if share == 0.0 or len(x) < 2:
+        return x
+    scale = np.log(x) if logarithm else x
+    moved = scale + share * float(np.min(np.diff(scale)))
+    return np.exp(moved) if logarithm else moved
+
+
+def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int, offset: float = 0.0) -> None:
     colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
     x, _ = positions(one[over])
     order = np.argsort(x, kind="stable")
@@ -69,7 +107,8 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
     y, error = one[variable].values.astype(float), standard_error(one, variable)
     sigma = None if error is None else error.values
     style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 3.5, "linestyle": "none"}
-    axes.errorbar(x, y, yerr=sigma, elinewidth=0.8, label=name or "simulated", zorder=3, **style)
+    aside = _moved(x, offset, _is_numeric(one[over]) and is_wide(x, str(one[over].attrs.get("units", ""))))
+    axes.errorbar(aside, y, yerr=sigma, elinewidth=0.8, label=name or "simulated", zorder=3, **style)
     predicted, published = prediction_name(one, variable), f"{variable}_published"
     if _is_numeric(one[over]) and _has(one, predicted):
         curve, spread = one[predicted].values, one.get(f"{variable}_catalogue_error")
@@ -77,6 +116,8 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
         if spread is not None:
             half = np.nan_to_num(spread.values)
             axes.fill_between(x, curve - half, curve + half, color=colour, **BAND)
+    elif _has(one, predicted):
+        axes.plot(aside, one[predicted].values, color=colour, zorder=2, **DASH)
     elif _is_numeric(one[over]) and len(x) > 1:
         axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.6, zorder=2)
         if sigma is not None:
@@ -85,7 +126,7 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
         rounding = one.get(f"{published}_rounding")
         half = None if rounding is None else rounding.values
         style = {**PUBLISHED, "color": colour, "marker": marker, "elinewidth": 0.6, "zorder": 2}
-        axes.errorbar(x, one[published].values, yerr=half, **style)
+        axes.errorbar(aside, one[published].values, yerr=half, **style)
 
 
 def _has(one: xr.Dataset, name: str) -> bool:
@@ -107,5 +148,5 @@ def _scales(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
     values = dataset[variable].values
     if is_wide(values):
         logarithmic(axes, "y", values)
-    axes.set_xlabel(label(dataset[over], over))
+    axes.set_xlabel(axis_label(dataset, over))
     axes.set_ylabel(quantity_label(dataset, variable))

@@ -5,30 +5,39 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.patheffects import withStroke
+from matplotlib.figure import Figure
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from sweep.analysis.quantity import prediction_name, standard_error
-from sweep.plots.style import edges, is_wide, label, logarithmic, quantity_label
+from sweep.plots.style import edges, explained_label, is_wide, logarithmic, quantity_label
 
 LEVELS = 8
 DECADES = 30.0
 
 
 def draw_map(
-    axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: tuple[float, float] | None = None
+    axes: Axes,
+    dataset: xr.Dataset,
+    variable: str,
+    x: str,
+    y: str,
+    limits: Normalize | None = None,
+    bar: bool = True,
 ) -> Axes:
     """Draw a variable over two axes: colours at the points of the grid, solid contours, dashed ones of the prediction.
 
-    ``limits`` are those of the colours, for several panels of one scale.  Points that are not there are left white.
+    ``limits`` are those of the colours, for several panels of one scale, which have one ``bar`` together.  Points that
+    are not there are left white.
     """
     dataset = dataset.sortby([x, y])
     part = dataset[variable].transpose(dataset[y].dims[0], dataset[x].dims[0])
     values = part.values
-    low, high = limits or (float(np.nanmin(values)), float(np.nanmax(values)))
-    norm: Normalize = LogNorm(low, high) if _spans_decades(values) else Normalize(low, high)
+    norm = limits or colour_limits(dataset, variable)
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     across, up = dataset[x].values.astype(float), dataset[y].values.astype(float)
     wide = {name: is_wide(places, _unit(dataset, name)) for name, places in ((x, across), (y, up))}
     cells = edges(across, wide[x]), edges(up, wide[y])
@@ -38,19 +47,38 @@ def draw_map(
     inside = [level for level in levels.tick_values(low, high) if low < level < high]
     options: dict[str, Any] = {"levels": inside, "linewidths": 0.8}
     if np.isfinite(values).all() and min(values.shape) > 1 and inside:
+        dark: list[AbstractPathEffect] = [withStroke(linewidth=2.2, foreground="0.15")]
         lines = axes.contour(across, up, values, colors="white", **options)
-        for text in axes.clabel(lines, fmt="%.3g", fontsize=7):
-            text.set_path_effects([withStroke(linewidth=1.5, foreground="0.2")])
+        lines.set_path_effects(dark)
+        for text in axes.clabel(lines, fmt="%.3g", fontsize="small"):
+            text.set_path_effects(dark)
         if (name := prediction_name(dataset, variable)) in dataset:
             predicted = dataset[name].transpose(*part.dims).values
-            axes.contour(across, up, predicted, colors="black", linestyles="dashed", **options | {"linewidths": 0.6})
+            style = options | {"linewidths": 0.7, "linestyles": "dashed"}
+            dashed = axes.contour(across, up, predicted, colors="black", **style)
+            dashed.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
     for which, name, places in (("x", x, across), ("y", y, up)):
         if wide[name]:
             logarithmic(axes, which, places)
-    axes.set_xlabel(label(dataset[x], x))
-    axes.set_ylabel(label(dataset[y], y))
-    axes.figure.colorbar(mesh, ax=axes, label=quantity_label(dataset, variable))
+    axes.set_xlabel(explained_label(dataset[x], x))
+    axes.set_ylabel(explained_label(dataset[y], y))
+    if bar:
+        axes.figure.colorbar(mesh, ax=axes, label=quantity_label(dataset, variable))
     return axes
+
+
+def colour_limits(dataset: xr.Dataset, variable: str) -> Normalize:
+    """Return the scale of colours for all values of a variable, logarithmic where these span decades."""
+    values = dataset[variable].values.astype(float)
+    finite = values[np.isfinite(values)]
+    low, high = float(finite.min()), float(finite.max())
+    return LogNorm(low, high) if _spans_decades(values) else Normalize(low, high)
+
+
+def add_bar(figure: Figure, dataset: xr.Dataset, variable: str) -> None:
+    """Add the one bar of colours that all maps of a figure share."""
+    meshes = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
+    figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
 
 
 def _unit(dataset: xr.Dataset, axis: str) -> str:

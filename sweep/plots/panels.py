@@ -1,24 +1,46 @@
 """Small panels: one picture for every value of one or two dimensions, or for every variable, with one legend."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError
-from sweep.plots.layout import Layout
-from sweep.plots.style import value_text
+from sweep.plots.layout import Layout, is_far
+from sweep.plots.style import figure_size, legend_below, most_columns, value_text, wanted_width
 
-LEGEND_INCHES = (0.6, 0.065)
-"""Width of an entry of a legend, and of each of its letters."""
+MOST_INSIDE = 4
+"""A legend of more entries stands below the one panel, where it covers nothing."""
 
-Panel = Callable[[Axes, xr.Dataset, str], Axes]
+Draw = Callable[[Axes, xr.Dataset, str], Any]
 
 
-def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Panel) -> Figure:
-    """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several."""
+@dataclass(frozen=True)
+class Panel:
+    """One picture: its place in the grid, its part of the dataset in readable units, and what shares its y axis."""
+
+    row: int
+    column: int
+    part: xr.Dataset
+    name: str
+    row_title: str
+    column_title: str
+    shares: tuple[Any, ...]
+
+
+def draw_panels(
+    dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, one_unit: bool = False
+) -> Figure:
+    """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
+
+    Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
+    their own, unless ``one_unit``.  Where the figure is too narrow for the columns they go on in further rows.
+    """
     columns, rows = layout.columns, layout.rows
     if len(variables) > 1:
         if columns is not None and rows is not None:
@@ -26,57 +48,89 @@ def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw:
                 "several variables leave room for one dimension of panels; fix others with --at AXIS=VALUE"
             )
         columns, rows = None, columns or rows
-    n_columns = len(variables) if len(variables) > 1 else dataset.sizes[columns] if columns else 1
-    n_rows = dataset.sizes[rows] if rows else 1
-    size = (6.4, 4.4) if n_columns * n_rows == 1 else (1.2 + 3.1 * n_columns, 1.2 + 2.4 * n_rows)
-    figure = Figure(figsize=size, layout="constrained")
-    share: Any = "col" if layout.far or len(variables) > 1 else True
-    grid = figure.subplots(n_rows, n_columns, sharex=True, sharey=share, squeeze=False)
-    for row, column, part, name, title in _parts(dataset, variables, columns, rows):
-        axes = grid[row, column]
-        draw(axes, part, name)
-        axes.set_title(title)
-        if row < n_rows - 1:
-            axes.set_xlabel("")
-        if column and len(variables) == 1:
+    panels = list(_panels(dataset, variables, columns, rows, layout.far and not one_unit))
+    wanted = len({panel.column for panel in panels})
+    across = most_columns(wanted)
+    folded = across < wanted
+    places = [(i // across, i % across) for i in range(len(panels))] if folded else _without_gaps(panels)
+    n_rows = 1 + max(row for row, _ in places)
+    figure = Figure(figsize=_figure_size(len(panels), across, n_rows), layout="constrained")
+    grid = figure.add_gridspec(n_rows, across)
+    first: dict[tuple[Any, ...], Axes] = {}
+    lowest = {column: max(row for row, other in places if other == column) for _, column in places}
+    drawn: dict[tuple[int, int], tuple[Axes, Panel]] = {}
+    for panel, (row, column) in zip(panels, places, strict=True):
+        shared = first.get(panel.shares)
+        axes = figure.add_subplot(grid[row, column], sharex=next(iter(first.values()), None), sharey=shared)
+        first.setdefault(panel.shares, axes)
+        draw(axes, panel.part, panel.name)
+        drawn[row, column] = axes, panel
+        left = drawn.get((row, column - 1))
+        if left is not None and left[1].shares == panel.shares:
             axes.set_ylabel("")
-    if grid.size > 1:
-        _common_legend(figure, grid)
+            axes.tick_params(axis="y", which="both", labelleft=False)
+        if row < lowest[column]:
+            axes.set_xlabel("")
+            axes.tick_params(axis="x", which="both", labelbottom=False)
+        _entitle(axes, panel, folded, row, column == across - 1 or (row, column + 1) not in places)
+    if len(panels) > 1 or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE:
+        legend_below(figure)
     return figure
 
 
-def _parts(
-    dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None
-) -> Iterator[tuple[int, int, xr.Dataset, str, str]]:
-    across = (
-        [(name, None) for name in variables]
-        if len(variables) > 1
-        else [(variables[0], i) for i in _indices(dataset, columns)]
+def _entitle(axes: Axes, panel: Panel, folded: bool, row: int, is_last: bool) -> None:
+    """Write what a panel is of: of a column at its top, of a row at its right; all above it where panels are folded."""
+    if folded or not (panel.row_title and panel.column_title):
+        axes.set_title((",\n" if folded else ", ").join(filter(None, (panel.row_title, panel.column_title))))
+        return
+    if row == 0:
+        axes.set_title(panel.column_title)
+    if is_last:
+        axes.annotate(panel.row_title, (1.02, 0.5), xycoords="axes fraction", rotation=270, va="center", ha="left")
+
+
+def _figure_size(panels: int, across: int, rows: int) -> tuple[float, float]:
+    if wanted_width() is None:
+        return (6.4, 4.4) if panels == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * rows)
+    width, _ = figure_size(1.0, 1.0)
+    each = width / across
+    return width, max(0.75 * each, 1.7) * rows + (0.0 if panels == 1 else 0.12 * width + 0.3)
+
+
+def _without_gaps(panels: list[Panel]) -> list[tuple[int, int]]:
+    """Return the places of panels without rows and columns in which there is none."""
+    rows, columns = sorted({panel.row for panel in panels}), sorted({panel.column for panel in panels})
+    return [(rows.index(panel.row), columns.index(panel.column)) for panel in panels]
+
+
+def _panels(
+    dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None, far: bool
+) -> Iterator[Panel]:
+    """Yield the panels that have anything to show, row by row."""
+    several = len(variables) > 1
+    across: list[tuple[str, int | None]] = (
+        [(name, None) for name in variables] if several else [(variables[0], i) for i in _indices(dataset, columns)]
     )
-    for row in _indices(dataset, rows):
-        for column, (name, index) in enumerate(across):
-            chosen = {d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None}
-            part = dataset.isel(chosen)
-            title = ", ".join(value_text(dataset, d, part[d].item()) for d in chosen)
-            yield row or 0, column, part, name, title
+    found = []
+    for column, (name, index) in enumerate(across):
+        far_rows = several and rows is not None and is_far(dataset[name], rows)
+        for row in _indices(dataset, rows):
+            own = {d: i for d, i, is_own in ((rows, row, far_rows), (columns, index, far)) if d is not None and is_own}
+            whole = in_readable_units(dataset.isel({d: i for d, i in own.items() if i is not None}))
+            rest = {
+                d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None and d not in own
+            }
+            part = whole.isel(rest)
+            if not np.isfinite(part[name].values.astype(float)).any():
+                continue
+            titles = [
+                value_text(dataset, d, dataset[d][i].item()) if d is not None and i is not None else ""
+                for d, i in ((rows, row), (columns, index))
+            ]
+            shares = ((name,) if several else ()) + tuple(own.items())
+            found.append(Panel(row or 0, column, part, name, titles[0], titles[1], shares))
+    yield from sorted(found, key=lambda panel: (panel.row, panel.column))
 
 
 def _indices(dataset: xr.Dataset, dimension: str | None) -> list[int | None]:
     return [None] if dimension is None else list(range(dataset.sizes[dimension]))
-
-
-def _common_legend(figure: Figure, grid: Any) -> None:
-    """Draw one legend below all panels instead of one in each."""
-    entries: dict[str, Any] = {}
-    for axes in grid.flat:
-        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(text, handle)
-        if axes.get_legend() is not None:
-            axes.get_legend().remove()
-    if len(entries) > 1:
-        last = [text for text in ("predicted", "published") if text in entries]
-        order = [text for text in entries if text not in last] + last
-        width = LEGEND_INCHES[0] + LEGEND_INCHES[1] * max(map(len, order))
-        columns = max(1, min(len(order), int(figure.get_figwidth() / width)))
-        handles = [entries[text] for text in order]
-        figure.legend(handles, order, loc="outside lower center", ncols=columns, frameon=False)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, MARKERS, finish, legend, logarithmic
+from sweep.plots.style import BAND, COLOURS, MARKERS, figure_size, finish, legend, logarithmic, wrapped
 
 DIMENSIONS = {"kind", "workers"}
 VARIABLES = {"seconds", "efficiency"}
@@ -21,11 +21,11 @@ def is_scaling(dataset: xr.Dataset) -> bool:
 
 def scaling_figure(dataset: xr.Dataset) -> Figure:
     """Return the speed-up beside the efficiency."""
-    figure = Figure(figsize=(8.0, 3.8), layout="constrained")
+    figure = Figure(figsize=figure_size(8.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     draw_speed_up(left, dataset)
     draw_efficiency(right, dataset)
-    figure.suptitle(str(dataset.attrs.get("title", "")), fontsize="medium")
+    figure.suptitle(wrapped(str(dataset.attrs.get("title", "")), figure), fontsize="medium")
     return figure
 
 

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from sweep.contract import SweepError
 from sweep.plots.style import COLOURS, finish, label, legend, symbol, unit_text
+from sweep.readable import prefixed
 
 CONFIDENCES = (0.683, 0.954)
 
@@ -21,11 +22,14 @@ def sampled(dataset: xr.Dataset) -> str | None:
     return names[0] if names else None
 
 
-def draw_scatter(axes: Axes, dataset: xr.Dataset, variable: str, components: tuple[str, str]) -> Axes:
+def draw_scatter(
+    axes: Axes, dataset: xr.Dataset, variable: str, components: tuple[str, str], below: bool = False
+) -> Axes:
     """Draw the samples of two components against each other, with the ellipses that hold 68 and 95 % of a normal law.
 
     ``variable`` has the dimensions sample and one of components; where the dataset has a ``bias`` the truth (mean
-    estimate - bias) is a cross.  The standard deviations stand in the legend with their errors, sigma/sqrt(2 n).
+    estimate - bias) is a cross.  The standard deviations stand in the legend with their errors, sigma/sqrt(2 n),
+    beside the picture or ``below`` it.
     """
     dimension = component_dimension(dataset, variable)
     x, y = (dataset[variable].sel({dimension: name}).values.astype(float) for name in components)
@@ -33,6 +37,11 @@ def draw_scatter(axes: Axes, dataset: xr.Dataset, variable: str, components: tup
     x, y = x[known], y[known]
     if len(x) < 3:
         raise SweepError(f"{variable} has {len(x)} samples here; at least 3 are needed")
+    stored = [_unit(dataset, dimension, name) for name in components]
+    same = stored[0] == stored[1]
+    chosen = prefixed([float(x.std()), float(y.std())], stored[0])
+    factor, units = (chosen.factor, [chosen.unit] * 2) if same else (1.0, stored)
+    x, y = factor * x, factor * y
     mean, covariance = np.array([x.mean(), y.mean()]), np.cov(x, y)
     style: dict[str, Any] = {
         "linestyle": "none",
@@ -49,11 +58,10 @@ def draw_scatter(axes: Axes, dataset: xr.Dataset, variable: str, components: tup
     point: dict[str, Any] = {"color": COLOURS[1], "marker": "o", "markersize": 3.0, "linestyle": "none"}
     axes.errorbar(mean[0], mean[1], xerr=error[0], yerr=error[1], label="mean", **point)
     if "bias" in dataset and dimension in dataset["bias"].dims:
-        truth = mean - [dataset["bias"].sel({dimension: name}).item() for name in components]
+        truth = mean - [factor * dataset["bias"].sel({dimension: name}).item() for name in components]
         axes.plot(
             *truth, linestyle="none", marker="x", markersize=9.0, markeredgewidth=1.4, color="black", label="truth"
         )
-    units = [_unit(dataset, dimension, name) for name in components]
     axes.set_xlabel(label(dataset[variable], components[0], units[0]))
     axes.set_ylabel(label(dataset[variable], components[1], units[1]))
     if units[0] == units[1]:
@@ -68,7 +76,7 @@ def draw_scatter(axes: Axes, dataset: xr.Dataset, variable: str, components: tup
         axes,
         title="\n".join([*sigmas, correlation]),
         loc="upper left",
-        bbox_to_anchor=(1.0, 1.0),
+        bbox_to_anchor=(0.0, -0.16) if below else (1.0, 1.0),
         alignment="left",
         markerscale=1.5,
     )

@@ -36,14 +36,14 @@ def add_sky(figure: Figure, place: Any = 111, frame: SkyFrame = ICRS) -> Any:
     axes.set_longitude_grid_ends(90.0)
     halo = [withStroke(linewidth=2.0, foreground="white")]
     ticks = np.arange(-120.0, 121.0, 60.0)
-    axes.set_xticks(
-        ticks * DEGREE, [f"{(frame.centre_deg - t) % 360:.0f}°" for t in ticks], fontsize=7, path_effects=halo
-    )
-    for text in axes.get_xticklabels():
-        text.set_zorder(5)
+    axes.set_xticks(ticks * DEGREE, [""] * len(ticks))
+    for tick in ticks:  # text of its own, because labels of an axis lie below all that is drawn
+        text = f"{(frame.centre_deg - tick) % 360:.0f}°"
+        style = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6, "path_effects": halo}
+        axes.text(tick * DEGREE, 0.04, text, **style)
     latitudes = np.arange(-60.0, 61.0, 30.0)
     axes.set_yticks(
-        latitudes * DEGREE, [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes], fontsize=7
+        latitudes * DEGREE, [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes], fontsize="x-small"
     )
     axes.set_xlabel(frame.longitude)
     axes.set_ylabel(frame.latitude)
@@ -62,7 +62,9 @@ def draw_sky(axes: Any, dataset: xr.Dataset, colour_by: str | None = None) -> An
     if colour_by is None:
         axes.scatter(x, y, color=COLOURS[0], rasterized=len(ra) > 2000, **common)
     elif dataset[colour_by].dtype.kind in "fiu":
-        points = axes.scatter(x, y, c=dataset[colour_by].values, cmap="viridis_r", rasterized=len(ra) > 2000, **common)
+        values = dataset[colour_by].values.astype(float)
+        order = np.argsort(-values, kind="stable")  # small magnitudes, the bright ones, on top and dark
+        points = axes.scatter(x[order], y[order], c=values[order], cmap="viridis", rasterized=len(ra) > 2000, **common)
         text = label(dataset[colour_by], colour_by)
         axes.figure.colorbar(points, ax=axes, orientation="horizontal", shrink=0.5, pad=0.02, aspect=30, label=text)
     else:

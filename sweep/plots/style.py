@@ -1,8 +1,10 @@
 """How pictures look: colours that everyone can tell apart, labels with symbol and unit, files that do not change."""
 
 import re
-from collections.abc import Iterator, Mapping
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,9 +19,13 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError
+from sweep.readable import written
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 """Safe for the colour-blind.  Source: Okabe & Ito 2008."""
+
+LEGEND_INCHES = (0.6, 0.065)
+"""Width of an entry of a legend, and of each of its letters."""
 
 MARKERS = "osD^vP*X"
 BAND: Mapping[str, Any] = MappingProxyType({"alpha": 0.22, "linewidth": 0.0})
@@ -42,6 +48,37 @@ RC: Mapping[Any, Any] = MappingProxyType(
 )
 """What differs from the defaults of matplotlib."""
 
+PAPER: Mapping[Any, Any] = MappingProxyType(
+    {
+        **{"font.size": 8.0, "axes.titlesize": 8.0, "axes.labelsize": 8.0, "figure.titlesize": 8.5},
+        **{"xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "legend.fontsize": 7.0},
+    }
+)
+TALK: Mapping[Any, Any] = MappingProxyType(
+    {
+        **{"font.size": 14.0, "axes.titlesize": 14.0, "axes.labelsize": 14.0, "figure.titlesize": 15.0},
+        **{"xtick.labelsize": 12.0, "ytick.labelsize": 12.0, "legend.fontsize": 12.0},
+        **{"axes.linewidth": 1.0, "lines.markersize": 8.0},
+    }
+)
+STYLES: Mapping[str, Mapping[Any, Any]] = MappingProxyType({"paper": PAPER, "talk": TALK})
+"""Sizes of letters in points, as they are printed or shown: a figure is made as wide as it will be."""
+
+MM_PER_INCH = 25.4
+TALK_MM = 250.0
+"""The width of a figure in the style of a talk unless another is asked for."""
+
+LETTER_WIDTH = 0.58
+"""The width of a letter over its size, on average."""
+
+PANEL_PT = 14.0
+"""A panel is at least so many times the size of its letters wide, of labels and ticks too."""
+
+_width: ContextVar[float | None] = ContextVar("width", default=None)
+
+FEW_TICKS = 8.0
+"""Over less than this factor ticks at 1, 2 and 5 of each decade are too few."""
+
 WIDE_RATIO = 5.0
 """Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
 
@@ -55,12 +92,54 @@ _NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d?)(?:_(\w+))?")
 
 
 @contextmanager
-def settings() -> Iterator[None]:
-    """Make and save pictures with the settings of this package, whatever the user's own are."""
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        mpl.rcParams.update(RC)
-        yield
+def settings(width: float | None = None, style: str | None = None) -> Iterator[None]:
+    """Make and save pictures with the settings of this package, except for those that the user has changed.
+
+    ``width`` is that of figures in mm, each kind's own unless given; ``style`` is "paper" or "talk".
+    """
+    if style is None and width is not None:
+        style = "paper"
+    wanted = {**RC, **(STYLES[style] if style else {})}
+    ours = (mpl.rcParamsDefault, RC, *STYLES.values())
+    unchanged = {
+        key: value
+        for key, value in wanted.items()
+        if any(key in settings and mpl.rcParams[key] == settings[key] for settings in ours)
+    }
+    if width is None and style == "talk":
+        width = TALK_MM
+    token = _width.set(None if width is None else width / MM_PER_INCH)
+    try:
+        with mpl.rc_context():
+            mpl.rcParams.update(unchanged)
+            yield
+    finally:
+        _width.reset(token)
+
+
+def figure_size(width: float, height: float) -> tuple[float, float]:
+    """Return the size of a figure in inches: its own, or of the same shape and as wide as is asked for."""
+    wanted = _width.get()
+    return (width, height) if wanted is None else (wanted, max(height * wanted / width, 0.7 * min(wanted, width)))
+
+
+def wanted_width() -> float | None:
+    """Return the width in inches that is asked for, None where each figure has its own."""
+    return _width.get()
+
+
+def most_columns(columns: int) -> int:
+    """Return how many panels go side by side, of those that are wanted."""
+    wanted = _width.get()
+    if wanted is None:
+        return columns
+    return max(1, min(columns, int(wanted * 72.0 / (PANEL_PT * float(mpl.rcParams["font.size"])))))
+
+
+def wrapped(text: str, figure: Figure) -> str:
+    """Return a title in lines that fit a figure."""
+    letters = int(figure.get_figwidth() * 72.0 / (LETTER_WIDTH * float(mpl.rcParams["font.size"])))
+    return "\n".join(line for part in text.split("\n") for line in textwrap.wrap(part, max(letters, 20)) or [""])
 
 
 def require_format(path: Path) -> None:
@@ -79,6 +158,14 @@ def save(figure: Figure, path: Path) -> None:
         raise SweepError(f"cannot draw there: {error.strerror or error}", str(path)) from error
 
 
+def save_text(text: str, path: Path) -> None:
+    """Write a text beside a picture; raises SweepError."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+
+
 def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
     """Return how a name is set: the symbol of its attributes, Greek letters and single ones as such with an index."""
     if attributes and (own := attributes.get("symbol")):
@@ -94,13 +181,27 @@ def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
 
 def unit_text(unit: str) -> str:
     """Return a unit as axes show it."""
-    return unit.replace(" / ", "/")
+    return written(unit)
 
 
 def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
     """Return the label of an axis: symbol and unit."""
     unit = str(array.attrs.get("units", "")) if unit is None else unit
     return f"{symbol(name, array.attrs)} [{unit_text(unit)}]" if unit else symbol(name, array.attrs)
+
+
+def axis_label(dataset: xr.Dataset, axis: str) -> str:
+    """Return the label of an axis; those that walk with it and have the same values stand beside it."""
+    dimension = dataset[axis].dims
+    names = [str(n) for n, c in dataset.coords.items() if c.dims == dimension and n != axis and c.dtype.kind in "if"]
+    same = [n for n in names if np.array_equal(dataset[n].values, dataset[axis].values)]
+    return " = ".join([label(dataset[axis], axis), *(label(dataset[n], n) for n in same)])
+
+
+def explained_label(array: xr.DataArray, name: str) -> str:
+    """Return the label of an axis with its name in words before its symbol."""
+    words, shown = name.replace("_", " "), label(array, name)
+    return shown if shown.startswith((words, f"{words} [")) else f"{words} {shown}"
 
 
 def quantity_label(dataset: xr.Dataset, variable: str) -> str:
@@ -150,7 +251,8 @@ def logarithmic(axes: Axes, which: str, values: Any) -> None:
     known = known[np.isfinite(known) & (known > 0.0)]
     if known.size and known.max() < 100.0 * known.min():
         axis = axes.xaxis if which == "x" else axes.yaxis
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        subs = (1.0, 2.0, 5.0) if known.max() > FEW_TICKS * known.min() else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+        axis.set_major_locator(LogLocator(subs=subs))
         axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
         axis.set_minor_formatter(NullFormatter())
 
@@ -175,6 +277,28 @@ def _tick(value: float) -> str:
         return f"{value:g}"
     digit = value / 10.0**power
     return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
+
+
+def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published")) -> None:
+    """Draw one legend below all axes instead of one in each, where there is more than one thing to tell apart."""
+    entries: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(text, handle)
+        if (own := axes.get_legend()) is not None:
+            own.remove()
+    if len(entries) > 1:
+        order = [text for text in entries if text not in last] + [text for text in last if text in entries]
+        scale = float(mpl.rcParams["font.size"]) / 9.0
+        width = scale * (LEGEND_INCHES[0] + LEGEND_INCHES[1] * max(map(_shown_letters, order)))
+        columns = max(1, min(len(order), int(figure.get_figwidth() / width)))
+        handles = [entries[text] for text in order]
+        figure.legend(handles, order, loc="outside lower center", ncols=columns, frameon=False)
+
+
+def _shown_letters(text: str) -> int:
+    """Return about how many letters a text shows, without the words of its mathematics."""
+    return len(re.sub(r"\\[a-z]+|[${}^_]", "", text)) + 1
 
 
 def legend(axes: Axes, **options: Any) -> None:

@@ -8,6 +8,7 @@ import xarray as xr
 from bokeh.resources import Resources
 
 from sweep.analysis.quantity import prediction_name, quantities, standard_error
+from sweep.readable import Prefixed, prefixed, written
 from sweep.studies.study import POINT
 
 DIGITS = 7
@@ -65,13 +66,31 @@ def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
 
 def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
     attributes = dataset[name].attrs
+    unit, factors = str(attributes.get("units", "")), xr.DataArray(1.0)
+    components: dict[str, Any] = {}
+    if "," in unit and (dimension := _unit_dimension(dataset, name)) is not None:
+        chosen = _component_units(dataset, name, dimension)
+        factors = xr.DataArray([one.factor for one in chosen], dims=dimension)
+        unit, components = "", {"unit_dim": dimension, "units": [written(one.unit) for one in chosen]}
     return {
         "name": name,
-        "unit": str(attributes.get("units", "")),
+        "unit": written(unit),
+        **components,
         "meaning": str(attributes.get("long_name", "")),
         "dims": list(map(str, dataset[name].dims)),
-        **{suffix: _numbers(part.values) for suffix, part in parts.items()},
+        **{suffix: _numbers((part * factors).transpose(*part.dims).values) for suffix, part in parts.items()},
     }
+
+
+def _unit_dimension(dataset: xr.Dataset, name: str) -> str | None:
+    """Return the one dimension along which a quantity has a unit of its own for each component."""
+    found = [str(d) for d in dataset[name].dims if f"{d}_unit" in dataset.coords]
+    return found[0] if len(found) == 1 else None
+
+
+def _component_units(dataset: xr.Dataset, name: str, dimension: str) -> list[Prefixed]:
+    units = dataset[f"{dimension}_unit"].values.tolist()
+    return [prefixed(dataset[name].isel({dimension: i}).values, str(unit)) for i, unit in enumerate(units)]
 
 
 def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> list[str]:
@@ -92,7 +111,7 @@ def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
     return {
         "name": name,
         "dim": str(array.dims[0]),
-        "unit": unit,
+        "unit": written(unit),
         "numeric": numeric,
         "ordered": array.dims[0] != POINT,
         "logarithmic": unit in LOGARITHMIC_UNITS,

@@ -3,7 +3,7 @@
 import io
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -16,11 +16,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
+from sweep.plots.caption import caption, description
+from sweep.plots.differences import SUFFIX, add_band, differences
 from sweep.plots.figure import draw_figure
 from sweep.plots.kinds import LINK
 from sweep.plots.scatter import sampled
 from sweep.plots.style import settings
 from sweep.plots.tie.figure import link_figures
+from sweep.studies.study import POINT
 
 POINTS_PER_INCH = 72.0
 
@@ -44,6 +47,8 @@ class Picture:
     svg: str = ""
     width: float = 0.0
     problem: str = ""
+    caption: str = ""
+    description: str = ""
 
 
 def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list[Picture]:
@@ -54,7 +59,14 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
     if sampled(dataset) is not None and dataset["status"].size == 1:
         wanted = [("kept samples", ()), *wanted]
-    return [drawn(untitled, name, f"{number}-{i}", chosen) for i, (name, chosen) in enumerate(wanted)]
+    found = []
+    for i, (name, chosen) in enumerate(wanted):
+        found.append(drawn(untitled, name, f"{number}-{i}", chosen))
+        ordered = POINT not in dataset["status"].dims
+        if ordered and len(chosen) == 1 and (residual := differences(untitled, name)) is not None:
+            words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
+            found.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", add_band))
+    return found
 
 
 def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
@@ -81,15 +93,28 @@ def _varies(array: xr.DataArray) -> bool:
     return bool(finite.size and finite.min() < finite.max())
 
 
-def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = ()) -> Picture:
-    """Return the figure that suits a dataset; ``salt`` sets the identifiers in it apart from those of others."""
+def drawn(
+    dataset: xr.Dataset,
+    name: str,
+    salt: str,
+    variables: Sequence[str] = (),
+    kind: str | None = None,
+    add: Callable[[Figure], None] | None = None,
+) -> Picture:
+    """Return the figure that suits a dataset, or of a kind, after ``add`` was done to it; ``salt`` sets the identifiers
+    in it apart from those of others.
+    """
     with _inside_a_page(salt):
         try:
-            figure = draw_figure(dataset, variables=variables)
+            figure = draw_figure(dataset, kind, variables)
+            if add is not None:
+                add(figure)
             width, height = figure.get_size_inches().tolist()
             if width <= ONE_PANEL:
                 figure.set_size_inches(SHRINK * width, SHRINK * height)
-            return Picture(name, _svg(figure), POINTS_PER_INCH * figure.get_figwidth())
+            svg, words = _svg(figure), (caption(figure, dataset), description(figure, dataset))
+            wide = POINTS_PER_INCH * figure.get_figwidth()
+            return Picture(name, svg, wide, caption=f"{name}. {words[0]}".strip(), description=words[1])
         except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
             return Picture(name, problem=" ".join(str(error).split()))
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sweep.analysis.answer import Answer
 from sweep.formatting import with_error
-from sweep.report.answer import Answer
 from sweep.report.figures import link_pictures
 from sweep.report.section import Section, Table
 
@@ -51,6 +51,7 @@ def link_section(store: str, dataset: xr.Dataset, number: int) -> Section:
         title=title,
         question="",
         gaps=[],
+        short=[],
         answers=answers,
         changed="",
         comparisons=[],

@@ -1,28 +1,35 @@
 """What a page says about one store."""
 
 import json
+import math
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import xarray as xr
 
 from sweep.analysis import sensitivity_tables as tables
+from sweep.analysis.answer import Answer, answer_in_short, answers, completeness, failed, headline
 from sweep.analysis.compare import compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
 from sweep.analysis.quantity import varied_parameters
+from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.sensitivity import sensitivity
 from sweep.analysis.tables import Column, headline_columns, warnings_of
-from sweep.analysis.verdicts import Comparison
+from sweep.analysis.verdicts import Comparison, in_readable_unit
 from sweep.contract import SweepError
-from sweep.report.answer import Answer, answers, completeness, failed, headline
+from sweep.readable import with_micro_signs, written
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, drawn, pictures
 from sweep.studies.provenance import FUNCTION, outer_draw_of
 from sweep.studies.study import POINT_TABLE
+
+SEVERITY = ("NOT reproduced", "incomplete", "within tolerance", "not comparable", "reproduced")
+"""The order of verdicts in the table: what needs to be looked at comes first."""
 
 MOST_ROWS = 2000
 """A table has at most so many rows in the page, some 0.5 MB."""
@@ -66,6 +73,7 @@ class Section:
     title: str
     question: str
     gaps: list[str]
+    short: list[str]
     answers: list[Answer]
     changed: str
     comparisons: list[Comparison]
@@ -93,7 +101,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
     """
     names = headline(dataset)
     comparisons = compare(dataset)
-    explored, numbers, left_out = explorer(dataset, names, room)
+    explored, numbers, left_out = explorer(in_readable_units(dataset), names, room)
     indices = _indices(dataset, names)
     attributes = dataset.attrs
     failures = json.loads(attributes.get("failures", "{}"))
@@ -109,7 +117,8 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         title=title,
         question=str(attributes.get("question", "")),
         gaps=completeness(dataset),
-        answers=answers(dataset),
+        short=[with_micro_signs(sentence) for sentence in answer_in_short(dataset)],
+        answers=[replace(a, sentences=[with_micro_signs(s) for s in a.sentences]) for a in answers(dataset)],
         changed=str(attributes.get("study_overrides", "")),
         comparisons=comparisons,
         verdicts=summary_line(comparisons) if comparisons else "",
@@ -121,7 +130,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         not_explored=left_out,
         numbers=numbers,
         results=_results(headline_columns(dataset)),
-        caption="Headline results, ± their Monte-Carlo errors; a heading sorts",
+        caption="Headline results, ± their one-sigma errors",
         tables={f"Sensitivity of {name}: {tables.notes(one)[0]}": _sensitivity(one) for name, one in indices.items()},
         comparison=_comparison(comparisons) if comparisons else None,
         notes=[
@@ -171,17 +180,25 @@ def _document(attributes: Mapping[Any, Any]) -> str:
 
 
 def _results(columns: list[Column]) -> Table:
-    headings = [f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns]
+    repeated = Counter(c.name for c in columns)
+    names = [f"{c.of} {c.name}" if repeated[c.name] > 1 and c.of != c.name else c.name for c in columns]
+    headings = [f"{name} [{written(c.unit)}]" if c.unit else name for name, c in zip(names, columns, strict=True)]
     cells = (list(zip(c.cells, c.values, strict=True)) for c in columns)
     rows = [list(row) for row in zip(*cells, strict=True)]
     return Table(headings, rows[:MOST_ROWS], max(0, len(rows) - MOST_ROWS))
 
 
+def _in_allowances(c: Comparison) -> float:
+    """Return by how many times what is allowed a number differs from the published one."""
+    return abs(c.difference) / c.allowance if c.allowance > 0.0 and math.isfinite(c.difference) else 0.0
+
+
 def _comparison(comparisons: list[Comparison]) -> Table:
     headings = ["what", "where", "verdict", "computed", "published", "difference", "in percent", "allowance"]
     rows = []
-    for c in comparisons:
-        what = f"{c.what} [{c.unit}]" if c.unit else c.what
+    worst = sorted(comparisons, key=lambda c: (SEVERITY.index(c.verdict), -_in_allowances(c)))
+    for c in map(in_readable_unit, worst):
+        what = f"{c.what} [{written(c.unit)}]" if c.unit else c.what
         texts = [what, place_in_words(c.where), c.verdict, *numbers_in_words(c)]
         relative = c.difference / abs(c.published) if c.published else c.difference
         values = [what, texts[1], c.verdict, c.value, c.published, c.difference, relative, c.allowance]

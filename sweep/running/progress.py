@@ -62,6 +62,7 @@ class TerminalProgress:
         self._eta = Eta(survey.pending.cost, workers)
         total, pending = survey.total, survey.pending
         self._points, self._all_points = total.points - pending.points, total.points
+        self._work = pending.cost
         held = f", {self._points:,} of them in the store already" if self._points else ""
         partly = (
             ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
@@ -81,6 +82,7 @@ class TerminalProgress:
         assert self._begun is not None, "a run starts before it advances"
         now = time.monotonic()
         self._eta.extend(taken.more.cost)
+        self._work += taken.more.cost
         self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
         self._summary.take(works, result, taken.done)
         self._points += taken.done.points
@@ -131,11 +133,12 @@ class TerminalProgress:
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
-    def finish(self, failures: Mapping[str, str], store: object) -> None:
-        """Say what the run took, and why points failed (``failures`` by their place), and how to look closer."""
+    def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
+        """Say what the run took, why points failed (``failures`` by their place), and which ``commands`` come next."""
         self._end_bar()
         if self._begun is not None:
-            for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}"):
+            further = f"; next: {', '.join(commands)}" if commands and not failures else ""
+            for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}{further}"):
                 self.say(line)
             for line in self._summary.warnings():
                 SENTENCES.warning(line)
@@ -151,7 +154,8 @@ class TerminalProgress:
         elapsed = max(time.monotonic() - self._begun, 1e-9)
         done = self._summary.done
         rate, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
-        return f"{self._points:,}/{self._all_points:,} points, {rate / elapsed:,.0f} {noun}/s"
+        share = f" ({100.0 * done.cost / self._work:.0f} % of the work)" if self._work > 0.0 and not self._once else ""
+        return f"{self._points:,}/{self._all_points:,} points{share}, {rate / elapsed:,.0f} {noun}/s"
 
     def _end_bar(self) -> None:
         if self._bar is not None:

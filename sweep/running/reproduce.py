@@ -84,7 +84,17 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     place = place_of(study, at, str(store))
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
     fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}
-    alone = replace(study, axes={}, zipped=(), points=None, excluded=(), fixed=fixed | own, published=None, claims=())
+    alone = replace(
+        study,
+        axes={},
+        zipped=(),
+        points=None,
+        excluded=(),
+        fixed=fixed | own,
+        published=None,
+        claims=(),
+        conclusion=None,
+    )
     alone = as_recorded(alone, opened.attributes)
     result = compute(Plan(Grid(alone)))
     stored = opened.dataset().isel(_indices(study, place))

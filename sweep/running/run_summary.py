@@ -15,6 +15,9 @@ from sweep.studies.study import Study
 NAMED = 5
 """So many of the slowest points are named, and reasons for which points failed."""
 
+MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
+"""A point is slow that takes so many times longer than half of them, and more than so many seconds."""
+
 LONGEST_REASON = 200
 """Characters of a reason in the last line of a run."""
 
@@ -85,15 +88,22 @@ class RunSummary:
         lines = [
             f"{counted(self.done.points, 'point')}{realisations} in {took}: "
             f"{rate:,.0f} {'points' if once else 'realisations'}/s, {self.busy:,.1f} s of work by all workers together"
-            + (f", worth {self.done.cost:.2g} {experiment.cost_unit}" if experiment.cost_unit else "")
         ]
-        if len(self._seconds) > 1:
-            slowest = (
-                f"{describe(self._study, self._slowest[index].parameters)} {self._seconds[index]:.2g} s"
-                for index in self._slowest_indices()
-            )
-            lines.append(f"slowest: {'; '.join(slowest)}")
+        if slow := self._much_slower():
+            lines.append(f"slowest: {'; '.join(slow)}")
         return lines
+
+    def _much_slower(self) -> list[str]:
+        """Return which points took much longer than most did, and how long; none where all took about as long."""
+        taken = sorted(seconds for seconds in self._seconds if seconds > 0.0)
+        if len(taken) < 2:
+            return []
+        least = max(MUCH_SLOWER * taken[len(taken) // 2], WORTH_SAYING_S)
+        return [
+            f"{describe(self._study, self._slowest[index].parameters)} {in_words(self._seconds[index])}"
+            for index in self._slowest_indices()
+            if self._seconds[index] > least
+        ]
 
     def warned(self, place: str, warnings: Mapping[str, int]) -> None:
         """Count warnings that came up at a point."""

@@ -1,12 +1,14 @@
-"""Checks the claims of a study against its grid and its experiment."""
+"""Checks the claims of a study, and the numbers of its conclusion, against its grid and its experiment."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from sweep.contract import Experiment, Named, Output, Value, shown, suggest
-from sweep.studies.study import Claim, Ratio, Reading, Slope, printed_rounding
+from sweep.studies.study import Claim, Derived, Ratio, Reading, Slope, printed_rounding
+
+D = TypeVar("D", bound=Derived)
 
 Problem = Callable[[tuple[str, ...], str], None]
 """Takes the place of a problem inside the claim, and a sentence."""
@@ -29,6 +31,11 @@ class ClaimContext:
 def checked_claim(claim: Claim, around: ClaimContext, problem: Problem) -> Claim:
     """Return the claim with the values of its axes parsed; ``problem`` is told of everything that is wrong."""
     _check_number(claim, problem)
+    return checked_quantity(claim, around, problem)
+
+
+def checked_quantity(claim: D, around: ClaimContext, problem: Problem) -> D:
+    """Return what is derived from the grid with the values of its axes parsed, as `checked_claim`."""
     where = _selection(claim.where, ("where",), around, problem)
     try:
         quantity = claim.quantity()

@@ -5,7 +5,20 @@ from typing import Any
 from pydantic import Field
 
 from sweep.studies.source import Place
-from sweep.studies.study import Claim, Count, Ratio, Reading, Sampling, Section, Seed, Slope, Text, Tolerance
+from sweep.studies.study import (
+    Claim,
+    Conclusion,
+    ConclusionValue,
+    Count,
+    Ratio,
+    Reading,
+    Sampling,
+    Section,
+    Seed,
+    Slope,
+    Text,
+    Tolerance,
+)
 
 
 class GridForm(Section):
@@ -56,12 +69,14 @@ class Form(Section):
     exclude: list[dict[str, Any]] = Field(default_factory=list)
     published: PublishedForm | None = None
     claim: list[Claim] = Field(default_factory=list)
+    conclusion: Conclusion | None = None
 
 
 def known_keys(where: Place) -> list[str]:
     """Return the keys that are allowed beside the one at ``where``."""
     sections: dict[str | int, type[Section]] = {
         **{"sampling": Sampling, "grid": GridForm, "points": PointsForm, "published": PublishedForm, "claim": Claim},
+        **{"conclusion": Conclusion, "values": ConclusionValue},
         **{"slope": Slope, "ratio": Ratio, "value": Reading},
     }
     table = next((sections[key] for key in reversed(where[:-1]) if key in sections), Form)

@@ -68,6 +68,8 @@ def provenance(study: Study) -> dict[str, Any]:
     if study.claims:
         claims = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
         attributes["claims"] = json.dumps(claims)
+    if study.conclusion is not None:
+        attributes["conclusion"] = study.conclusion.model_dump_json(exclude_none=True, exclude_defaults=True)
     if commit := git_commit():
         attributes["git_commit"] = commit
     return attributes

@@ -14,6 +14,7 @@ from sweep.contract import Experiment, SweepError, Value, shown, suggest
 from sweep.load import absolute_reference, read_experiment
 from sweep.studies.axes import axis_values, override, override_points
 from sweep.studies.claims import ClaimContext, checked_claim
+from sweep.studies.conclusion import checked_conclusion
 from sweep.studies.definitions import defined_values
 from sweep.studies.exclusions import exclusion
 from sweep.studies.form import Form, known_keys
@@ -22,7 +23,7 @@ from sweep.studies.problems import Problems
 from sweep.studies.published import read_published
 from sweep.studies.rules import check_sampling, zipped_axes
 from sweep.studies.source import Place, find_study, parsed, read_text, reference_in
-from sweep.studies.study import POINT, Claim, PointTable, Sampling, Study
+from sweep.studies.study import POINT, Claim, Conclusion, PointTable, Sampling, Study
 from sweep.tablefile import TableFile, table_file
 
 ONCE = Sampling(n_sim=1)
@@ -68,12 +69,16 @@ def load_study(
         document = parsed(text, path)
     problems: list[str] = []
     overridden: dict[Place, str] = {}
+    before = set(document.get("axes", {})) if isinstance(document.get("axes"), dict) else set()
     for setting in settings:
         overridden[override(document, setting, problems, as_axis=False)] = f"--set {_option(setting)}"
     for axis in axes:
         overridden[override(document, axis, problems, as_axis=True)] = f"--axis {_option(axis)}"
+    if any(place[:1] == ("fixed",) or (place[:1] == ("axes",) and place[1] not in before) for place in overridden):
+        document.pop("conclusion", None)  # its words are about the parameters that the study fixes
     chosen = [("--points", points), ("--design", design), *(("--range", text) for text in ranges)]
     if laid := [f"{flag} {_option(text)}" for flag, text in chosen if text is not None]:
+        document.pop("conclusion", None)
         override_points(document, points, design, ranges, problems)
         overridden[("points",)] = laid[0]
     overrides = tuple([f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes] + laid)
@@ -157,7 +162,9 @@ class _Reader:
         if form.published is not None:
             published = read_published(form.published, self.path.parent, experiment, axes, self.problems)
         check_sampling(form.sampling, experiment, self.problems)
-        claims = self._claims(experiment, form, crossed)
+        around = self._claim_context(experiment, form, crossed)
+        claims = self._claims(form, around)
+        conclusion = self._conclusion(form, around)
         self.problems.raise_if_any()
         return Study(
             name=self.path.stem,
@@ -174,6 +181,7 @@ class _Reader:
             published=published,
             source=self.where,
             claims=claims,
+            conclusion=conclusion,
             text=self.text,
             overrides=self.overrides,
             document=self._portable(form, fixed, columns, origin) | ({"define": definitions} if definitions else {}),
@@ -266,9 +274,9 @@ class _Reader:
         if "experiment" in broken:
             return None
         if {"axes", "points"} & broken:
-            broken = broken | {"grid", "claim", "published"}
+            broken = broken | {"grid", "claim", "conclusion", "published"}
         if "grid" in broken:
-            broken = broken | {"claim"}
+            broken = broken | {"claim", "conclusion"}
         rest = {key: value for key, value in self.document.items() if key not in broken}
         return Form.model_validate({"title": "", **rest})
 
@@ -344,11 +352,18 @@ class _Reader:
                 return None
         return tuple(values)
 
-    def _claims(
+    def _claim_context(
         self, experiment: Experiment, form: Form, axes: Mapping[str, tuple[Value, ...] | None]
-    ) -> tuple[Claim, ...]:
+    ) -> ClaimContext:
         changed = frozenset(str(place[1]) for place in self.overridden if place[:1] in (("axes",), ("fixed",)))
-        around = ClaimContext(experiment, axes, form.grid.zip, changed)
+        return ClaimContext(experiment, axes, form.grid.zip, changed)
+
+    def _conclusion(self, form: Form, around: ClaimContext) -> Conclusion | None:
+        if form.conclusion is None:
+            return None
+        return checked_conclusion(form.conclusion, around, self.problems.add)
+
+    def _claims(self, form: Form, around: ClaimContext) -> tuple[Claim, ...]:
         return tuple(
             checked_claim(claim, around, partial(self._claim_problem, i)) for i, claim in enumerate(form.claim)
         )

@@ -49,7 +49,9 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
     try:
         experiment = _experiment(json.loads(attributes[RECORD]))
         document = json.loads(attributes["study_document"])
-        plain = {key: value for key, value in document.items() if key not in ("define", "published", "claim")}
+        plain = {
+            key: value for key, value in document.items() if key not in ("define", "published", "claim", "conclusion")
+        }
         return study_of_attributes({**attributes, "study_document": json.dumps(plain)}, where, lambda _: experiment)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error

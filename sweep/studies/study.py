@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
@@ -123,11 +123,29 @@ class Reading(Section, frozen=True):
     component: str | None = None
 
 
-class Claim(Section, frozen=True):
-    """A published statement that can be derived from the grid: exactly one of ``slope``, ``ratio`` and ``value``.
+class Derived(Section, frozen=True):
+    """A number that is derived from the grid: exactly one of ``slope``, ``ratio`` and ``value``.
 
-    ``published`` is the number as printed, so that its rounding is known; an ``exact`` law has none.  ``where`` fixes
-    axes for any of the three; an axis that is fixed nowhere gives one comparison for each of its values.  ``null`` is
+    ``where`` fixes axes for any of the three; an axis that is fixed nowhere gives one number for each of its values.
+    """
+
+    slope: Slope | None = None
+    ratio: Ratio | None = None
+    value: Reading | None = None
+    where: dict[str, Any] = Field(default_factory=dict)
+
+    def quantity(self) -> Slope | Ratio | Reading:
+        """Return the one quantity of a valid table; raises ValueError if there is not exactly one."""
+        given = [q for q in (self.slope, self.ratio, self.value) if q is not None]
+        if len(given) != 1:
+            raise ValueError("needs exactly one of slope, ratio and value")
+        return given[0]
+
+
+class Claim(Derived, frozen=True):
+    """A published statement about a number that can be derived from the grid.
+
+    ``published`` is the number as printed, so that its rounding is known; an ``exact`` law has none.  ``null`` is
     the number without the effect that is claimed, which a verdict must tell from the published one; ``not_comparable``
     says why there can be no verdict.
     """
@@ -140,17 +158,29 @@ class Claim(Section, frozen=True):
     tolerance_reason: Text | None = None
     null: float | None = None
     not_comparable: Text | None = None
-    slope: Slope | None = None
-    ratio: Ratio | None = None
-    value: Reading | None = None
-    where: dict[str, Any] = Field(default_factory=dict)
 
-    def quantity(self) -> Slope | Ratio | Reading:
-        """Return the one quantity of a valid claim; raises ValueError if there is not exactly one."""
-        given = [q for q in (self.slope, self.ratio, self.value) if q is not None]
-        if len(given) != 1:
-            raise ValueError("needs exactly one of slope, ratio and value")
-        return given[0]
+
+class ConclusionValue(Derived, frozen=True):
+    """A number in a conclusion: at one place of the grid, or the ``least`` or ``largest`` of several.
+
+    Where it is more than three of its errors from what it ``equals``, or that far beyond what it is to be ``above`` or
+    ``below``, in the unit of the output, the sentences that use it are not said to be true.
+    """
+
+    choose: Literal["least", "largest"] | None = None
+    above: float | None = None
+    below: float | None = None
+    equals: float | None = None
+
+
+class Conclusion(Section, frozen=True):
+    """What a study found: sentences, with ``{name}`` in place of each of the ``values``.
+
+    ``{name}`` is the number rounded, with a unit; ``{name:error}`` has its error beside it; ``{name:%}`` is in percent.
+    """
+
+    sentences: list[Text] = Field(min_length=1)
+    values: dict[str, ConclusionValue] = Field(default_factory=dict)
 
 
 POINT = "point"
@@ -205,6 +235,7 @@ class Study:
     source: str = ""
     question: str = ""
     claims: tuple[Claim, ...] = ()
+    conclusion: Conclusion | None = None
     text: str = ""
     overrides: tuple[str, ...] = ()
     document: Mapping[str, Any] = field(default_factory=dict, repr=False)

@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
+from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, unit_text
 from sweep.plots.tie.names import readable
 
 
@@ -20,7 +20,7 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
     width = float(np.median(inner)) if len(inner) else 1.0
     left = np.where(np.isfinite(low), low, high - width)
     right = np.where(np.isfinite(high), high, low + width)
-    figure = Figure(figsize=(6.8, 4.2), layout="constrained")
+    figure = Figure(figsize=figure_size(6.8, 4.2), layout="constrained")
     axes = figure.add_subplot()
     middle = 0.5 * (left + right)
     for number, component in enumerate("xyz"):

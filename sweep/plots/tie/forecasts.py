@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
+from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, unit_text
 from sweep.plots.tie.names import readable, unknown_symbol
 
 RANKED = 20
@@ -24,7 +24,7 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     panels = [np.flatnonzero(units == unit) for unit in dict.fromkeys(units.tolist())]
     epochs = dataset["new_epoch"].values
     order = np.argsort(epochs)
-    figure = Figure(figsize=(1.2 + 4.4 * len(panels), 4.4), layout="constrained")
+    figure = Figure(figsize=figure_size(1.2 + 4.4 * len(panels), 4.4), layout="constrained")
     stages = list(zip(dataset["stage"].values, dataset["error"].values, LINES, strict=False))
     for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         factor, unit = readable(dataset["error"].values[:, panel], str(units[panel[0]]))
@@ -65,7 +65,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
         raise SweepError("no ranking here: no new observation, so no source helps; give --add with epochs")
     order = np.argsort(-np.nan_to_num(gain, nan=-1.0))[:RANKED][::-1]
     chosen = [str(name) for name in dataset["step_source"].values[1:]] if "step_source" in dataset else []
-    figure = Figure(figsize=(9.6 if chosen else 5.6, 1.6 + 0.2 * len(order)), layout="constrained")
+    figure = Figure(figsize=figure_size(9.6 if chosen else 5.6, 1.6 + 0.2 * len(order)), layout="constrained")
     grid = figure.subplots(1, 2 if chosen else 1, squeeze=False)[0]
     names = [str(name) for name in dataset["source"].values[order]]
     colours = [COLOURS[1] if name in chosen else COLOURS[0] for name in names]

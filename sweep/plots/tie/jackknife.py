@@ -9,7 +9,7 @@ from matplotlib.patches import Ellipse
 from scipy.stats import chi2
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, finish, unit_text
+from sweep.plots.style import COLOURS, figure_size, finish, unit_text
 from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbol, vectors
 
 CONFIDENCE = 0.683
@@ -33,7 +33,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         raise SweepError("no jackknife scatter: the unknowns hang on single sources")
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
     far = np.argsort(-dataset["cook_distance"].values[kept])[:NAMED]
-    figure = Figure(figsize=(10.0, 3.4 * len(blocks) + 0.5), layout="constrained")
+    figure = Figure(figsize=figure_size(10.0, 3.4 * len(blocks) + 0.5), layout="constrained")
     grid = figure.subplots(len(blocks), 3, squeeze=False)
     kinds = [str(kind) for kind in dataset["error_kind"].values]
     for row, places in enumerate(blocks.values()):

@@ -5,14 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from core.arrays import Array
 from core.constants import DEGREE
 from sweep.contract import SweepError
 from sweep.plots.sky import add_sky, on_map
-from sweep.plots.style import COLOURS, unit_text
+from sweep.plots.style import COLOURS, figure_size, unit_text
 from sweep.plots.tie.names import readable
 
 MOST_ARROWS = 150
@@ -43,7 +42,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     pairs = [(name, pair) for name, pair in (("positions", (0, 1)), ("motions", (3, 4))) if _has(dataset, pair)]
     if not pairs:
         raise SweepError("no residuals on the sky: no row has a position or a motion")
-    figure = Figure(figsize=(11.0, 3.3 * len(pairs) + 0.3), layout="constrained")
+    figure = Figure(figsize=figure_size(11.0, 3.3 * len(pairs) + 0.3), layout="constrained")
     places = figure.add_gridspec(len(pairs), 2)
     for row, (what, pair) in enumerate(pairs):
         unit = str(dataset["observable_unit"].values[pair[0]])
@@ -107,7 +106,6 @@ def _typical(arrows: _Arrows) -> float:
 
 def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
     """Draw arrows, a key with their scale, and return what the title must say of arrows that were cut."""
-    _write_ra_above(axes)
     x = on_map(arrows.ra)
     y = arrows.dec * DEGREE
     length = np.hypot(arrows.east, arrows.north)
@@ -142,15 +140,6 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
             axes.quiverkey(drawn, 0.04, 0.02, key, text, labelpos="E", coordinates="axes", fontproperties={"size": 8})
     words = f"; {np.sum(cut)} arrow{'s' if np.sum(cut) > 1 else ''} cut" if np.any(cut) else ""
     return words + (f"; {np.sum(arrows.dropped)} dropped in red" if np.any(arrows.dropped) else "")
-
-
-def _write_ra_above(axes: Any) -> None:
-    """Write the right ascensions over the arrows, which would hide them."""
-    labels = [(text.get_position()[0], text.get_text()) for text in axes.get_xticklabels()]
-    axes.set_xticklabels([])
-    halo = [withStroke(linewidth=3.0, foreground="white")]
-    for place, text in labels:
-        axes.text(place, 0.03, text, fontsize=7, ha="center", va="bottom", zorder=6, path_effects=halo)
 
 
 def _angles(axes: Any, x: Array, y: Array, east: Array, north: Array) -> Array:

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, finish
+from sweep.plots.style import COLOURS, figure_size, finish
 
 LINEAR_UP_TO = 6.0
 
@@ -27,7 +27,7 @@ def separation_figure(dataset: xr.Dataset) -> Figure:
     number = int(np.clip(2.0 * np.sqrt(len(before)), 8, 48))
     top = max(float(before.max()), 10.0) if far else LINEAR_UP_TO
     edges = np.geomspace(0.05, top * 1.0001, number + 1) if far else np.linspace(0.0, LINEAR_UP_TO, number + 1)
-    figure = Figure(figsize=(6.4, 4.2), layout="constrained")
+    figure = Figure(figsize=figure_size(6.4, 4.2), layout="constrained")
     axes = figure.add_subplot()
     axes.stairs(
         np.histogram(before, edges)[0], edges, fill=True, color=COLOURS[4], alpha=0.55, label="before the fit, $X$"

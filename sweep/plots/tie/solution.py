@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.plots.style import COLOURS, MARKERS, finish, unit_text
+from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, unit_text
 from sweep.plots.tie.names import readable, unknown_symbol
 
 
@@ -15,7 +15,7 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
     widths = [len(panel) + 1 for panel in panels]
     kinds = [str(kind) for kind in dataset["error_kind"].values]
     width = float(np.clip(1.6 * len(panels) + 0.16 * len(kinds) * sum(widths), 6.4, 16.0))
-    figure = Figure(figsize=(width, 4.2), layout="constrained")
+    figure = Figure(figsize=figure_size(width, 4.2), layout="constrained")
     grid = figure.subplots(1, len(panels), width_ratios=widths, squeeze=False)[0]
     for axes, panel in zip(grid, panels, strict=True):
         values, errors = dataset["estimate"].values[panel], dataset["errors"].values[:, panel]

@@ -7,7 +7,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import norm
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, finish, logarithmic
+from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, logarithmic
 
 THRESHOLD = 3.0
 MOST_SIGMA = 10.0
@@ -21,7 +21,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
     parts = ["position", "motion"]
     fields = {part: [str(f) for f in dataset["field"].values if str(f).startswith(part)] for part in parts}
     parts = [part for part in parts if fields[part]]
-    figure = Figure(figsize=(1.4 + 4.6 * len(parts), 5.4), layout="constrained")
+    figure = Figure(figsize=figure_size(1.4 + 4.6 * len(parts), 5.4), layout="constrained")
     grid = figure.subplots(2, len(parts), sharex=True, squeeze=False, height_ratios=(3, 2))
     for column, part in enumerate(parts):
         upper, lower = grid[:, column]

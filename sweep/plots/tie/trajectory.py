@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, finish, logarithmic, unit_text
+from sweep.plots.style import BAND, COLOURS, figure_size, finish, logarithmic, unit_text
 from sweep.plots.tie.names import readable, unknown_symbol, vectors
 
 MOST_NAMES = 20
@@ -19,7 +19,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     blocks = vectors(dataset)
     steps, chosen = np.arange(dataset.sizes["step"]), int(dataset["step_chosen"])
     dropped = [str(name) for name in dataset["step_dropped"].values]
-    figure = Figure(figsize=(7.4, 1.6 + 2.0 * len(blocks) + 1.4), layout="constrained")
+    figure = Figure(figsize=figure_size(7.4, 1.6 + 2.0 * len(blocks) + 1.4), layout="constrained")
     grid = figure.subplots(len(blocks) + 1, 1, sharex=True, squeeze=False)[:, 0]
     for axes, (name, places) in zip(grid, blocks.items(), strict=False):
         values, errors = dataset["step_estimate"].values[:, places], dataset["step_error"].values[:, places]

@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from core.arrays import Array
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, finish, legend
+from sweep.plots.style import COLOURS, figure_size, finish, legend
 from sweep.plots.tie.names import kept_sources, name_points
 
 NAMED = 8
@@ -26,7 +26,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     names = dataset["source"].values
     smallest = np.nanmin(np.where(ratio > 0.0, ratio, np.nan)) if np.any(ratio > 0.0) else 1e-3
     ratio = np.maximum(ratio, max(smallest, 1e-4))
-    figure = Figure(figsize=(max(6.4, 0.8 + 3.8 * share.shape[1]), 4.2), layout="constrained")
+    figure = Figure(figsize=figure_size(max(6.4, 0.8 + 3.8 * share.shape[1]), 4.2), layout="constrained")
     grid = figure.subplots(1, share.shape[1], sharey=True, squeeze=False)[0]
     for axes, name, own in zip(grid, dataset["block_name"].values, share.T, strict=True):
         left = 0.5 * own[kept & (own > 0.0)].min()
@@ -69,7 +69,7 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
     share = _shares(dataset)
     order = np.argsort(-share.max(axis=1))[:RANKED]
     order = order[share.max(axis=1)[order] > 0.0][::-1]
-    figure = Figure(figsize=(8.0, 1.4 + 0.22 * len(order)), layout="constrained")
+    figure = Figure(figsize=figure_size(8.0, 1.4 + 0.22 * len(order)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     places = np.arange(len(order))
     height = 0.8 / share.shape[1]

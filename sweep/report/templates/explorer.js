@@ -9,6 +9,13 @@
   // BokehJS would load a library for formulae from the network for a text with these.
   const plain = (text) => String(text).replaceAll("$$", "$\u200b$").replaceAll("\\(", "\\\u200b(").replaceAll("\\[", "\\\u200b[");
   const labelled = (thing) => (thing.unit ? `${thing.name} [${thing.unit}]` : thing.name);
+  // A number and its error with two digits of the error, as tables have them.
+  const withError = (value, error) => {
+    if (!Number.isFinite(value)) return "";
+    if (!(error > 0)) return shown(value);
+    const decimals = Math.max(0, 1 - Math.floor(Math.log10(error)));
+    return decimals > 9 ? `${shown(value)} ± ${Number(error.toPrecision(2))}` : `${value.toFixed(decimals)} ± ${error.toFixed(decimals)}`;
+  };
   const nan = (value) => (value === null || value === undefined ? NaN : value);
   const shown = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "");
 
@@ -34,17 +41,58 @@
     return finite.length > 1 && Math.min(...finite) > 0 && Math.max(...finite) > WIDE * Math.min(...finite);
   };
 
+  // Values that are almost all of a size, but for a few next to nothing: there a logarithm would show these only.
+  const isExtreme = (values) => {
+    const known = values.filter((value) => value > 0).sort((a, b) => a - b);
+    return known.length > 4 && known[0] < 1e-4 * known[Math.floor(known.length / 4)];
+  };
+
   class Explorer {
     constructor(element) {
       this.element = element;
       this.data = JSON.parse(document.getElementById(element.dataset.explorer).textContent);
       this.choice = { quantity: 0, fixed: {}, x: "", series: "", scale: "" };
       this.turn = 0;
+      this.recall();
       this.settle();
       this.draw();
       document.addEventListener("theme", () => this.draw());
       window.addEventListener("beforeprint", () => this.showTools(false));
       window.addEventListener("afterprint", () => this.showTools(true));
+    }
+
+    // The choice stands in the address, so that a view can be linked to.
+    recall() {
+      const own = new URLSearchParams(window.location.hash.slice(1)).get(this.element.id);
+      if (!own) return;
+      try {
+        const found = JSON.parse(own);
+        const quantity = this.data.quantities.findIndex((one) => one.name === found.quantity);
+        if (quantity >= 0) this.choice = { ...this.choice, ...found, quantity, fixed: { ...found.fixed } };
+      } catch { /* an address that somebody has changed: the first view */ }
+    }
+
+    remember() {
+      const all = new URLSearchParams(window.location.hash.includes("=") ? window.location.hash.slice(1) : "");
+      all.set(this.element.id, JSON.stringify({ ...this.choice, quantity: this.quantity.name }));
+      window.history.replaceState(null, "", `#${all}`);
+    }
+
+    // The middle of an axis of numbers is what a first view is of, not its end, where there may be nothing to see.
+    index(dim) {
+      const known = this.choice.fixed[dim];
+      if (known !== undefined && known < this.size(dim)) return known;
+      const axis = this.axis(dim);
+      return axis.numeric ? Math.floor(axis.values.length / 2) : 0;
+    }
+
+    // The quantity with its component and the unit of that, or those of the components if several are shown.
+    labelOf(quantity) {
+      if (!quantity.unit_dim) return labelled(quantity);
+      const used = [this.choice.x, this.choice.series].filter(Boolean).map((name) => this.axis(name).dim);
+      if (used.includes(quantity.unit_dim)) return labelled({ name: quantity.name, unit: [...new Set(quantity.units)].join(", ") });
+      const i = this.index(quantity.unit_dim);
+      return labelled({ name: `${quantity.name}(${this.axis(quantity.unit_dim).values[i]})`, unit: quantity.units[i] });
     }
 
     get quantity() { return this.data.quantities[this.choice.quantity]; }
@@ -67,7 +115,7 @@
       const dim = this.choice.x ? this.axis(this.choice.x).dim : "";
       if (this.choice.series && (!known(this.choice.series) || this.axis(this.choice.series).dim === dim)) this.choice.series = "";
       if (!this.choice.series && !this.choice.noSeries) {
-        const other = axes.find((axis) => axis.name === axis.dim && axis.dim !== dim && axis.values.length > 1 && axis.values.length <= COLOURS);
+        const other = axes.find((axis) => axis.name === axis.dim && axis.dim !== dim && axis.values.length > 1 && axis.values.length <= MOST_SERIES && axis.name !== this.quantity.unit_dim);
         this.choice.series = other ? other.name : "";
       }
     }
@@ -87,6 +135,7 @@
       select.addEventListener("change", () => {
         change(select.value);
         this.settle();
+        this.remember();
         this.draw();
         const again = [...this.element.querySelectorAll("select")].find((other) => other.name === name);
         if (again) again.focus();
@@ -99,7 +148,7 @@
       const { choice, quantity } = this;
       const axes = this.axesOf(quantity.dims);
       const boxes = [
-        this.select("quantity", "Quantity", this.data.quantities.map((one, i) => [i, labelled(one)]), choice.quantity, (v) => { choice.quantity = Number(v); }),
+        this.select("quantity", "Quantity", this.data.quantities.map((one, i) => [i, one.unit_dim ? one.name : labelled(one)]), choice.quantity, (v) => { choice.quantity = Number(v); }),
       ];
       if (axes.length) {
         boxes.push(this.select("x", "Along x", axes.map((axis) => [axis.name, labelled(axis)]), choice.x, (v) => { choice.x = v; }));
@@ -112,7 +161,7 @@
         for (const dim of this.fixedDims()) {
           const axis = this.axis(dim);
           const options = axis.values.map((value, i) => [i, String(value)]);
-          boxes.push(this.select(`fixed-${dim}`, `${labelled(axis)} =`, options, choice.fixed[dim] || 0, (v) => { choice.fixed[dim] = Number(v); }));
+          boxes.push(this.select(`fixed-${dim}`, `${labelled(axis)} =`, options, this.index(dim), (v) => { choice.fixed[dim] = Number(v); }));
         }
       }
       const scales = [["", "automatic"], ["linear", "linear"], ["log", "logarithmic"]];
@@ -135,7 +184,7 @@
       for (let i = 0; i < count; i += 1) {
         let flat = 0;
         for (const dim of quantity.dims) {
-          let index = choice.fixed[dim] || 0;
+          let index = this.index(dim);
           if (x && dim === x.dim) index = i;
           else if (series && dim === series.dim) index = number;
           flat = flat * this.size(dim) + Math.min(index, this.size(dim) - 1);
@@ -161,7 +210,7 @@
       const everything = Array.from({ length: drawn }, (_, number) => this.columns(number));
       const flat = everything.flat();
       const positive = flat.every((row) => !(row.value <= 0));
-      const logY = choice.scale === "log" ? positive : choice.scale !== "linear" && isWide(flat.map((row) => row.value));
+      const logY = choice.scale === "log" ? positive : choice.scale !== "linear" && isWide(flat.map((row) => row.value)) && !isExtreme(flat.map((row) => row.value));
       const logX = numeric && !x.logarithmic && isWide(x.values);
       const ink = colour(this.element, "ink");
       const line = colour(this.element, "line");
@@ -173,7 +222,7 @@
         y_axis_type: logY ? "log" : "linear",
         ...(numeric ? {} : { x_range: new Bokeh.FactorRange({ factors }) }),
         x_axis_label: plain(x ? labelled(x) : ""),
-        y_axis_label: plain(labelled(quantity)),
+        y_axis_label: plain(this.labelOf(quantity)),
         background_fill_alpha: 0,
         border_fill_alpha: 0,
         outline_line_color: line,
@@ -183,13 +232,19 @@
       this.dress(figure, ink, line);
       const legend = [];
       const values = [];
+      this.drawn = [];
       everything.forEach((rows, number) => {
         const name = series ? String(series.values[number]) : quantity.name;
         const joined = numeric && x.ordered;
         const parts = this.series(figure, rows, { name, number, numeric, joined, factors, logY });
+        this.drawn[number] = parts.kinds;
         if (parts.renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers: parts.renderers }));
         values.push(...parts.values);
       });
+      for (const [part, text] of [["predicted", "predicted"], ["published", "published"], ["error", "one-sigma error"]]) {
+        const renderers = everything.flatMap((_, number) => this.drawn[number]?.[part] ?? []);
+        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: text, renderers }));
+      }
       this.hover(figure, values, x);
       if (legend.length > 1 || quantity.predicted || quantity.published) {
         const box = new Bokeh.Legend({ items: legend, click_policy: "hide", orientation: "horizontal", location: "left", ncols: this.element.clientWidth < 500 ? 1 : 4, background_fill_alpha: 0, border_line_alpha: 0, label_text_color: ink, label_text_font_size: "12px", inactive_fill_alpha: 0.5 });
@@ -253,24 +308,30 @@
       const main = at("value", {
         name: () => name,
         place: (row) => (row.x === "" ? "" : String(row.x)),
-        value: (row) => shown(row.value),
-        error: (row) => shown(row.error),
+        value: (row) => withError(row.value, row.error),
         predicted: (row) => shown(row.predicted),
         published: (row) => shown(row.published),
         low: (row) => lowest(row.value, row.error > 0 ? row.error : 0),
         high: (row) => row.value + (row.error > 0 ? row.error : 0),
       });
+      const kinds = { predicted: [], published: [], error: [] };
       const lineOf = (part, options) => {
         if (!joined) return;
         const y = rows.map((row) => (logY && row[part] <= 0 ? NaN : row[part]));
         if (y.filter(Number.isFinite).length < 2) return;
-        renderers.push(figure.line(rows.map(place), y, { line_color: tint, ...options }));
+        const line = figure.line(rows.map(place), y, { line_color: tint, ...options });
+        renderers.push(line);
+        if (part === "predicted") kinds.predicted.push(line);
       };
       if (this.quantity.predicted) {
         lineOf("predicted", { line_width: 1.4 });
         if (!joined) {
           const predicted = at("predicted");
-          if (predicted.data.x.length) renderers.push(figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 }));
+          if (predicted.data.x.length) {
+            const dash = figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 });
+            renderers.push(dash);
+            kinds.predicted.push(dash);
+          }
         }
       } else {
         lineOf("value", { line_width: 1, line_alpha: 0.55 });
@@ -278,6 +339,7 @@
       if (this.quantity.error && main.data.x.length) {
         const segments = figure.segment({ field: "x" }, { field: "low" }, { field: "x" }, { field: "high" }, { source: main, line_color: tint, line_width: 1.5 });
         renderers.push(segments);
+        kinds.error.push(segments);
       }
       if (main.data.x.length) {
         const points = figure.scatter({ field: "x" }, { field: "y" }, { source: main, marker, size: 7, fill_color: tint, line_color: tint });
@@ -286,16 +348,20 @@
       }
       if (this.quantity.published) {
         const published = at("published");
-        if (published.data.x.length) renderers.push(figure.scatter({ field: "x" }, { field: "y" }, { source: published, marker, size: 14, fill_alpha: 0, line_color: tint, line_width: 1.5 }));
+        if (published.data.x.length) {
+          const open = figure.scatter({ field: "x" }, { field: "y" }, { source: published, marker, size: 14, fill_alpha: 0, line_color: tint, line_width: 1.5 });
+          renderers.push(open);
+          kinds.published.push(open);
+        }
       }
-      return { renderers, values };
+      return { renderers, values, kinds };
     }
 
     hover(figure, renderers, x) {
       const rows = [[this.choice.series || "quantity", "@name"]];
-      if (x) rows.push([x.name, "@place"]);
-      rows.push([this.quantity.name, "@value"]);
-      for (const part of ["error", "predicted", "published"]) if (this.quantity[part]) rows.push([part, `@${part}`]);
+      if (x) rows.push([labelled(x), "@place"]);
+      rows.push([this.labelOf(this.quantity), "@value"]);
+      for (const part of ["predicted", "published"]) if (this.quantity[part]) rows.push([part, `@${part}`]);
       figure.add_tools(new Bokeh.HoverTool({ renderers, tooltips: rows.map(([name, value]) => [plain(name).replaceAll("@", "＠").replaceAll("$", "＄"), value]) }));
     }
 

@@ -321,7 +321,7 @@ def test_the_tables_hold_the_same_numbers():
     document = json.loads(as_json(found, ["a remark"]))
     assert [c["value"] for c in document["comparisons"]] == [0.6, None, 0.6, 0.6]
     assert document["comparisons"][2]["where"] == {"model": "new", "n": 20.0}
-    assert document["summary"]["NOT reproduced"] == 1
+    assert document["summary"]["not_reproduced"] == 1
     assert document["remarks"] == ["a remark"]
     assert summary_line(found) == "1 reproduced, 1 within tolerance, 1 not reproduced, 1 incomplete"
     assert "made-up: width: A paper" in notes(found)
@@ -653,7 +653,7 @@ def test_the_command_tells_by_its_exit_code(sweep, coin_study, tmp_path):
     document = json.loads(out)
     assert code == 1
     assert len(document["comparisons"]) == 4
-    assert document["summary"]["NOT reproduced"] == 2
+    assert document["summary"]["not_reproduced"] == 2
     assert "--set chance=0.2" in document["remarks"][0]
     code, out, _ = sweep("compare", tmp_path / "good.zarr", "--format", "csv")
     assert len(list(csv.DictReader(out.splitlines()))) == 2

@@ -90,7 +90,7 @@ PUBLISHED = f'[published]\nfile = "{CSV}"\nsource = "A paper"'
 
 STUDIES = {
     # keys
-    "unknown key": (f"colour = 3\n{GOOD}", "colour (line 1): unknown key; known are axes, claim, define"),
+    "unknown key": (f"colour = 3\n{GOOD}", "colour (line 1): unknown key; known are axes, claim, conclusion, define"),
     "misspelt section": (edited("[sampling]", "[samplng]"), "samplng", "unknown key; did you mean 'sampling'?"),
     "unknown key in sampling": (sampling("nsim = 3"), "sampling.nsim (line 11): unknown key; did you mean 'n_sim'?"),
     "unknown key in grid": (after("[grid]\nzipp = []"), "grid.zipp (line 15): unknown key; did you mean 'zip'?"),

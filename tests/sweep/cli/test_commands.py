@@ -7,7 +7,10 @@ import sys
 import pytest
 import xarray as xr
 
+from sweep.analysis.tables import GAP, fitting, headline_columns
 from sweep.cli import main
+from sweep.cli.group import SECTIONS
+from sweep.stores.store import open_dataset
 from tests.conftest import COINS
 
 
@@ -119,3 +122,41 @@ def test_a_place_that_cannot_be_written_is_said(sweep, link_study):
     assert code == 2
     assert "Traceback" not in err
     assert "/proc" in err
+
+
+def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
+    listed = [name for commands in SECTIONS.values() for name in commands]
+    assert sorted(listed) == sorted(main.commands)
+    code, out, _ = sweep("--help")
+    assert code == 0
+    assert "Run:\n  run         Run a study into a store" in out
+    assert "..." not in out.partition("Run:")[2]
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_what_is_printed_fits_80_columns(sweep, link_study, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = sweep("run", "quasars", "--set", "n_sim=2", "--set", "n_cat=5", "--axis", "v_max=14,20")
+    assert code == 0, err
+    assert out.splitlines()[-1].endswith("times better.")
+    assert "next: sweep plot quasars, sweep report quasars" in err
+    for command in (("list",), ("show", "quasars"), ("show", "quasars", "--at", "model=gaia"), ("fit", "--help")):
+        code, printed, _ = sweep(*command)
+        assert code == 0
+        assert max(len(line.rstrip()) for line in printed.splitlines()) <= 80, command
+    assert "15,533 quasars to V = 20 tie GAIA's spin" in sweep("list")[1]
+    assert json.loads(sweep("list", "--json")[1])["quasars"]["question"].endswith("?")
+
+
+def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
+    columns = headline_columns(open_dataset(store_of("aberration")))
+    kept, left_out = fitting(columns, 80)
+    assert sum(column.width for column in kept) - GAP <= 80
+    assert left_out
+    assert all(column.rank == 0 for column in fitting(columns, 10)[0])
+    out = sweep("show", store_of("aberration"))[1]
+    assert "left out to fit 80 columns: " in out
+
+
+def test_params_of_a_study_are_those_of_its_experiment(sweep):
+    assert sweep("params", "icrf2-icrf3") == sweep("params", "sweep.tie.experiment:tie")

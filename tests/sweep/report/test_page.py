@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +15,16 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
+from sweep.analysis.answer import answers, completeness
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
-from sweep.report.answer import answers, completeness
 from sweep.report.cite import citations
 from sweep.report.explorer import explorer
 from sweep.report.figures import pictures
 from sweep.report.page import MARK, check_output, report_of, report_page, write_report
-from sweep.report.section import MOST_ROWS, section
+from sweep.report.section import MOST_ROWS, SEVERITY, section
 from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
@@ -121,7 +122,7 @@ def test_each_component_has_its_own_answer_and_unit():
     left, right = answers(dataset)
     assert (left.name, right.name) == ("part (left)", "part (right)")
     assert "from 2 mas, at kind=one, size=4" in left.sentences[0]
-    assert "from 2000 uas, at kind=one, size=4" in right.sentences[0]
+    assert "from 2 mas, at kind=one, size=4" in right.sentences[0]
 
 
 def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):
@@ -163,7 +164,7 @@ def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
             c for e in root.iter() for c in re.findall(r"(?:fill|stroke): (\S+?)[;,(]", e.get("style", "") + ";")
         }
         assert colours <= {"none", "light-dark", "currentColor"}
-        assert "predicted" in "".join(root.itertext()) or root is roots[1]  # text is text
+        assert "predicted" in "".join(root.itertext()) or root is roots[2]  # text is text
 
 
 def test_letters_that_the_fonts_here_have_not_stay_text():
@@ -346,3 +347,27 @@ def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coins):
     page = (tmp_path / "paper-report.html").read_text()
     assert "2 reproduced" in page or "within tolerance" in page
     assert (tmp_path / "all" / "coins.zarr").exists()
+
+
+def test_the_answer_heads_the_page_and_the_worst_comes_first(dataset_of):
+    found = section("quasars.zarr", dataset_of("quasars"), 1, 10**6)
+    assert found.short[0].startswith("15,533 quasars to V = 20 tie GAIA's spin to 0.5")
+    assert "µas/yr" in found.short[0]
+    verdicts = [row[2][0] for row in found.comparison.rows]
+    assert verdicts == sorted(verdicts, key=SEVERITY.index)
+    assert len(set(found.results.headings)) == len(found.results.headings)
+
+
+def test_every_picture_has_words_for_who_cannot_see_it(dataset_of):
+    for picture in pictures(dataset_of("quasars"), ["sigma_spin", "n_obj"], 0):
+        assert " against V_max [mag]" in picture.description
+        assert not set("${}") & set(picture.description)
+
+
+def test_headings_go_down_by_one(store_of):
+    for stores in (["quasars"], ["quasars", "galaxies"]):
+        page = report_of([store_of(name) for name in stores])
+        levels = [int(level) for level in re.findall(r"<h([1-6])", page)]
+        assert levels[0] == 1
+        assert all(after <= before + 1 for before, after in pairwise(levels))
+        assert page.count("<main") == page.count("<header") == page.count("<footer") == 1

@@ -1,12 +1,16 @@
 """The page in a real browser: nothing fetched, nothing complained of, controls that change the plot, hostile texts."""
 
 import json
+import os
 import re
 import shutil
 import time
+from pathlib import Path
 
 import pytest
 
+from sweep.analysis.quantity import standard_error
+from sweep.formatting import with_error
 from sweep.report.page import report_of
 from sweep.stores.store import open_dataset
 from tests.sweep.report.test_page import evil_store
@@ -157,11 +161,11 @@ def test_controls_change_the_plot(show, store_of):
     dataset = open_dataset(store_of("quasars"))
     driver = show([store_of("quasars")])
     first, picture = drawn(driver), pixels(driver)
-    assert (first["x"], first["y"], first["scale"]) == ("v_max [mag]", "sigma_spin [mas / yr]", "LogScale")
-    assert first["legend"] == ["model = amex", "model = gaia"]
+    assert (first["x"], first["y"], first["scale"]) == ("v_max [mag]", "sigma_spin [µas/yr]", "LogScale")
+    assert first["legend"] == ["model = amex", "model = gaia", "predicted", "published", "one-sigma error"]
     for (x, y), model in zip(first["series"], ("amex", "gaia"), strict=True):
         assert x == dataset["v_max"].values.tolist()
-        assert y == pytest.approx(dataset["sigma_spin"].sel(model=model).values.tolist(), rel=1e-6)
+        assert y == pytest.approx((1000.0 * dataset["sigma_spin"].sel(model=model)).values.tolist(), rel=1e-6)
 
     choose(driver, "x", "model")
     assert drawn(driver)["x"] == "model"
@@ -170,20 +174,22 @@ def test_controls_change_the_plot(show, store_of):
     choose(driver, "series", "")
     choose(driver, "fixed-model", "1")
     second = drawn(driver)
-    assert second["series"][0][1] == pytest.approx(dataset["sigma_spin"].sel(model="gaia").values.tolist(), rel=1e-6)
+    gaia = 1000.0 * dataset["sigma_spin"].sel(model="gaia")
+    assert second["series"][0][1] == pytest.approx(gaia.values.tolist(), rel=1e-6)
     assert second["kept"] == [1, 1]  # those before are gone
     choose(driver, "scale", "linear")
     assert drawn(driver)["scale"] == "LinearScale"
     number = next(
         option.get_attribute("value")
         for option in driver.find_elements("css selector", "select[name=quantity] option")
-        if option.text.startswith("sigma [")
+        if option.text == "sigma"
     )
     choose(driver, "quantity", number)
     choose(driver, "fixed-component", "5")
     third = drawn(driver)
     last = dataset["sigma"].isel(component=5).sel(model="gaia")
-    assert third["series"][0][1] == pytest.approx(last.values.tolist(), rel=1e-6)
+    assert third["y"] == "sigma(omega_z) [µas/yr]"
+    assert third["series"][0][1] == pytest.approx((1000.0 * last).values.tolist(), rel=1e-6)
     assert complaints(driver) == []
 
 
@@ -209,8 +215,9 @@ def test_hover_reads_values(show, store_of):
     actions.w3c_actions.pointer_action.move_to_location(place[0] + 1, place[1])
     actions.perform()
     deadline = time.monotonic() + PATIENCE_S
-    value = open_dataset(store_of("scatter"))["sigma_spin"].item()
-    while f"sigma_spin: {value:.6g}" not in (text := driver.execute_script(tooltip)):
+    dataset = open_dataset(store_of("scatter"))
+    value = with_error(dataset["sigma_spin"].item(), standard_error(dataset, "sigma_spin").item())
+    while f"sigma_spin [mas/yr]: {value}" not in (text := driver.execute_script(tooltip)):
         assert time.monotonic() < deadline, text
         time.sleep(0.05)
 
@@ -232,6 +239,7 @@ def test_the_button_changes_the_theme_of_page_figures_and_view(show, store_of):
 
 def test_a_heading_sorts_by_value(show, store_of):
     driver = show([store_of("quasars")])
+    driver.execute_script("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
     heading = driver.find_element("xpath", "//table[1]//th[button[starts-with(., 'sigma_spin')]]")
     column = driver.execute_script("return arguments[0].cellIndex", heading)
     rows = "[...arguments[0].closest('table').tBodies[0].rows]"
@@ -285,3 +293,62 @@ def test_paper_has_everything_unfolded_and_no_controls(show, store_of):
     driver.execute_script("window.dispatchEvent(new Event('afterprint'))")
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
     assert not driver.execute_script(shown, "details pre")
+
+
+@pytest.mark.parametrize("width", [1400, 1024, 390])
+def test_no_column_is_cut_and_nothing_is_wider_than_the_page(show, store_of, width):
+    driver = show([store_of("quasars"), store_of("algorithm")], width=width)
+    driver.execute_script("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+    time.sleep(0.5)  # the event that a part was opened comes later
+    wide = "[...document.querySelectorAll('table')].filter((t) => t.scrollWidth > t.parentElement.clientWidth + 1)"
+    assert driver.execute_script(f"return {wide}.map((t) => t.parentElement.ariaLabel)") == []
+    page = driver.execute_script("return [document.documentElement.scrollWidth, document.documentElement.clientWidth]")
+    assert page[0] <= page[1]
+
+
+def test_headings_of_a_table_differ(show, store_of):
+    driver = show([store_of("quasars")])
+    for table in driver.find_elements("tag name", "table"):
+        texts = driver.execute_script("return [...arguments[0].tHead.rows[0].cells].map((c) => c.textContent)", table)
+        assert len(set(texts)) == len(texts)
+
+
+def test_a_view_stands_in_the_address(show, store_of):
+    driver = show([store_of("quasars")])
+    choose(driver, "x", "model")
+    choose(driver, "scale", "linear")
+    address = driver.current_url
+    driver.get("about:blank")
+    driver.get(address)
+    wait_for_turn(driver, 1)
+    again = drawn(driver)
+    assert (again["x"], again["scale"]) == ("model", "LinearScale")
+    driver.get("about:blank")
+    driver.get(address.partition("#")[0] + "#explore-1=%7Bnonsense")
+    wait_for_turn(driver, 1)
+    assert drawn(driver)["x"] == "v_max [mag]"
+    assert complaints(driver) == []
+
+
+def test_pictures_and_tables_are_saved(show, store_of, tmp_path):
+    driver = show([store_of("quasars")])
+    driver.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)})
+    driver.execute_script("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+    for kind in ("csv", "svg", "png"):
+        driver.execute_script("document.querySelector(arguments[0]).click()", f"button.{kind}")
+        deadline = time.monotonic() + PATIENCE_S
+        while not (found := list(tmp_path.glob(f"quasars*.{kind}"))):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        assert found[0].stat().st_size > 500
+    assert "light-dark" not in next(tmp_path.glob("*.svg")).read_text()
+    assert next(tmp_path.glob("*.csv")).read_text().startswith("model,v_max [mag],sigma_spin [µas/yr],")
+
+
+@pytest.mark.skipif("LINKSWEEP_AXE" not in os.environ, reason="needs axe.min.js of axe-core, named by LINKSWEEP_AXE")
+def test_axe_finds_nothing(show, store_of):
+    driver = show([store_of("quasars"), store_of("galaxies")])
+    driver.set_script_timeout(PATIENCE_S)
+    driver.execute_script(Path(os.environ["LINKSWEEP_AXE"]).read_text())
+    run = "axe.run(document, {resultTypes: ['violations']}).then((r) => done(r.violations.map((v) => v.id)))"
+    assert driver.execute_async_script(f"const done = arguments[0]; {run}") == []

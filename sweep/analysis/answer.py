@@ -1,4 +1,4 @@
-"""The answer to a study's question in words, from its headline results."""
+"""The answer to a study's question in words: its conclusion, and what can be said of any results."""
 
 import math
 from collections.abc import Iterator
@@ -8,11 +8,20 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.quantity import main_quantity, prediction_name, quantities, standard_error, unknown_parts
+from sweep.analysis.conclusion import conclusion_in_words
+from sweep.analysis.quantity import (
+    PREDICTION_SUFFIXES,
+    main_quantity,
+    prediction_name,
+    quantities,
+    standard_error,
+    unknown_parts,
+)
 from sweep.analysis.selection import place_in_words
 from sweep.contract import Array, SweepError
-from sweep.formatting import with_error
+from sweep.formatting import counted
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
+from sweep.readable import with_unit
 from sweep.studies.provenance import outer_draw_of
 from sweep.studies.study import POINT
 
@@ -25,6 +34,15 @@ ERROR_WORDS = {"mc_error": "Monte Carlo", "catalogue_error": "the choice of cata
 VISIBLE_FACTOR = 1.005
 """An axis that changes a quantity by less is not said to change it."""
 
+NEGLIGIBLE = 1e-4
+"""Values that are a smaller share of the largest one are left out where it is said by what factor an axis changes a
+quantity: a corner of the grid without errors would make it a number that nobody can use.
+"""
+
+
+MOST_SHORT = 3
+"""A short answer has at most so many quantities."""
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -33,6 +51,20 @@ class Answer:
     name: str
     meaning: str
     sentences: list[str]
+
+
+def answer_in_short(dataset: xr.Dataset) -> list[str]:
+    """Return the answer in a few sentences: the conclusion of the study with its values, or the range of each headline
+    quantity where it has none; none for results that are no numbers.
+    """
+    if found := conclusion_in_words(dataset):
+        return found
+    ranges = [answer for answer in answers(dataset) if answer.sentences]
+    return [f"{_named(answer)}: {answer.sentences[0]}" for answer in ranges[:MOST_SHORT]]
+
+
+def _named(answer: "Answer") -> str:
+    return f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name
 
 
 def headline(dataset: xr.Dataset) -> list[str]:
@@ -54,6 +86,8 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
         if array := _own_axes(dataset, variable):
             found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, array)]))
             continue
+        if found and not _varies(dataset[variable]):
+            continue  # a number that is the same everywhere answers nothing
         parts = _components(dataset, variable)
         found += [Answer(name, meaning, list(_sentences(part, variable, unit))) for name, unit, part in parts]
     return found
@@ -90,12 +124,11 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     if not np.isfinite(values).any():
         return "No point has a value yet."
     unit = str(array.attrs.get("units", ""))
-    unit = f" {unit}" if unit else ""
     ends = []
     for flat in (np.nanargmin(values), np.nanargmax(values)):
         index = dict(zip(map(str, array.dims), map(int, np.unravel_index(flat, values.shape)), strict=True))
         place = {d: dataset[d].values[i].item() for d, i in index.items() if d in dataset.coords}
-        ends.append(f"{with_error(float(values.reshape(-1)[flat]), 0.0)}{unit}, at {place_in_words(place)}")
+        ends.append(f"{with_unit(float(values.reshape(-1)[flat]), 0.0, unit)}, at {place_in_words(place)}")
     along = " and ".join(f"{dataset.sizes[d]} values along {d}" for d in own)
     return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
 
@@ -131,11 +164,14 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     parts = [ERROR_WORDS[suffix].replace("catalogue", draw) for suffix in known_ones]
     if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
         yield sentence
-    for sentence in unknown_parts(part, variable):
+    for whole in unknown_parts(part, variable):
+        sentence = whole.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
     predicted = part.get(prediction_name(part, variable))
-    if predicted is not None and (sentence := _agreement(values, errors, predicted.transpose(*dims).values)):
-        yield sentence
+    if predicted is not None:
+        compared = predicted.transpose(*dims).values
+        if sentence := _agreement(values, errors, compared, _left_out(part, variable)):
+            yield sentence
     if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
         points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
         yield f"At {points} done it is not a finite number."
@@ -143,7 +179,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
 
 def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
     def number(index: tuple[Any, ...]) -> str:
-        return with_error(float(values[index]), float(errors[index])) + (f" {unit}" if unit else "")
+        return with_unit(float(values[index]), float(errors[index]), unit)
 
     low = np.unravel_index(np.nanargmin(values), values.shape)
     high = np.unravel_index(np.nanargmax(values), values.shape)
@@ -153,7 +189,7 @@ def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
     if count == 1:
         return f"One point has a value: {number(low)} at {_place(part, low)}."
     if values[low] == values[high]:
-        return f"It is {number(low)} at all {count} points."
+        return f"It is {number(low)} at {_all(count, 'point')}."
     return (
         f"Over {count} points it goes from {number(low)}, at {_place(part, low)}, "
         f"to {number(high)}, at {_place(part, high)}."
@@ -169,8 +205,9 @@ def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:
 
 def _what_changes_it(dims: list[str], values: Array) -> str:
     """Say by what factor a positive quantity changes at most along each axis, the others being equal."""
-    if values.ndim == 0 or np.nanmin(values) <= 0.0 or np.nanmax(values) == np.nanmin(values):
+    if values.ndim == 0 or np.nanmin(values) < 0.0 or np.nanmax(values) == np.nanmin(values):
         return ""
+    values = np.where(values >= NEGLIGIBLE * np.nanmax(values), values, np.nan)
     factors = {}
     for axis, dim in enumerate(dims):
         if dim == POINT:
@@ -200,7 +237,24 @@ def _accuracy(values: Array, errors: Array, origin: str) -> str:
     return f"Its one-sigma error, from {origin}, is {share} % of it."
 
 
-def _agreement(values: Array, errors: Array, predicted: Array) -> str:
+def _left_out(part: xr.Dataset, variable: str) -> str:
+    """Return what a prediction leaves out, in words; '' where it has everything, or nothing is known of it."""
+    whole, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+    if whole in part or errors_alone not in part:
+        return ""
+    return ", which leaves a bias out" if "bias" in part else ""
+
+
+def _all(count: int, noun: str) -> str:
+    return f"both {noun}s" if count == 2 else f"all {counted(count, noun)}"
+
+
+def _varies(array: xr.DataArray) -> bool:
+    finite = array.values[np.isfinite(array.values)]
+    return not finite.size or finite.size == 1 or bool(finite.min() < finite.max())
+
+
+def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) -> str:
     both = np.isfinite(values) & np.isfinite(predicted) & (predicted != 0.0)
     count = int(both.sum())
     if not count:
@@ -208,12 +262,15 @@ def _agreement(values: Array, errors: Array, predicted: Array) -> str:
     farthest = float(np.max(np.abs(values[both] / predicted[both] - 1.0)))
     text = f"{100.0 * farthest:.2g} %"
     if not (errors[both] > 0.0).all():
-        return f"It differs from its prediction by at most {text}."
+        return f"It differs from its prediction{left_out} by {'' if count == 1 else 'at most '}{text}."
     deviations = np.abs(values[both] - predicted[both]) / errors[both]
     within = int(np.sum(deviations <= ERRORS_ALLOWED))
     largest = math.floor(10.0 * float(deviations.max()) + 0.5) / 10.0
-    share = "all" if within == count else f"{within} of"
+    apart = f"{largest:g} {'error' if largest == 1.0 else 'errors'}, or {text}"
+    if count == 1:
+        return f"It is {apart}, from its prediction{left_out}."
+    share = f"{_all(count, 'value')} are" if within == count else f"{within} of {count:,} values are"
     return (
-        f"{share.capitalize()} {count} values are within {ERRORS_ALLOWED:g} of their errors of the prediction; "
-        f"the largest difference is {largest:g} errors, or up to {text}."
+        f"{share.capitalize()} within {ERRORS_ALLOWED:g} of their errors of the prediction{left_out}; "
+        f"the largest difference is {largest:g} {'error' if largest == 1.0 else 'errors'}, or up to {text}."
     )

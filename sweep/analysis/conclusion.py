@@ -1,0 +1,105 @@
+"""The conclusion of a study with its values filled in, from its results."""
+
+import math
+from collections.abc import Iterator
+from string import Formatter
+
+import xarray as xr
+
+from sweep.analysis.measured_claims import OutsideGridError, in_words, measure, unit_of
+from sweep.analysis.verdicts import ARITHMETIC, MC_ERRORS_ALLOWED, Measured
+from sweep.contract import SweepError
+from sweep.readable import in_short, with_unit
+from sweep.studies.study import Conclusion, ConclusionValue, Reading
+
+CONCLUSION = "conclusion"
+"""The attribute of a dataset that holds it, as JSON."""
+
+
+def conclusion_of(dataset: xr.Dataset) -> Conclusion | None:
+    """Return the conclusion that a dataset carries, None without one; raises SweepError if it cannot be read."""
+    text = dataset.attrs.get(CONCLUSION)
+    if text is None:
+        return None
+    try:
+        return Conclusion.model_validate_json(text)
+    except (ValueError, TypeError) as error:
+        raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
+
+
+def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
+    """Return the sentences of the study's conclusion that this grid can fill, with the numbers of its results.
+
+    A number that is not known yet is ``[not done yet]``.  A sentence whose condition is not met is not said; another
+    says so instead.  Sentences about points that this grid does not have are left out.
+    """
+    conclusion = conclusion_of(dataset)
+    if conclusion is None:
+        return []
+    sentences = []
+    for sentence in conclusion.sentences:
+        try:
+            sentences.append(_filled(dataset, conclusion, sentence))
+        except OutsideGridError:
+            continue
+    return sentences
+
+
+def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
+    pieces, unmet = [], []
+    for text, name, form, _ in Formatter().parse(sentence):
+        pieces.append(text)
+        if name is None:
+            continue
+        value = conclusion.values[name]
+        measured = _measured(dataset, value)
+        quantity = value.quantity()
+        unit = unit_of(dataset, quantity) if isinstance(quantity, Reading) else ""
+        pieces.append(_number(measured, unit, form or ""))
+        if not measured.missing and (bound := _broken_bound(value, measured)):
+            unmet.append(f"{in_words(quantity)} is {in_short(measured.value, measured.error, unit)}, not {bound}")
+    text = "".join(pieces)
+    return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})." if unmet else text
+
+
+def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
+    """Return the one number that a value stands for; raises OutsideGridError where this grid does not have it."""
+    measured = list(_known(dataset, value))
+    if not measured:
+        return Measured({}, missing="not done yet")
+    if missing := [one for one in measured if one.missing or not math.isfinite(one.value)]:
+        return missing[0] if missing[0].missing else Measured({}, missing="not a finite number")
+    pick = max if value.choose == "largest" else min
+    return pick(measured, key=lambda one: one.value)
+
+
+def _known(dataset: xr.Dataset, value: ConclusionValue) -> Iterator[Measured]:
+    """Yield the numbers at all places that a value is chosen from, but those that the study excludes."""
+    for one in measure(dataset, value, value.quantity()):
+        if not one.missing.startswith("excluded") or value.choose is None:
+            yield one
+
+
+def _number(measured: Measured, unit: str, form: str) -> str:
+    if measured.missing:
+        return f"[{measured.missing.partition(':')[0]}]"
+    if measured.broken:
+        return f"[{measured.broken}]"
+    if form == "%":
+        return f"{in_short(100.0 * measured.value, 100.0 * measured.error)} %"
+    if form == "error":
+        return with_unit(measured.value, measured.error, unit)
+    return in_short(measured.value, measured.error, unit)
+
+
+def _broken_bound(value: ConclusionValue, measured: Measured) -> str:
+    """Return which bound a number does not keep, in words; '' where it keeps both."""
+    number = measured.value
+    allowed = MC_ERRORS_ALLOWED * measured.error + ARITHMETIC * abs(number)
+    if value.above is not None and not number + allowed > value.above:
+        return f"above {value.above:g}"
+    if value.below is not None and not number - allowed < value.below:
+        return f"below {value.below:g}"
+    if value.equals is not None and not abs(number - value.equals) <= allowed:
+        return f"{value.equals:g} within {MC_ERRORS_ALLOWED:g} of its errors"
+    return ""

@@ -1,0 +1,70 @@
+"""Results in the units in which they read best: 0.54 uas/yr and not 0.0005411 mas/yr.
+
+For tables, figures and pages; what is computed with results takes them in the units of the store.
+"""
+
+from typing import Any
+
+import xarray as xr
+
+from sweep.analysis.quantity import COVARIANCE_SUFFIX, ERROR_SUFFIXES, PREDICTION_SUFFIXES, quantities
+from sweep.readable import prefixed
+
+BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
+"""Variables NAME_SUFFIX that are in the unit of NAME."""
+
+
+def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the results with each quantity, and all that belongs to it, in the unit in which most numbers read well.
+
+    One component of several has its own; several of different units stay as they are.  Nothing changes of a quantity
+    whose unit takes no prefix, of axes, and of a dataset that is not over points of a study.
+    """
+    if "status" not in dataset:
+        return dataset
+    changed: dict[str, xr.DataArray] = {}
+    for name in quantities(dataset):
+        values = dataset[name].values
+        unit = str(dataset[name].attrs.get("units", ""))
+        if "," in unit or values.dtype.kind != "f":
+            continue
+        chosen = prefixed(values, unit)
+        if chosen.factor == 1.0:
+            continue
+        for other in (name, *(f"{name}_{suffix}" for suffix in BESIDE)):
+            if other in dataset and str(dataset[other].attrs.get("units", "")) == unit:
+                changed[other] = _scaled(dataset[other], chosen.factor, chosen.unit)
+        for axis in dataset.coords:
+            if (other := f"{name}_{COVARIANCE_SUFFIX}_{axis}") in dataset:
+                changed[other] = _scaled(dataset[other], chosen.factor**2, _squared(chosen.unit))
+    return _component(dataset.assign(changed))
+
+
+def _scaled(array: xr.DataArray, factor: Any, unit: str) -> xr.DataArray:
+    scaled: xr.DataArray = (array * factor).transpose(*array.dims)
+    return scaled.assign_attrs(array.attrs | {"units": unit})
+
+
+def _squared(unit: str) -> str:
+    return f"({unit})2"
+
+
+def _component(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the dataset, of one component of several that have units of their own, in the unit that suits this one."""
+    for name in [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]:
+        dimension = name.removesuffix("_unit")
+        own = [n for n in quantities(dataset) if _is_of_component(dataset, n)]
+        if dimension not in dataset.coords or not own:
+            continue
+        chosen = prefixed(dataset[own[0]].values, str(dataset[name].item()))
+        if chosen.factor == 1.0:
+            continue
+        family = [f"{n}_{suffix}" for n in own for suffix in BESIDE]
+        changed = {n: _scaled(dataset[n], chosen.factor, chosen.unit) for n in [*own, *family] if n in dataset}
+        dataset = dataset.assign(changed).assign_coords({name: dataset[name].copy(data=chosen.unit)})
+    return dataset
+
+
+def _is_of_component(dataset: xr.Dataset, name: str) -> bool:
+    """Return whether a quantity is in the unit of its component, and not in the product of two of them."""
+    return "," in (unit := str(dataset[name].attrs.get("units", ""))) and "(" not in unit

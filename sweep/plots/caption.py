@@ -1,0 +1,82 @@
+"""The caption of a figure, and a description for who cannot see it, from what is drawn and from the results."""
+
+import re
+from collections.abc import Iterable
+
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from sweep.analysis.answer import answer_in_short, answers, completeness
+from sweep.readable import with_micro_signs
+
+MOST_PANELS = 6
+"""A description names the titles of so many panels."""
+
+SIGNS = {
+    "simulated": "Points are simulated, with one-sigma errors.",
+    "predicted": "Lines are predicted in closed form.",
+    "published": "Open symbols are published.",
+}
+"""What entries of a legend mean."""
+
+
+def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return the text of a file beside a picture: its caption, and a description under a heading of its own."""
+    return f"{caption(figure, dataset, with_answer=True)}\n\nAlternative text: {description(figure, dataset)}\n"
+
+
+def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> str:
+    """Return the caption: the title, what the signs mean, and the answer of the study if it is wanted."""
+    title = str(dataset.attrs.get("title", "")).rstrip(".")
+    entries = _entries(figure)
+    signs = [words for entry, words in SIGNS.items() if entry in entries]
+    is_study = "status" in dataset and with_answer
+    sentences = [*completeness(dataset), *answer_in_short(dataset)] if is_study else []
+    source = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
+    published = [f"Published: {'; '.join(source)}."] if source and "published" in entries else []
+    parts = [f"{title}." if title else "", *signs, *published, *map(with_micro_signs, sentences)]
+    return " ".join(filter(None, parts))
+
+
+def description(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return what is seen: which panels, what against what, and between which values it goes."""
+    panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>" and axes.axison]
+    seen = list(dict.fromkeys(_of_panel(axes) for axes in panels))
+    titles = [plain(axes.get_title()) for axes in panels if axes.get_title()]
+    words = f"{len(panels)} panels, " if len(panels) > 1 else ""
+    named = f" ({'; '.join(titles[:MOST_PANELS])}{', ...' if len(titles) > MOST_PANELS else ''})" if titles else ""
+    ranges = [answer.sentences[0] for answer in answers(dataset)[:1]] if "status" in dataset else []
+    signs = [plain(entry) for entry in _entries(figure)]
+    legend = [f"Told apart: {', '.join(signs)}."] if len(signs) > 1 else []
+    whole = [f"{words}{' and '.join(seen)}{named}.", *legend, *map(with_micro_signs, ranges)]
+    return " ".join(whole)[:1].upper() + " ".join(whole)[1:]
+
+
+def _of_panel(axes: Axes) -> str:
+    what, over = plain(_shared(axes.get_ylabel(), axes, "y")), plain(_shared(axes.get_xlabel(), axes, "x"))
+    return f"{what or 'values'} against {over}" if over else what or "a picture"
+
+
+def _shared(label: str, axes: Axes, which: str) -> str:
+    """Return a label, or that of the axes that share this axis and have one."""
+    group = axes.get_shared_y_axes() if which == "y" else axes.get_shared_x_axes()
+    others = (other.get_ylabel() if which == "y" else other.get_xlabel() for other in group.get_siblings(axes))
+    return label or next(filter(None, others), "")
+
+
+def _entries(figure: Figure) -> list[str]:
+    texts: Iterable[str] = (text for axes in figure.axes for text in axes.get_legend_handles_labels()[1])
+    return list(dict.fromkeys(texts))
+
+
+def plain(text: str) -> str:
+    """Return a text of a figure without the marks of mathematics.
+
+    Examples:
+        >>> plain(r"$\\sigma(\\omega)$ [mas/yr]"), plain(r"$V_\\mathrm{max}$")
+        ('sigma(omega) [mas/yr]', 'V_max')
+    """
+    text = re.sub(r"\\(?:mathrm|overline|bar)\{?([^{}$]*)\}?", r"\1", text)
+    text = re.sub(r"\\pm", "±", text)
+    return re.sub(r"[${}]|\\", "", text).replace("\n", " ")

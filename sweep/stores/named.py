@@ -1,0 +1,31 @@
+"""Stores by the name of their study: ``quasars`` is ``results/quasars.zarr`` of the working directory."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from sweep.stores.location import Location, Where, located
+
+RESULTS = Path("results")
+"""Where a run puts its store unless it is told another place."""
+
+
+def default_store(name: str) -> Path:
+    """Return where the store of a study is unless it was told another place."""
+    return RESULTS / f"{name}.zarr"
+
+
+def store_named(where: Where) -> Location:
+    """Return the place that an address, a path or the name of a study names; a path that exists goes first."""
+    if isinstance(where, str) and Path(where).name == where:
+        default = default_store(where.removesuffix(".toml"))
+        with suppress(OSError, ValueError):  # of names that cannot be those of files
+            if not Path(where).exists() and default.exists():
+                return located(default)
+    return located(where)
+
+
+def short_name(store: Location) -> str:
+    """Return the shortest text that `store_named` takes for a store."""
+    text = str(store)
+    name = Path(text).name.removesuffix(".zarr")
+    return name if Path(text) == default_store(name) and not Path(name).exists() else text

@@ -1,0 +1,138 @@
+"""Conclusions: the words of the study, the numbers of the results."""
+
+import tomllib
+
+import pytest
+
+from sweep.analysis.answer import answer_in_short
+from sweep.analysis.conclusion import conclusion_in_words
+from sweep.contract import SweepError
+from sweep.planning.point_status import Status
+from sweep.studies.reader import load_study, study_from_dict
+from sweep.studies.source import built_in_studies
+from tests.sweep.conftest import SHORT
+
+AT = {"model": "gaia", "v_max": 20.0}
+GAIA = {"value": {"variable": "sigma_spin", "at": AT}}
+
+
+def concluding(dataset, *sentences, **values):
+    study = study_from_dict(
+        {
+            "title": "t",
+            "axes": {"model": ["amex", "gaia"], "v_max": [14.0, 20.0, 21.0]},
+            "fixed": {"catalogue": "quasars"},
+            "conclusion": {"sentences": list(sentences), "values": values},
+        }
+    )
+    return conclusion_in_words(dataset.assign_attrs(conclusion=study.conclusion.model_dump_json()))
+
+
+def test_values_are_filled_in_with_units(dataset_of):
+    dataset = dataset_of("quasars")
+    value = float(dataset["sigma_spin"].sel(AT)) * 1000.0
+    (sentence,) = concluding(dataset, "GAIA {{20}}: {gaia}, {gaia:error}.", gaia=GAIA)
+    assert sentence.startswith(f"GAIA {{20}}: {value:.2g} uas/yr, {value:.2f}")
+    assert " ± " in sentence
+    ratio = {
+        "ratio": {"variable": "sigma_spin", "of": {"model": "gaia"}, "to": {"model": "amex"}},
+        "where": {"v_max": 20.0},
+    }
+    (sentence,) = concluding(dataset, "{share:%} of AMEX", share=ratio)
+    assert float(sentence.split()[0]) == pytest.approx(
+        100.0 * value / 1000.0 / float(dataset["sigma_spin"].sel(model="amex", v_max=20.0)), rel=0.05
+    )
+
+
+def test_the_least_of_several(dataset_of):
+    dataset = dataset_of("quasars").sel(v_max=[14.0, 20.0])
+    least = {"value": {"variable": "n_obj"}, "choose": "least"}
+    most = {"value": {"variable": "n_obj"}, "choose": "largest"}
+    assert concluding(dataset, "{a} to {b}", a=least, b=most) == ["28 to 15,533"]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "met"),
+    [
+        ({"above": 0.0}, True),
+        ({"below": 1.0}, True),
+        ({"above": 1.0}, False),
+        ({"below": 1e-6}, False),
+        ({"equals": 0.0}, False),
+        ({"equals": 5.4e-4}, True),
+    ],
+)
+def test_a_sentence_that_does_not_hold_is_not_said_to(dataset_of, bounds, met):
+    (sentence,) = concluding(dataset_of("quasars"), "So it is: {gaia}.", gaia=GAIA | bounds)
+    assert sentence.startswith("So it is" if met else "Expected, but not found: “So it is")
+
+
+def test_what_is_not_there_is_said_or_left_out(dataset_of):
+    dataset = dataset_of("quasars")
+    status = dataset["status"].copy(deep=True)
+    status.loc[AT] = Status.MISSING
+    assert concluding(dataset.assign(status=status), "{gaia}", gaia=GAIA) == ["[not done yet]"]
+    status.loc[AT] = Status.FAILED
+    assert concluding(dataset.assign(status=status), "{gaia}", gaia=GAIA) == ["[failed]"]
+    beyond = {"value": {"variable": "sigma_spin", "at": {"model": "gaia", "v_max": 21.0}}}
+    assert concluding(dataset, "{beyond}", "{gaia}!", beyond=beyond, gaia=GAIA)[0].endswith("!")
+
+
+def test_built_in_studies_conclude_with_numbers(dataset_of):
+    """All of them but those without a short run here; those of other points say only what they know."""
+    for name in ("quasars", "scatter", "sqrt-n", "error-surface", "galaxies"):
+        dataset = dataset_of(name)
+        said = answer_in_short(dataset)
+        assert len(said) == len(load_study(name).conclusion.sentences)
+        assert not any("[" in sentence or "{" in sentence for sentence in said)
+    assert "quadrature" in answer_in_short(dataset_of("error-surface"))[0]
+    assert "no bias" in answer_in_short(dataset_of("scatter"))[0]
+
+
+def test_every_built_in_study_has_a_conclusion():
+    assert set(SHORT) <= set(built_in_studies())
+    paths = built_in_studies().values()  # some need a package that may not be there
+    assert all("conclusion" in tomllib.loads(path.read_text()) for path in paths)
+
+
+def test_without_a_conclusion_the_range_answers(dataset_of):
+    dataset = dataset_of("sqrt-n")
+    del dataset.attrs["conclusion"]
+    (sentence,) = answer_in_short(dataset)
+    assert sentence.startswith(
+        "sigma_spin (RMS error of the spin, over its three components): Over 7 points it goes from"
+    )
+    dataset.attrs["conclusion"] = "{"
+    with pytest.raises(SweepError, match="the attribute 'conclusion' cannot be read"):
+        answer_in_short(dataset)
+
+
+def test_words_about_what_the_study_fixes_are_not_said_of_something_else():
+    assert load_study("quasars", ["catalogue=galaxies"]).conclusion is None
+    assert load_study("quasars", ["model=gaia"]).conclusion is None
+    assert load_study("quasars", axes=["error_scale=1,2"]).conclusion is None
+    assert load_study("quasars", ["n_sim=5"], ["v_max=14,15"]).conclusion is not None
+
+
+@pytest.mark.parametrize(
+    ("sentence", "value", "problem"),
+    [
+        ("{gaja}", GAIA, "sentences.0: unknown value 'gaja'; did you mean 'gaia'?"),
+        ("{gaia", GAIA, "sentences.0: '{gaia': expected '}' before end of string"),
+        ("{gaia:.2f}", GAIA, "after the colon can be error or %"),
+        ("{gaia.x}", GAIA, "'gaia.x' is not the name of a value"),
+        ("nothing", GAIA, "values.gaia: 'gaia' is in no sentence"),
+        ("{gaia}", {"value": {"variable": "sigma_spn", "at": AT}}, "unknown output 'sigma_spn'"),
+        ("{gaia}", {"value": {"variable": "sigma_spin", "at": AT | {"v_max": 19.0}}}, "19.0 is not on the axis"),
+        ("{gaia}", {"value": {"variable": "sigma_spin"}}, "model has several values; fix it with 'where', or choose"),
+        ("{gaia}", {}, "needs exactly one of slope, ratio and value"),
+        ("{gaia}", GAIA | {"above": 2.0, "below": 1.0}, "2 is not less than below = 1"),
+        ("{gaia}", GAIA | {"chose": "least"}, "unknown key; did you mean 'choose'?"),
+        ("{gaia}", GAIA | {"choose": "first"}, "choose"),
+    ],
+)
+def test_bad_conclusions_are_refused_when_the_study_is_read(dataset_of, sentence, value, problem):
+    with pytest.raises(SweepError) as error:
+        concluding(dataset_of("quasars"), sentence, gaia=value)
+    assert problem in str(error.value)
+    assert "conclusion" in str(error.value)
