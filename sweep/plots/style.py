@@ -88,7 +88,7 @@ GREEK = (
     *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),
     *("pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
 )
-_NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d?)(?:_(\w+))?")
+_NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
 @contextmanager
@@ -173,7 +173,9 @@ def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
     match = _NAME.fullmatch(name)
     if match is None:
         return name.replace("_", " ")
-    letter, power, index = match.groups()
+    letter, digits, index = match.groups()
+    power = digits if letter == "chi" else ""  # of all others a number tells one from the next
+    index = "_".join(part for part in (digits.removeprefix(power), index) if part)
     letter = rf"\{letter}" if letter in GREEK else letter
     index = index and (index if len(index) == 1 else rf"\mathrm{{{index.replace('_', ',')}}}")
     return f"${letter}{f'_{{{index}}}' if index else ''}{f'^{power}' if power else ''}$"
