@@ -22,8 +22,8 @@ SERIAL = Resources(pool="serial")
 COINS = (Path(__file__).parents[1] / "coins.py").read_text()
 MARKING = 'from pathlib import Path\nPath({marker!r}).write_text("was here")\n'
 
-COMPUTING = {"retry", "reproduce"}
-"""Commands that compute from a store, and ask."""
+COMPUTING = {"merge", "retry", "reproduce"}
+"""Commands that need the code of a store, and ask."""
 
 ARGUMENTS = {  # by command: what a user would type about a store, several times where there are several ways
     "calibrate": [[]],
@@ -33,6 +33,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "fit": [["STORE", "--over", "coins"]],
     "list": [[]],
     "match": [["STORE", "STORE"]],
+    "merge": [["STORE", "STORE", "-o", "STORE.merged"]],
     "new": [["mine", "STORE"]],
     "params": [["STORE"]],
     "plan": [["STORE"], ["STORE/study.toml"]],
@@ -44,6 +45,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "run": [["STORE"], ["STORE/study.toml"]],
     "scaling": [["STORE"], ["STORE/study.toml"]],
     "schema": [["STORE"]],
+    "sensitivity": [["STORE"]],
     "show": [["STORE"], ["STORE", "--format", "csv"]],
     "status": [["STORE"], ["STORE", "--json"]],
     "tie": [["STORE", "zero-motion"]],
