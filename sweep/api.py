@@ -19,7 +19,7 @@ from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
 from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
-from sweep.stores.named import store_named
+from sweep.stores.named import default_store, store_named
 from sweep.stores.store import open_dataset
 from sweep.studies.live import live_study, study_of_function
 from sweep.studies.reader import load_study
@@ -103,7 +103,7 @@ def run(
     """
     leave_a_worker_that_runs_its_script()
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})
-    place = located(store or Path("results") / f"{loaded.name}.zarr")
+    place = located(store or default_store(loaded.name))
     resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
     with _watching(loaded, progress) as watching:
         dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)

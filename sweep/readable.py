@@ -19,7 +19,7 @@ SMALL = 1e-4
 STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
 """Prefixes that are chosen between, and their powers of ten."""
 
-ONLY_SMALLER = ("s", "arcsec", "rad", "mag", "g")
+ONLY_SMALLER = ("s", "arcsec", "rad", "g")
 """Units that take prefixes below one: 3000 s are no ks to anyone, nor 10 arcsec a dakarcsec."""
 
 ONLY_LARGER = ("pc", "yr", "lyr", "AU", "bit", "byte")
@@ -226,7 +226,7 @@ def _short(value: float, error: float) -> str:
     last = size - (1 if known and leading >= 2.0 else 2)
     if known:
         last = max(last, floor(log10(error)))
-    if not last >= -6:
+    if last < -6:
         return f"{value:.2g}"
     rounded_value = round(value, -last) + 0.0  # and not -0.0
     return f"{rounded_value:,.{max(0, -last)}f}" if abs(value) < 1e7 else f"{value:.2e}"

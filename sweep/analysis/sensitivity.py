@@ -20,7 +20,7 @@ from sweep.analysis.salib_indices import morris_effects, saltelli_indices
 from sweep.analysis.variance_grid import indices_of_grid
 from sweep.contract import Array, SweepError
 from sweep.planning.point_status import Status
-from sweep.studies.designs import DESIGNS, size_of
+from sweep.studies.designs import DESIGNS
 from sweep.studies.ranges import Range
 from sweep.studies.study import POINT, POINT_TABLE
 
@@ -123,13 +123,14 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     told = json.loads(dataset.attrs.get(POINT_TABLE, "{}"))
     design = told.get("design", "")
     parameters = [n for n in told.get("ranges", told.get("parameters", [])) if n in dataset.coords]
-    whole = size_of(design, told["n"], len(parameters)) == dataset.sizes[POINT] if design in DESIGNS else False
+    whole = design in DESIGNS and DESIGNS[design].size(told["n"], len(parameters)) == dataset.sizes[POINT]
     if design in ("saltelli", "morris") and not whole:
         raise SweepError(f"indices of a {design} design need all of its points")
     if design == "saltelli":
         return _Method("SALib, of a saltelli design", parameters, [POINT], _saltelli(len(parameters), seed), [NOISE])
-    places = [_places(dataset, name, told.get("ranges", {}).get(name)) for name in parameters]
+    ranges = told.get("ranges", {})
     if design == "morris":
+        places = [_places(dataset, name, ranges.get(name)) for name in parameters]
 
         def effects(values: Array, _errors: Array | None) -> dict[str, Array]:
             return morris_effects(values, np.stack(places, axis=1), seed)
@@ -139,23 +140,14 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     parameters = [name for name in varied_parameters(dataset) if name in parameters]
     if not parameters:
         raise SweepError("the points do not differ in any parameter")
-    places = [_places(dataset, name, told.get("ranges", {}).get(name)) for name in parameters]
-
+    places = [_places(dataset, name, ranges.get(name)) for name in parameters]
     even = bool(design) and design != "random"
 
     def given(values: Array, _errors: Array | None) -> dict[str, Array]:
-        return dict(
-            zip(
-                ("first", "first_error"),
-                first_order(values, places, even, seed),
-                strict=True,
-            )
-        )
+        return dict(zip(INDICES[:2], first_order(values, places, even, seed), strict=True))
 
-    notes = [
-        "total indices need a full grid or a saltelli design",
-        *([] if design else _correlated(parameters, places)),
-    ]
+    notes = ["total indices need a full grid or a saltelli design"]
+    notes += [] if design else _correlated(parameters, places)
     return _Method(f"regression on each parameter, of {design or 'given'} points", parameters, [POINT], given, notes)
 
 

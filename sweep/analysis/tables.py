@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.quantity import ERROR_SUFFIXES, PREDICTION_SUFFIXES, prediction_name, standard_error
+from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error
 from sweep.analysis.readable_units import in_readable_units
 from sweep.formatting import is_missing, plain, rounded, to_json, with_error
 from sweep.planning.point_status import Status
@@ -60,6 +60,9 @@ class Column:
         """Characters that the column takes, with the gap before the next one."""
         return max(map(len, [*self.heading.split("\n"), *self.cells])) + GAP
 
+
+ERROR = "error of {}"
+"""The column, in tables that are made for reading, of the whole one-sigma error of a variable."""
 
 MOST_ROWS = 1000
 """Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
@@ -239,7 +242,9 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     published and difference; of all points or of the first ones.
     """
     dataset = in_readable_units(dataset)
-    whole = _without_excluded(long_table(dataset))
+    names = [name for name in _headline(dataset) if name not in array_outputs(dataset)]
+    known = {name: error for name in names if (error := standard_error(dataset, name)) is not None}
+    whole = _without_excluded(long_table(dataset.assign({ERROR.format(name): e for name, e in known.items()})))
     finished = set(whole["status"][1]) == {"done"}
     long = {name: (unit, values[:most]) for name, (unit, values) in whole.items()}
     columns = [
@@ -254,7 +259,7 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
             cells = [_span(value) for value in values]
             columns.append(Column(name, unit, cells, [str(value) for value in values], name, later + VALUE))
             continue
-        errors = _errors(long, name)
+        errors = long[ERROR.format(name)][1] if name in known else [0.0] * len(values)
         cells = [with_error(v, e) for v, e in zip(values, errors, strict=True)]
         columns.append(Column(name, unit, cells, values, name, later + VALUE))
         if (predicted := long.get(prediction_name(long, name))) is not None:
@@ -271,13 +276,6 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
             columns.append(Column("difference", "", cells, [_relative(*p) for p in pairs], name, rank))
     status = long["status"][1]
     return columns if finished else [*columns, Column("status", "", status, status)]
-
-
-def _errors(long: dict[str, tuple[str, list[Any]]], name: str) -> list[float]:
-    """Return the one-sigma errors of a column from all their parts that are known, 0 where there is none."""
-    parts = [long[f"{name}_{suffix}"][1] for suffix in ERROR_SUFFIXES if f"{name}_{suffix}" in long]
-    rows = zip(*parts, strict=True) if parts else ([] for _ in long[name][1])
-    return [math.hypot(*(part for part in row if not is_missing(part))) for row in rows]
 
 
 def arrays_in_words(dataset: xr.Dataset) -> list[str]:

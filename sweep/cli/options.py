@@ -226,6 +226,7 @@ def load(study: str, overrides: Mapping[str, Any], store: "Location | None", tru
     """Return the study with its overrides, and where its store is; a study inside a store must be trusted."""
     from sweep.running.trust import require_trust_of_study
     from sweep.stores.location import located
+    from sweep.stores.named import default_store
     from sweep.studies.reader import load_study
     from sweep.studies.source import find_study, reference_in
 
@@ -234,7 +235,7 @@ def load(study: str, overrides: Mapping[str, Any], store: "Location | None", tru
     elif (file := function.rpartition(":")[0]).endswith(".py"):
         require_trust_of_study(Path(file), trust)
     loaded = load_study(study, **overrides)
-    return loaded, store or located(Path("results") / f"{loaded.name}.zarr")
+    return loaded, store or located(default_store(loaded.name))
 
 
 def part_of(store: "Location", at: tuple[str, ...]) -> Any:

@@ -50,13 +50,14 @@ def compare(
     from sweep.analysis.compare import all_is_well
     from sweep.executing.choose import Resources
     from sweep.paper.published_stores import compare_stores
+    from sweep.stores.named import RESULTS
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")
     if not everything and (results is not None or resources != Resources() or watching != Watching()):
         raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without it")
     if everything:
-        stores = run_what_is_missing(results or Path("results"), resources, watching)
+        stores = run_what_is_missing(results or RESULTS, resources, watching)
     comparisons, remarks = compare_stores(stores)
     print_comparisons(comparisons, remarks, "json" if as_json else table_format)
     if not all_is_well(comparisons):

@@ -53,6 +53,7 @@ def report(
     except ImportError as error:
         raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
     from sweep.executing.choose import Resources
+    from sweep.stores.named import RESULTS
 
     if everything == bool(stores):
         raise click.UsageError("name stores, or give --all")
@@ -61,6 +62,6 @@ def report(
     path = output or (Path("paper-report.html") if everything else default_path(stores))
     check_output(path)
     if everything:
-        stores = run_what_is_missing(results or Path("results"), resources, watching)
+        stores = run_what_is_missing(results or RESULTS, resources, watching)
     write_report(report_of(stores), path)
     click.echo(f"wrote {path}", err=True)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import xarray as xr
 from sweep.code_identity import code_differences
 from sweep.contract import Array, Named, SweepError, Value
 from sweep.functions.adapter import layout_of_record
+from sweep.functions.layout import Layout
 from sweep.functions.layout import differences as layout_differences
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid, describe
@@ -53,6 +55,11 @@ class _Source:
     sums: Array
     texts: Texts
 
+    @cached_property
+    def layout(self) -> Layout | None:
+        """What the results of a plain function are, if the store says so."""
+        return layout_of_record(_record(self.attributes))
+
     def points(self) -> dict[bytes, dict[str, Any]]:
         """Return the parameters of each point by its digest."""
         return {point.digest: point.parameters for point in Grid(self.study).points()}
@@ -92,10 +99,15 @@ def _source(location: Location, trust: bool) -> _Source:
     if (runs := holder(location)) is not None:
         raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
     opened = OpenStore(location)
-    plain = "function" in json.loads(opened.attributes.get(RECORD, "{}"))
+    plain = "function" in _record(opened.attributes)
     study = recorded_study(opened.attributes, str(location)) if plain else study_of(location, trust=trust)
     ledger = opened.ledger()
     return _Source(location, opened.attributes, study, ledger, ledger.ledger.sums(), Texts(location, ledger.keys))
+
+
+def _record(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads(attributes.get(RECORD, "{}"))
+    return record
 
 
 def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
@@ -114,9 +126,8 @@ def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
         if all(codes):
             was, now = f"in {one.location}", f"in {other.location}"
             found += code_differences(codes[0][-1].code, codes[1][-1].code, was, now)
-    layouts = [layout_of_record(json.loads(source.attributes.get(RECORD, "{}"))) for source in (one, other)]
-    if layouts[0] is not None and layouts[1] is not None and layouts[0] != layouts[1]:
-        found += layout_differences(layouts[0], layouts[1]) or ["results of other types"]
+    if one.layout is not None and other.layout is not None and one.layout != other.layout:
+        found += layout_differences(one.layout, other.layout) or ["results of other types"]
     if found:
         raise SweepError([f"cannot be merged with {other.location}: these differ", *found], str(one.location))
 
@@ -124,7 +135,7 @@ def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
 def _study(one: _Source, other: _Source, where: str) -> Study:
     """Return the study of the points of both."""
     first, second = one.study, other.study
-    if layout_of_record(json.loads(one.attributes.get(RECORD, "{}"))) is None:
+    if one.layout is None:
         first = replace(first, experiment=second.experiment)  # no point of it was ever computed
     document = {key: value for key, value in first.document.items() if key not in _GRID}
     crossed = [_crossed(study) for study in (first, second)]
@@ -136,8 +147,9 @@ def _study(one: _Source, other: _Source, where: str) -> Study:
     rows = list(dict.fromkeys((*_points(first, names), *_points(second, names))))
     columns = {name: list(dict.fromkeys(row[k] for row in rows)) for k, name in enumerate(names)}
     fixed = {name: raw for name, raw in document.get("fixed", {}).items() if name not in names}
-    document |= {"fixed": fixed} if fixed else {}
-    if not fixed:
+    if fixed:
+        document["fixed"] = fixed
+    else:
         document.pop("fixed", None)
     whole = int(np.prod([len(values) for values in columns.values()], dtype=object)) == len(rows)
     if whole and not same and first.points is None and second.points is None:

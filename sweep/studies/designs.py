@@ -16,12 +16,19 @@ SENSITIVITY = "needs SALib, which is not installed: pip install 'linksweep[sensi
 
 class Design(NamedTuple):
     """How a design is made of ``n``, the number of parameters and a seed, as (points, parameters) in the unit cube;
-    whether a larger n begins with the same points; and what n counts.
+    whether a larger n begins with the same points; what n counts; how many points each of that has beside one for each
+    parameter, None where it is a point; and whether it is of Sobol's sequence, which is even for powers of two.
     """
 
     make: Callable[[int, int, int], Array]
     grows: bool
     counts: str = "points"
+    beside: int | None = None
+    of_sobol: bool = False
+
+    def size(self, n: int, dimensions: int) -> int:
+        """Return how many points it has."""
+        return n if self.beside is None else n * (dimensions + self.beside)
 
 
 def _sobol(n: int, dimensions: int, seed: int) -> Array:
@@ -67,12 +74,12 @@ def _morris(n: int, dimensions: int, seed: int) -> Array:
 
 
 DESIGNS: Mapping[str, Design] = {
-    "sobol": Design(_sobol, grows=True),
+    "sobol": Design(_sobol, grows=True, of_sobol=True),
     "latin-hypercube": Design(_latin_hypercube, grows=False),
     "halton": Design(_halton, grows=True),
     "random": Design(_random, grows=True),
-    "saltelli": Design(_saltelli, grows=True, counts="base points, of (parameters + 2) points each"),
-    "morris": Design(_morris, grows=True, counts="trajectories, of (parameters + 1) points each"),
+    "saltelli": Design(_saltelli, True, "base points, of (parameters + 2) points each", beside=2, of_sobol=True),
+    "morris": Design(_morris, True, "trajectories, of (parameters + 1) points each", beside=1),
 }
 
 
@@ -84,15 +91,10 @@ def salib() -> None:
         raise SweepError(SENSITIVITY) from error
 
 
-def size_of(design: str, n: int, dimensions: int) -> int:
-    """Return how many points a design has."""
-    return n * {"saltelli": dimensions + 2, "morris": dimensions + 1}.get(design, 1)
-
-
 def remarks(origin: Mapping[str, Any]) -> list[str]:
     """Return what a run warns of a design with."""
-    n = origin.get("n", 1)
-    if origin.get("design") not in ("sobol", "saltelli") or n & (n - 1) == 0:
+    n, design = origin.get("n", 1), DESIGNS.get(origin.get("design", ""))
+    if design is None or not design.of_sobol or n & (n - 1) == 0:
         return []
     below = 1 << (n.bit_length() - 1)
     return [

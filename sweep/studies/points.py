@@ -9,7 +9,7 @@ import numpy as np
 from sweep.contract import Experiment, SweepError, shown, suggest
 from sweep.contract.units import factor_between
 from sweep.load import load_function
-from sweep.studies.designs import DESIGNS, MORRIS_LEVELS, size_of
+from sweep.studies.designs import DESIGNS, MORRIS_LEVELS
 from sweep.studies.form import PointsForm
 from sweep.studies.problems import Problems
 from sweep.studies.ranges import Range, read_range
@@ -169,7 +169,7 @@ def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> 
                 problems.add(("points", "ranges", one.name), sentence)
     if len(problems.found) > before or form.n is None:
         return {}, {}
-    if (size := size_of(name, form.n, len(ranges))) > MOST_ROWS:
+    if (size := DESIGNS[name].size(form.n, len(ranges))) > MOST_ROWS:
         problems.add(("points", "n"), f"makes {size:,} points; at most {MOST_ROWS:,} are allowed")
         return {}, {}
     try:
