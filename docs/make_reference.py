@@ -14,7 +14,7 @@ Made from the code by `python docs/make_reference.py`.
 
 ## Built-in studies
 
-`sweep run NAME` runs one; the file behind it is in [sweeps](../sweeps).
+`sweep run NAME` runs one; the file behind it is in the folder `sweeps`.
 """
 
 
