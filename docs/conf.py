@@ -29,9 +29,9 @@ templates_path: list[str] = []
 myst_heading_anchors = 3  # links to headings are those of GitHub
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!linksweep\.).*")]  # types of NumPy, xarray ... are documented elsewhere
+smartquotes = False  # two hyphens are those of an option
 default_role = "code"  # single backticks in docstrings
 
-autodoc_member_order = "groupwise"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 maximum_signature_line_length = 88
@@ -56,5 +56,15 @@ def navigation(_app: Sphinx, page: str, source: list[str]) -> None:
         source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {title}\n\n{names}\n```\n"
 
 
+def examples(_app: Sphinx, _context: object, lines: list[str]) -> None:
+    """Show the examples of a command's help, which come as line blocks, as code."""
+    code = [re.sub(r"^\| ?", "   ", line) if line.startswith("|") else line for line in lines]
+    starts = [i for i, line in enumerate(lines) if line.startswith("|") and not lines[i - 1].startswith("|")]
+    for start in reversed(starts):
+        code[start:start] = [".. code-block:: text", ""]
+    lines[:] = code
+
+
 def setup(app: Sphinx) -> None:
     app.connect("source-read", navigation)
+    app.connect("sphinx-click-process-description", examples)

@@ -10,8 +10,11 @@ FEW = 20
 
 
 class SweepError(Exception):
-    """Bad input or a state that the user must know of; ``problems`` holds one sentence each, ``where`` a file or
-    command.
+    """Bad input, or a state that the user must know about.
+
+    Args:
+        problems: a sentence for each problem.
+        where: the file or command that they are about.
     """
 
     def __init__(self, problems: str | Sequence[str], where: str = "") -> None:

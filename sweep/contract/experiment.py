@@ -65,23 +65,37 @@ def _one(point: Point) -> float:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What the platform sweeps.
+    """A function that adds up realisations, one that turns the sums into results, and a declaration of both.
 
-    ``sums`` gives the shape of each additive quantity that ``evaluate`` returns; ``nan_sums`` names those that may be
-    NaN or infinite.  ``coordinates`` are the labels of each dimension that an output uses, ``component_units`` the unit
-    of each label where they differ.  ``check`` is a sentence about a point that cannot be computed (None if it can),
-    ``cost`` the random numbers drawn per realisation.  ``unused`` gives the parameters that change nothing at a point,
-    each with the reason; it is asked about points that can be computed only, and a study that sets such a parameter is
-    refused.  ``warn`` gives sentences about what makes the result of such a point less certain than it looks: a run
-    prints and stores them.  ``samples``, for studies that keep them, returns what ``evaluate`` does and the
-    realisations that it adds up, each of ``sample_outputs`` of shape (points, n_sim, *dims).  ``shared`` names
-    parameters that do not change the random numbers that a block draws, only what is made of them.  ``packages`` are
-    distributions whose versions decide the numbers.  ``cost_unit`` says in words what ``cost`` counts, ``outer_draw``
-    what the draws are called that several realisations share (empty: there are none), ``citation`` what to cite beside
-    linksweep.  A new
-    ``version`` says that the same parameters now give other numbers: stores of another version are not continued.
+    Args:
+        name: how messages and stores call it.
+        version: a new one says that the same parameters now give other numbers; stores of another version are not
+            continued.
+        parameters: the inputs.
+        sums: the shape of each additive quantity that ``evaluate`` returns.
+        outputs: the results.
+        evaluate: returns the sums of one block of realisations, see `Evaluate`.
+        summarise: returns the outputs, from the sums of all blocks of a point, see `Summarise`.
+        coordinates: the labels of each dimension that an output uses.
+        component_units: the unit of each label of a dimension, where they differ.
+        samples: for studies that keep realisations, returns what ``evaluate`` does and the realisations that it adds
+            up, each of ``sample_outputs`` with the shape (points, n_sim, dims ...).
+        sample_outputs: the quantities of a realisation that are kept.
+        check: returns a sentence about a point that cannot be computed, None if it can.
+        unused: returns the parameters that change nothing at a point, each with the reason.  It is called only for
+            points that can be computed; a study that sets such a parameter is refused.
+        warn: returns sentences about what makes the result of a point less certain than it looks.  A run prints and
+            stores them.
+        cost: the random numbers drawn per realisation.
+        shared: parameters that do not change the random numbers that a block draws, only what is made of them.
+        nan_sums: the sums that may be NaN or infinite.
+        packages: distributions whose versions decide the numbers.
+        cost_unit: what ``cost`` counts, in words.
+        outer_draw: the name of the draws that several realisations share; empty if there are none.
+        citation: what to cite in addition to linksweep.
 
-    Raises SweepError with all that is wrong in the declaration.
+    Raises:
+        SweepError: with everything that is wrong in the declaration.
     """
 
     name: str

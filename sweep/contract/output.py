@@ -7,15 +7,20 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Output:
-    """One result of a point: its unit (as astropy writes it), meaning and dimensions beside the axes of the grid.
+    """One result of a point.  An output of a plain function (`linksweep.experiment`) needs only a name.
 
-    ``headline`` outputs are the columns of the printed table; pictures show the ``symbol`` where there is one.  A
-    number that is NaN or infinite fails its point unless ``nan`` says that it is a value.
-
-    Of a plain function (`linksweep.experiment`) only the name is needed.  One dimension may be a string; ``coords``
-    gives the coordinate of each, values or (values, unit), of numbers, texts or times.  Where the function draws random
-    numbers, ``statistics`` are what is made of its realisations: "mean", "std", "min", "max", "count" (of those that
-    are true), and quantiles such as "q95".
+    Args:
+        name: the name of the variable in the dataset.
+        unit: as astropy writes it.
+        meaning: one line for tables and figures.
+        dims: dimensions beside the axes of the grid; a single one may be a string.
+        headline: whether it is a column of the printed table, and what reports and figures show first.
+        symbol: what figures show instead of the name, as Matplotlib sets it.
+        nan: whether NaN and infinity are values; a point with such a number fails otherwise.
+        coords: of a plain function, the coordinate of each dimension: values or (values, unit), where values are
+            numbers, texts or times.
+        statistics: of a plain function that draws random numbers, what is computed from its realisations: "mean",
+            "std", "min", "max", "count" (how many are true), "median" and quantiles such as "q95".
     """
 
     name: str

@@ -69,17 +69,28 @@ class Define(Protocol):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: its kind, unit (as astropy writes it), default, allowed values and a one-line meaning.
-
-    A default of None means that the experiment decides (the meaning says how); a ``required`` parameter has no default,
-    and every study sets it.  ``minimum`` and ``maximum`` are inclusive, ``above`` is not.  "any" is a number, text or
-    truth value as the study writes it; a "vector" has three components, a "map" is a table of strings, and of a "file"
-    the experiment gets an object that gives the columns of the table in it.  With ``define`` a study may define further
-    choices of a "str"; ``defined`` are those of one study, and the experiment gets them as they stand there.  Pictures
-    show the ``symbol`` where there is one, as Matplotlib sets it.
+    """One parameter of an experiment.
 
     In the signature of a plain function, ``Annotated[float, Parameter("contact rate", unit="1/d", above=0)]``, the
     first argument is the meaning; name, kind and default are those of the signature.
+
+    Args:
+        name: the name in studies and datasets.
+        kind: "float", "int", "str", "bool"; "any" is a number, text or truth value as the study writes it; "vector" has
+            three components, "map" is a table of strings, and for a "file" the experiment gets an object that gives the
+            columns of the table in it.
+        default: its value where a study says nothing.  None means that the experiment decides, and the meaning says
+            how.
+        meaning: one line for tables and figures.
+        unit: as astropy writes it.
+        choices: the values that are allowed; any unless given.
+        minimum: the least value that is allowed.
+        maximum: the largest value that is allowed.
+        above: a bound that is not allowed itself.
+        symbol: what figures show instead of the name, as Matplotlib sets it.
+        define: makes a further choice of a "str" from a study's table [define.PARAMETER.NAME].
+        defined: the choices that one study defines; the experiment gets them as they stand here.
+        required: whether every study must set it; then there is no default.
     """
 
     name: str

@@ -26,7 +26,12 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Limits:
-    """What one block may take: seconds, and bytes in its process; None is no limit."""
+    """The time and memory that one block may take.
+
+    Args:
+        time_s: seconds; None is no limit.
+        memory: bytes in its process; None is no limit.
+    """
 
     time_s: float | None = None
     memory: int | None = None

@@ -214,11 +214,27 @@ def printed_rounding(text: str) -> float:
 
 @dataclass(frozen=True)
 class Study:
-    """A validated study.  ``axes`` maps a parameter to its values; ``fixed`` holds the other parameters that it sets.
-    Axes that are ``zipped`` share a dimension, and so do those that are columns of ``points``, where values may repeat.
+    """A study that was read and checked, as `linksweep.load_study` returns it.
 
-    ``text`` is the file as written, ``document`` what a store needs to make the study again: overrides laid over it,
-    and places of files absolute.
+    Attributes:
+        name: names its store.
+        title: the heading of tables, figures and reports.
+        experiment_reference: ``module:attribute`` or ``file.py:attribute`` of the experiment.
+        experiment: what it sweeps.
+        axes: the values of each parameter that is swept.
+        fixed: the other parameters that it sets.
+        sampling: how many realisations, and the seed.
+        zipped: groups of axes that share a dimension.
+        points: the columns of a table of points, which share a dimension and in which values may repeat.
+        excluded: the conditions under which points are left out.
+        published: published results.
+        source: the file that it was read from.
+        question: what it asks, for reports.
+        claims: published statements, with the numbers that they are about.
+        conclusion: the sentences of its answer.
+        text: the file as written.
+        overrides: what the command line changed.
+        document: what a store needs to make the study again: with overrides, and with absolute paths of files.
     """
 
     name: str
