@@ -13,7 +13,9 @@ def code(document, language):
 
 
 def commands(document):
-    lines = [line for block in code(document, "sh") for line in block.replace("\\\n", " ").splitlines()]
+    """The commands in blocks of shell and of pictures, in their order."""
+    blocks = code(document, r"(?:sh|\{picture\})")
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
     return [line for line in lines if line.startswith("sweep ")]
 
 

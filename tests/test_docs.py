@@ -16,12 +16,12 @@ from tests.sweep.outside import Outside
 
 
 def test_every_command_of_the_documents_stands_where_it_is_run():
-    """In blocks of shell, which the tests here (of stores, the galaxy search and calibration: those of these) run."""
+    """In blocks of shell or of a picture; tests run these, here or where stores, galaxies and calibration are tested."""
     for document in (ROOT / "docs").glob("*.md"):
         for language, block in re.findall(
-            r"^```(\w*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
+            r"^```([\w{}]*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
         ):
-            assert language == "sh" or not re.search(r"^sweep \w", block, flags=re.MULTILINE), document.name
+            assert language in ("sh", "{picture}") or not re.search(r"^sweep \w", block, flags=re.MULTILINE), document.name
 
 
 def test_the_experiment_of_the_document_runs(tmp_path, sweep):
@@ -46,7 +46,7 @@ def test_the_missions_of_the_document_run(tmp_path, sweep):
     status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
     assert status == 0, err
     run_commands("missions.md", sweep, tmp_path)
-    assert (tmp_path / "missions.png").stat().st_size > 10_000
+    assert (tmp_path / "missions.svg").stat().st_size > 10_000
     sigma = xr.open_zarr(tmp_path / "results" / "missions.zarr")["sigma_spin"].load()
     assert sigma["model"].values.tolist() == ["gaia", "small", "by-formula", "by-code"]
     assert np.all(np.isfinite(sigma))
@@ -68,7 +68,7 @@ def test_the_commands_about_watching_run(tmp_path, sweep):
 def test_the_commands_of_the_analysis_run(tmp_path, sweep):
     run_commands("analysis.md", sweep, tmp_path)
     assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
-        *("quasars.png", "sky.png", "both.svg", "accuracy.pdf"),
+        *("quasars.svg", "sky.svg", "sqrt-n.svg", "both.svg", "accuracy.pdf"),
     }
 
 
@@ -81,7 +81,7 @@ def test_the_commands_of_the_report_run(tmp_path, sweep):
 @pytest.mark.slow
 def test_the_commands_about_real_tables_run(tmp_path, sweep):
     run_commands("tie.md", sweep, tmp_path)
-    assert (tmp_path / "pulsars.png").stat().st_size > 10_000
+    assert (tmp_path / "pulsars.svg").stat().st_size > 10_000
     assert (tmp_path / "pulsars-report.html").stat().st_size > 100_000
     kinds = {"solution", "residuals", "separations", "weight", "ranking", "jackknife", "spectrum"}
     assert {path.stem for path in (tmp_path / "icrf-figures").iterdir()} == kinds
@@ -90,7 +90,7 @@ def test_the_commands_about_real_tables_run(tmp_path, sweep):
 @pytest.mark.slow
 def test_the_commands_about_planning_run(tmp_path, sweep):
     run_commands("planning-observations.md", sweep, tmp_path)
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"ranking.png", "epochs.png", "plan.html"}
+    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"ranking.svg", "epochs.svg", "plan.html"}
 
 
 @pytest.mark.slow
@@ -185,7 +185,7 @@ def test_the_functions_of_the_documents_run(document, file, tmp_path, sweep):
         ds = xr.open_zarr(tmp_path / "sir.zarr")
         assert ds.infected.dims == ("beta", "time")
         assert ds.peak.values.tolist() == ds.infected.max("time").values.tolist()
-        assert (tmp_path / "infected.png").stat().st_size > 1000
+        assert (tmp_path / "infected.svg").stat().st_size > 1000
     if file == "waiting.py":
         ds = xr.open_zarr(tmp_path / "waiting.zarr").load()
         assert (ds.n_sim_done == 1000).all()
@@ -200,7 +200,7 @@ def test_the_table_of_points_of_the_document_runs(tmp_path, sweep):
     run_commands("points.md", sweep, tmp_path)
     assert xr.open_zarr(tmp_path / "flow.zarr").sizes["point"] == 128
     assert xr.open_zarr(tmp_path / "both.zarr").sizes["point"] == 6
-    for name in ("flow.png", "pairs.png", "sensitivity.png"):
+    for name in ("flow.svg", "pairs.svg", "sensitivity.svg"):
         assert (tmp_path / name).stat().st_size > 1000
     status, out, err = sweep("plan", "flow.toml", cwd=tmp_path)
     assert status == 0, err

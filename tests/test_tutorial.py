@@ -12,7 +12,7 @@ import xarray as xr
 pytestmark = pytest.mark.slow  # a dozen runs, each a process of its own
 
 TUTORIAL = Path(__file__).parent.parent / "docs" / "tutorial.md"
-BLOCK = re.compile(r"```(\w+)(?: (\S+))?\n(.*?)```", re.DOTALL)
+BLOCK = re.compile(r"```(\w+|\{picture\})(?: (\S+))?\n(.*?)```", re.DOTALL)
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +23,8 @@ def folder(tmp_path_factory):
     for language, file, text in BLOCK.findall(TUTORIAL.read_text()):
         if file:
             (path / file).write_text(text)
-        elif language == "sh":
-            for line in filter(None, text.splitlines()):
-                words = shlex.split(line, comments=True)
+        elif language in ("sh", "{picture}"):
+            for words in filter(None, (shlex.split(line, comments=True) for line in text.splitlines())):
                 assert words[0] == "sweep"
                 run(path, "-m", "sweep", *words[1:])
         elif language == "python":
@@ -45,7 +44,7 @@ def test_every_file_and_figure_is_there(folder):
     assert {p.name for p in (path / "results").glob("*.zarr")} == {
         *("first.zarr", "precise.zarr", "mission.zarr", "pi.zarr", "elsewhere.zarr"),
     }
-    assert all((path / name).stat().st_size > 10_000 for name in ("first.png", "curves.png", "spin.png"))
+    assert all((path / name).stat().st_size > 10_000 for name in ("first.svg", "curves.svg", "spin.png"))
 
 
 def test_the_numbers_are_what_the_text_says(folder):

@@ -32,7 +32,7 @@ def corpus() -> dict[str, str]:
     """Every built-in study, and every whole study that the documents show."""
     studies = {path.stem: path.read_text() for path in sorted((ROOT / "sweeps").glob("*.toml"))}
     for document in sorted((ROOT / "docs").glob("*.md")):
-        blocks = re.findall(r"```toml\n(.*?)```", document.read_text(), flags=re.DOTALL)
+        blocks = re.findall(r"```toml[^\n]*\n(.*?)```", document.read_text(), flags=re.DOTALL)
         for number, block in enumerate(block for block in blocks if block.startswith("title")):
             studies[f"{document.stem}-{number}"] = block
     return studies

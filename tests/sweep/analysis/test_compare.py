@@ -714,6 +714,6 @@ def test_the_built_in_studies_that_publish_something():
 
 def test_the_claims_of_the_document_are_valid(tmp_path):
     document = (ROOT / "docs" / "compare.md").read_text()
-    (tmp_path / "study.toml").write_text(document.partition("```toml\n")[2].partition("```")[0])
+    (tmp_path / "study.toml").write_text(document.partition("```toml normal.toml\n")[2].partition("```")[0])
     kinds = [type(c.quantity()).__name__ for c in load_study(str(tmp_path / "study.toml")).claims]
     assert kinds == ["Slope", "Ratio", "Reading"]
