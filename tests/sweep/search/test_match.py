@@ -77,7 +77,7 @@ def test_the_command_of_the_document_runs(folder):
     Table.read("extra.ecsv").write("tycho2_suppl1.fits")
     for table, name in zip(galaxy_tables(), ("pgc.fits", "uzc.csv"), strict=True):
         table.write(name, format="fits" if name.endswith("fits") else "ascii.ecsv")
-    (command,) = commands("galaxy-search.md")
+    command, _ = commands("galaxy-search.md")
     result = run(*shlex.split(command)[2:])
     assert result.exit_code == 0, result.output
     assert len(read_matches(folder / "galaxies.ecsv")) == 4

@@ -223,7 +223,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A directory with what the studies need beside them."""
     monkeypatch.chdir(tmp_path)
     shutil.copytree(ROOT / "sweeps" / "published", tmp_path / "published")
-    walk = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "experiments.md").read_text(), flags=re.DOTALL)
+    walk = re.search(r"```python walk.py\n(.*?)```", (ROOT / "docs" / "experiments.md").read_text(), flags=re.DOTALL)
     assert walk is not None
     (tmp_path / "walk.py").write_text(walk[1])
     return tmp_path
