@@ -48,7 +48,7 @@ copybutton_exclude = ".linenos, .gp, .go"
 
 
 def navigation(_app: Sphinx, page: str, source: list[str]) -> None:
-    """Make the sidebar of the lists of index.md: each heading of the second level is a group, its links are the pages."""
+    """Make the sidebar of the lists of index.md: a heading of the second level is a group, its links are the pages."""
     if page != root_doc:
         return
     for title, pages in re.findall(r"^## ([^\n]+)\n(.*?)(?=^## |\Z)", source[0], flags=re.MULTILINE | re.DOTALL):
