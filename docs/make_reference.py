@@ -8,7 +8,7 @@ from sweep.studies.reader import load_study
 from sweep.studies.source import built_in_studies
 from sweep.studies.study import Sampling
 
-INTRODUCTION = """# Reference
+INTRODUCTION = """# Studies, parameters and results
 
 Made from the code by `python docs/make_reference.py`.
 

@@ -40,6 +40,7 @@ sweep run pulsar-forecast --set n_sim=500
 sweep run walk.toml
 sweep run sir.py:sir --axis beta=0.2:0.5:0.1 --set n=500 -o sir.zarr
 sweep run waiting.py:waiting --axis load=0.3,0.5,0.7 --set n_sim=1000 --set seed=1 -o waiting.zarr
+sweep run lost.py:lost --axis half_life=1,2,5,10 --axis years=5,10 -o lost.zarr
 sweep run window.py:window --axis beta=2:10:2 -o window.zarr
 sweep run flow.py:flow --design sobol:128 --range rw=0.05:0.15 --range length=1120:1680 --range hu=990:1110 -o flow.zarr
 sweep tie psrpi-de200 timing-de200 --unknowns orientation --errors jackknife,bootstrap -o pulsars.zarr

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import linksweep
 from tests.documents import ROOT, code, commands, run_commands
 from tests.sweep.executing.test_tls import Files as TlsFiles
 from tests.sweep.outside import Outside
@@ -21,7 +22,9 @@ def test_every_command_of_the_documents_stands_where_it_is_run():
         for language, block in re.findall(
             r"^```([\w{}]*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
         ):
-            assert language in ("sh", "{picture}") or not re.search(r"^sweep \w", block, flags=re.MULTILINE), document.name
+            assert language in ("sh", "{picture}") or not re.search(r"^sweep \w", block, flags=re.MULTILINE), (
+                document.name
+            )
 
 
 def test_the_experiment_of_the_document_runs(tmp_path, sweep):
@@ -231,3 +234,27 @@ def test_the_functions_of_the_readme_run(tmp_path, sweep):
     (command,) = re.findall(r"^sweep run decay.py:decay.*$", text, flags=re.MULTILINE)
     status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
     assert status == 0, err
+
+
+def test_the_sweep_for_those_who_come_from_elsewhere_runs(tmp_path, sweep):
+    function, script = code("coming-from.md", "python")
+    (tmp_path / "lost.py").write_text(function)
+    (tmp_path / "script.py").write_text(script)
+    run_commands("coming-from.md", sweep, tmp_path)
+    subprocess.run([sys.executable, "script.py"], cwd=tmp_path, check=True, capture_output=True)
+    lost = [xr.open_zarr(tmp_path / name)["lost"].load() for name in ("lost.zarr", "lost-python.zarr")]
+    assert lost[0].sel(half_life=5.0, years=10).item() == 0.75
+    assert lost[0].identical(lost[1])
+
+
+def test_every_page_is_in_the_navigation():
+    """Once, in a list of docs/index.md, of which docs/conf.py makes the sidebar."""
+    _, *groups = re.split(r"^## ", (ROOT / "docs" / "index.md").read_text(), flags=re.MULTILINE)
+    assert [group.splitlines()[0] for group in groups] == ["Tutorials", "How-to guides", "Reference", "Explanation"]
+    listed = re.findall(r"\]\(([\w-]+\.md)\)", "".join(groups))
+    assert sorted(listed) == sorted(path.name for path in (ROOT / "docs").glob("*.md") if path.name != "index.md")
+
+
+def test_the_api_page_has_every_public_name():
+    listed = re.findall(r"^\.\. auto\w+:: (\w+)", (ROOT / "docs" / "api.md").read_text(), flags=re.MULTILINE)
+    assert sorted(set(listed) - {"linksweep"}) == sorted(linksweep.__all__)
