@@ -17,7 +17,7 @@ from tests.sweep.outside import Outside
 
 
 def test_every_command_of_the_documents_stands_where_it_is_run():
-    """In blocks of shell or of a picture, which tests run: here, or where stores, galaxies and calibration are tested."""
+    """In blocks of shell or of a picture; they are run here, or by the tests of stores, galaxies and calibration."""
     for document in (ROOT / "docs").glob("*.md"):
         for language, block in re.findall(
             r"^```([\w{}]*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
