@@ -51,37 +51,36 @@ def run(
     accept_code: bool = False,
     fresh: bool = False,
 ) -> xr.Dataset:
-    """Run a study, or sweep a function, and return the results; the same call after an interruption goes on where it
-    stopped.
+    """Run a study, or sweep a function, and return the results.
 
-    Points that failed are NaN in the dataset; its variable ``status`` and its attribute ``failures`` tell why, and a
-    warning is logged.
+    After an interruption the same call resumes where it stopped.  Points that failed are NaN in the dataset; the
+    variable ``status`` and the attribute ``failures`` say why, and a warning is logged.
 
     Args:
-        study: a function; or the name of a built-in study, the path of a TOML file, a mapping of the same shape (whose
-            experiment may be a function), or a `Study`.
-        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` unless given.  What has no name of its own gets one of
-            the function and a digest of all that is asked for.
-        axes: of a function, the values of each parameter that is swept: lists, arrays, ranges or pandas indexes, or a
-            range as a study writes it.
-        fixed: of a function, values of other parameters.
-        points: of a function, many parameters at once: a DataFrame, an astropy Table or a mapping with a column for
-            each parameter, the name of a file with such a table, or a design, ``{"design": "sobol", "n": 256, "seed":
-            0, "ranges": {"beta": [0.1, 0.5]}}``.  They are crossed with ``axes``.
-        sampling: of a function that takes ``rng``: n_sim, seed, precision, max_n_sim.
-        title: of a function, for tables and figures.
-        workers: how many processes or threads; as many as there are cores unless given.
-        pool: what to run on in this machine; "processes" unless the work is small.
+        study: a function; or the name of a built-in study, the path of a TOML file, a mapping with the same content
+            (whose experiment may be a function), or a `Study`.
+        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` by default.  The name of a function or mapping contains
+            a digest of everything that is asked for.
+        axes: the values of each parameter of the function that is swept: lists, arrays, ranges or pandas indexes, or a
+            range as in a study.
+        fixed: values of other parameters of the function.
+        points: values of several parameters of the function at once: a DataFrame, an astropy Table or a mapping with a
+            column for each parameter, the name of a file with such a table, or a design, ``{"design": "sobol",
+            "n": 256, "seed": 0, "ranges": {"beta": [0.1, 0.5]}}``.  They are crossed with ``axes``.
+        sampling: n_sim, seed, precision and max_n_sim of a function that takes ``rng``.
+        title: the title of a function in tables and figures.
+        workers: the number of processes or threads; one per core by default.
+        pool: what to run on on this machine; "processes" by default, "serial" if the work is small.
         scheduler: the address of a Dask scheduler to run on instead.
         cluster: a file that describes a Dask cluster to start and run on instead.
-        limits: seconds and bytes that one block may take.
-        accept_code: continue a store that other code made, and say for each point which code made it; such a store
-            is refused otherwise.
+        limits: the time and memory that one block may take.
+        accept_code: continue a store that other code made, and record for each point which code made it; otherwise
+            such a store is refused.
         fresh: replace the store.
-        progress: is told how the run goes; by default a bar in terminals and notebooks, and nothing elsewhere.
+        progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
 
     Returns:
-        The outputs of the study over its axes, in memory, as `open` gives them.
+        The outputs of the study over its axes, in memory, as from `open`.
 
     Raises:
         SweepError: for bad input, before anything is written.
@@ -113,9 +112,9 @@ def run(
 
 
 def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
-    """Return the results in a store, in memory, as one writing of them left them, even while a run goes on.
+    """Return the results in a store, in memory.  During a run they are those of one complete write.
 
-    A link or a forecast that `sweep tie -o` or `sweep forecast -o` wrote is read too.
+    Results of `sweep tie -o` and `sweep forecast -o` can be read too.
 
     Args:
         store: a path, s3://BUCKET/NAME, or the name of a study that was run in this directory.
@@ -124,7 +123,7 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
         The outputs of the study over its axes, with units and errors.
 
     Raises:
-        SweepError: where there is no store, no result yet, or a damaged one.
+        SweepError: if there is no store, if it has no results yet, or if it is damaged.
 
     Example:
         >>> study = {"title": "One point", "fixed": {"n_obj": 20}, "sampling": {"n_sim": 10}}
@@ -140,21 +139,23 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
 def plot(
     dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
 ) -> "Figure":
-    """Return a figure of a study's results, a link or a forecast.  Needs matplotlib: ``pip install 'linksweep[plot]'``.
+    """Return a figure of the results of a study, a link or a forecast.
+
+    Needs Matplotlib: ``pip install 'linksweep[plot]'``.
 
     Args:
         dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
-        kind: "lines", "law", "map", "scatter" or "scaling"; of a link "solution", "residuals", "separations", "weight",
-            "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs" or "ranking"; the one
-            that suits the dataset unless given.
-        variables: names of outputs, each a column of panels; the main one unless given.
-        over: the axis along which curves go, the two of a map, or the two components of a scatter.
+        kind: "lines", "law", "map", "scatter", "points", "pairs" or "scaling"; of a link "solution", "residuals",
+            "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs"
+            or "ranking".  By default the kind that suits the dataset.
+        variables: names of outputs, one column of panels each; the main result by default.
+        over: the axis along which curves are drawn, the two axes of a map, or the two components of a scatter plot.
 
     Returns:
-        A Matplotlib figure that belongs to no window; ``figure.savefig("name.svg")`` writes it, a notebook shows it.
+        A Matplotlib figure without a window; ``figure.savefig("name.svg")`` writes it, a notebook shows it.
 
     Raises:
-        SweepError: for a kind that the dataset cannot have, naming those that it can, and for unknown variables.
+        SweepError: for a kind that the dataset does not allow, with those that it does, and for unknown variables.
 
     Example:
         >>> study = {

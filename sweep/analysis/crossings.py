@@ -27,13 +27,15 @@ def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.Dat
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
         limit: a variable, one of < <= > >=, and a number with or without a unit: "sigma_spin < 1 uas/yr".
         along: the axis.
-        covariance: of the variable's points, dimensions (..., along, along_other); from the dataset unless given.
+        covariance: the covariance of the variable's points, with dimensions (..., along, along_other); that of the
+            dataset by default.
 
     Returns:
-        A dataset over the other axes with the variables met (see `MET_WORDS`), crossings (how many), first and last
-        (the axis at the first and the last crossing; NaN if there is none) with _error (one sigma, from the errors of
-        the points on both sides), nearest (of a condition never met the value that comes nearest to it, of one always
-        met that which is nearest to failing; else NaN) and nearest_at (where that is).
+        A dataset over the other axes with the variables ``met`` (whether and where the condition is met; its
+        attributes give the meaning of the numbers), ``crossings`` (how many), ``first`` and ``last`` (the axis at the
+        first and last crossing; NaN if there is none) with ``_error`` (one sigma, from the errors of the points on both
+        sides), ``nearest`` (if the condition is never or always met, the value nearest to the limit; otherwise NaN) and
+        ``nearest_at`` (the axis there).
 
     Raises:
         SweepError: for an unknown variable or axis, points that are not done, and a unit of another kind.
@@ -58,7 +60,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.Dat
         "first_error": (where, "its one-sigma error"),
         "last": (where, f"{along} at the last crossing"),
         "last_error": (where, "its one-sigma error"),
-        "nearest": (value, f"{limit.variable} that is nearest to the limit, where that is never crossed"),
+        "nearest": (value, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
         "nearest_at": (where, f"{along} of the nearest"),
     }
     result = found.grid.assign(
@@ -76,21 +78,23 @@ def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.Dat
 def interpolate(
     dataset: xr.Dataset, variable: str, over: str, at: float, covariance: xr.DataArray | None = None
 ) -> xr.Dataset:
-    """Return a variable at a place between the points of an axis, for every combination of the other axes.
+    """Return a variable between the points of an axis, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
         variable: the name of an output.
         over: the axis.
-        at: the place, in the unit of the axis.
-        covariance: of the variable's points, dimensions (..., over, over_other); from the dataset unless given.
+        at: the value of the axis, in its unit.
+        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
+            dataset by default.
 
     Returns:
-        A dataset over the other axes with ``variable`` and NAME_mc_error (one sigma, from the errors of the points on
-        both sides; how far the variable is from a straight line between them is not in it).
+        A dataset over the other axes with ``variable`` and ``NAME_mc_error`` (one sigma, from the errors of the points
+        on both sides; the curvature between them is not included).
 
     Raises:
-        SweepError: for an unknown variable or axis, points that are not done, and a place beyond the points of a line.
+        SweepError: for an unknown variable or axis, points that are not done, and a value of the axis outside the
+            points of a line.
 
     Example:
         >>> import linksweep

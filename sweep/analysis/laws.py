@@ -29,21 +29,21 @@ def fit_power_law(
     expected: float | None = None,
     covariance: xr.DataArray | None = None,
 ) -> xr.Dataset:
-    """Return variable = amplitude (over / pivot)^exponent along an axis, for every combination of the other axes.
+    """Fit variable = amplitude (over / pivot)^exponent along an axis, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
         variable: the name of an output.
         over: the axis.
-        expected: the exponent that is expected; that of a claim of the study unless given.
-        covariance: of the variable's points, dimensions (..., over, over_other); from the dataset unless given (see
-            `quantity.COVARIANCE_SUFFIX`).  Points that share random numbers need it: their errors are NaN without;
-            others weigh by their Monte-Carlo errors.
+        expected: the expected exponent; by default that of a claim of the study.
+        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
+            dataset by default.  Without it the errors of points that share random numbers are NaN; other points are
+            weighted by their Monte-Carlo errors.
 
     Returns:
-        A dataset over the other axes with the variables exponent and amplitude with _error, their correlation,
-        pivot, chi2, dof, p_value (NaN where points have no errors) and points; where an exponent is expected also
-        expected and deviation, (exponent - expected) / exponent_error.
+        A dataset over the other axes with the variables ``exponent`` and ``amplitude`` with ``_error``, their
+        ``correlation``, ``pivot``, ``chi2``, ``dof``, ``p_value`` (NaN if points have no errors) and ``points``; if an
+        exponent is expected also ``expected`` and ``deviation``, (exponent - expected) / exponent_error.
 
     Raises:
         SweepError: for an unknown variable or axis, points that are not done, and numbers that are not above 0.
@@ -81,20 +81,20 @@ def fit_power_law(
 def fit_levelling(
     dataset: xr.Dataset, variable: str, over: str, fall: float = 0.05, covariance: xr.DataArray | None = None
 ) -> xr.Dataset:
-    """Return where a variable levels off along an axis: variable^2 = plateau^2 + c exp(-rate over), for all other axes.
+    """Fit variable^2 = plateau^2 + c exp(-rate over): where a variable levels off along an axis, for all other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
         variable: the name of an output.
         over: the axis.
-        fall: the fraction by which the variable falls in a unit of the axis at the limit.
-        covariance: of the variable's points, as in `fit_power_law`.
+        fall: the fraction by which the variable falls per unit of the axis at the limit.
+        covariance: the covariance of the variable's points, as in `fit_power_law`.
 
     Returns:
-        A dataset over the other axes with the variables plateau, rate, end_fall (relative, per unit of the axis, at the
-        last point) and limit (beyond it the variable falls by less than ``fall`` a unit; -inf: everywhere, inf:
-        nowhere), with _error, and chi2, dof, p_value, points.  Errors are scaled by sqrt(chi2/dof) where that is above
-        one.
+        A dataset over the other axes with the variables ``plateau``, ``rate``, ``end_fall`` (relative, per unit of the
+        axis, at the last point) and ``limit`` (beyond it the variable falls by less than ``fall`` per unit; -inf:
+        everywhere, inf: nowhere), with ``_error``, and ``chi2``, ``dof``, ``p_value``, ``points``.  Errors are
+        multiplied by sqrt(chi2/dof) if that is above one.
 
     Raises:
         SweepError: for an unknown variable or axis, points that are not done, numbers that are not above 0, and a fit
@@ -129,7 +129,7 @@ def fit_levelling(
 
 
 def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
-    """Return a variable at one value of an axis over that at another, with error, for every combination of the others.
+    """Return the ratio of a variable at two values of an axis, with error, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
@@ -139,9 +139,9 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         to: the value of the axis in the denominator.
 
     Returns:
-        A dataset over the other axes with the variables ratio and ratio_error, one sigma.  It is from the covariance
-        of the two where they share random numbers, NaN if the dataset does not have that; where a point of the two
-        is excluded, or the denominator is 0, there is NaN.
+        A dataset over the other axes with the variables ``ratio`` and ``ratio_error`` (one sigma).  If the two points
+        share random numbers, the error includes their covariance, and is NaN if the dataset does not have it.  The
+        ratio is NaN if one of the points is excluded or the denominator is 0.
 
     Raises:
         SweepError: for an unknown variable, values that are not in the grid, and points that are not done.

@@ -34,21 +34,21 @@ def experiment(
     packages: Sequence[str] = (),
     citation: str | Sequence[str] = (),
 ) -> Callable[[AnyFunction], AnyFunction]:
-    """Declare more of a function than its signature says.  The function stays what it is and can be called as before.
+    """Declare more about a function than its signature says.  The function can be called as before.
 
     Args:
-        outputs: units, meanings, dimensions and coordinates of results, and which statistics are made of them where the
-            function takes ``rng``.  Results that are not declared are kept all the same.
-        vectorised: the function takes arrays of points, one of each parameter and all of one length, and returns arrays
-            of that length; it is called for many points at once.
-        packages: distributions whose versions decide the results; with another version a store is not continued.
-        citation: what to cite who uses the results, for reports.
+        outputs: units, meanings, dimensions and coordinates of results, and which statistics are computed from them if
+            the function takes ``rng``.  Results that are not declared are kept too.
+        vectorised: whether the function takes an array of each parameter, all of one length, and returns arrays of that
+            length; it is then called for many points at once.
+        packages: distributions whose versions determine the results; a store is not continued with another version.
+        citation: what users of the results should cite, for reports.
 
     Returns:
         A decorator that returns the function itself.
 
     Raises:
-        SweepError: with all that is wrong in the declaration and in the signature.
+        SweepError: with everything that is wrong in the declaration and in the signature.
 
     Example:
         >>> import numpy as np

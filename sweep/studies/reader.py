@@ -38,22 +38,22 @@ def load_study(
     design: str | None = None,
     ranges: Sequence[str] = (),
 ) -> Study:
-    """Return the study of a built-in name or a TOML file, read and checked.
+    """Read and check a study, without running it.
 
     Args:
         name_or_path: the name of a built-in study, the path of a file, or ``file.py:function`` and
             ``module:function``, which are studies by themselves.
-        settings: ``KEY=VALUE``, laid over the file as ``sweep run --set`` does.
-        axes: ``NAME=SPEC``, laid over the file as ``sweep run --axis`` does.
-        points: the file of a table of points, in place of the study's, as ``sweep run --points``.
-        design: ``NAME:N`` or ``NAME:N:SEED``, in place of the study's points, as ``sweep run --design``.
-        ranges: ``NAME=LOW:HIGH``, ``NAME=LOW:HIGH:log`` or ``NAME=A,B,C``, of a design, as ``sweep run --range``.
+        settings: ``KEY=VALUE``, overrides like those of ``sweep run --set``.
+        axes: ``NAME=SPEC``, overrides like those of ``sweep run --axis``.
+        points: the file of a table of points that replaces the study's, as in ``sweep run --points``.
+        design: ``NAME:N`` or ``NAME:N:SEED``, replaces the study's points, as in ``sweep run --design``.
+        ranges: ``NAME=LOW:HIGH``, ``NAME=LOW:HIGH:log`` or ``NAME=A,B,C`` of a design, as in ``sweep run --range``.
 
     Returns:
-        The study; its parameters have values that the experiment allows.
+        The study; all its parameters have values that the experiment allows.
 
     Raises:
-        SweepError: that lists all problems, each with its key and, where it has one, its line in the file.
+        SweepError: with all problems, each with its key and, if it has one, its line in the file.
 
     Example:
         >>> study = load_study("quasars", settings=["n_sim=50"], axes=["v_max=14:16:0.5"])

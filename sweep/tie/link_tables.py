@@ -33,23 +33,23 @@ def tie(
     scheduler: str | None = None,
     **options: Any,
 ) -> "xr.Dataset":
-    """Return the link of two tables, reference - satellite, as a labelled dataset.
+    """Solve for the link of two tables, reference - satellite.
 
-    The tables may be in any format that `sweep tie` reads, or the name of a built-in one: icrf2, icrf3, psrpi,
+    A table may be a file in any format that `sweep tie` reads, or the name of a built-in one: icrf2, icrf3, psrpi,
     psrpi-de200, timing-de200.
 
     Args:
         satellite: the table with the five astrometric parameters, in the satellite's frame.
-        reference: the table with whatever was measured of the same objects, or "zero-motion" for quasars.
-        unknowns: blocks like "orientation,spin,glide,parallax,vsh_motion:3"; those of orientation and spin that the
-            tables determine unless given.
+        reference: the table with measurements of the same objects, or "zero-motion" for quasars.
+        unknowns: blocks like "orientation,spin,glide,parallax,vsh_motion:3"; by default those of orientation and spin
+            that the tables determine.
         clip: "none", "rayleigh", "median:5", "discrepancy", "discrepancy:3" or "huber:2".
-        errors: one or more of formal, scaled, jackknife, cells, bootstrap and sandwich, the first of them the main one.
-        resamples: of the bootstrap.
-        seed: of the bootstrap.
-        workers: local worker processes, for millions of quasars in Parquet; this process alone unless given.
+        errors: one or more of formal, scaled, jackknife, cells, bootstrap and sandwich; the first is the main one.
+        resamples: the number of resamples of the bootstrap.
+        seed: the seed of the bootstrap.
+        workers: the number of local worker processes, for millions of quasars in Parquet; none by default.
         scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
-        options: further ones of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``, ``weights``,
+        options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``, ``weights``,
             ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``,
             ``missions`` (further tables by name, each with an orientation and a spin of its own),
             ``satellite_options``, ``reference_options`` and ``mission_options``
@@ -60,7 +60,7 @@ def tie(
         the residuals of the rows, the influence of each source and the steps of the clip; `plot` draws it.
 
     Raises:
-        SweepError: for bad input, with the rows or the unknowns that are wrong.
+        SweepError: for bad input, with the rows or unknowns that are wrong.
 
     Example:
         >>> link = tie("psrpi-de200", "timing-de200", "orientation", errors="scaled,jackknife")

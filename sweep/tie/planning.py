@@ -42,28 +42,28 @@ def forecast(
     all_sources: bool = False,
     **options: Any,
 ) -> "xr.Dataset":
-    """Return the formal errors of a link now and with further observations, and the sources to observe first.
+    """Predict the formal errors of a link with further observations, and the sources to observe first.
 
     Args:
         satellite: the table with the five astrometric parameters, as for `tie`.
-        reference: the table with what was measured of the same objects so far.
+        reference: the table with the measurements of the same objects so far.
         unknowns: blocks like "orientation,spin".
-        add: epochs (Julian years) at which a position of a single epoch is added to sources.
-        error: of each coordinate of the new positions (mas).
-        release: "dr4" or "dr5", to which the satellite's errors are scaled; they stay unless given.
-        from_release: the release that the satellite's table is.
-        number: as many sources are chosen, one after the other.
-        goal: the blocks that they are best for; all unless given.
-        criterion: what is to be smallest of the covariance of those blocks, "A" its trace, "D" its determinant.
-        all_sources: sources without rows of the reference are candidates too.
-        options: further ones of `sweep forecast`, as those of `tie`.
+        add: epochs (Julian years) at which a single-epoch position of each source is added.
+        error: the error of each coordinate of the new positions (mas).
+        release: "dr4" or "dr5", to which the satellite's errors are scaled; not scaled by default.
+        from_release: the release of the satellite's table.
+        number: the number of sources to choose, one after the other.
+        goal: the blocks that they are best for; all by default.
+        criterion: what to minimise of the covariance of those blocks, "A" for its trace, "D" for its determinant.
+        all_sources: whether sources without rows of the reference are candidates too.
+        options: further options of `sweep forecast`, as for `tie`.
 
     Returns:
         A dataset with ``error`` (stage, unknown) in mas and mas/yr, ``error_with_epoch`` (new_epoch, unknown),
         ``criterion_alone`` and ``rank`` of each source, and the steps of the choice; `plot` draws it.
 
     Raises:
-        SweepError: for bad input, or where the tables do not determine the unknowns.
+        SweepError: for bad input, or if the tables do not determine the unknowns.
 
     Example:
         >>> plan = forecast("psrpi", "psrpi", "orientation,spin", add=[2030], number=2, goal=["spin"])
