@@ -1,19 +1,19 @@
-"""Parameter sweeps on Dask and into Zarr: of the link of an astrometric satellite's frame, or of any experiment.
+"""Parameter sweeps on Dask and into Zarr: of the link of an astrometric satellite's frame, or of any function.
 
-This is the public interface; what is not listed in ``__all__`` may change without notice.
+This is the public interface; names that are not in ``__all__`` may change without notice.
 
 =========================================  ==========================================================
 `run`, `open`, `plot`                      run a study, read the results in a store, draw them
 `tie`, `forecast`                          link two real tables, plan what to observe next
 `load_study`, `Study`                      read and check a study without running it
-`experiment`, `Parameter`, `Output`        declare more of a function than its signature says
+`experiment`, `Parameter`, `Output`        declare more about a function than its signature says
 `Experiment`                               declare an experiment of additive sums
 `Point`                                    the type of one point's parameters, for annotations
 `fit_power_law`, `fit_levelling`           laws along an axis
 `find`, `interpolate`, `ratio`             where a limit is crossed, values between points, ratios
 `sensitivity`                              Sobol indices: which parameters make a result vary
-`Limits`                                   what one block of a run may take
-`SweepError`                               bad input, or a state that you must know of
+`Limits`                                   time and memory that one block of a run may take
+`SweepError`                               bad input, or a state that you must know about
 =========================================  ==========================================================
 
 Example:

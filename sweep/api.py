@@ -59,8 +59,8 @@ def run(
     Args:
         study: a function; or the name of a built-in study, the path of a TOML file, a mapping with the same content
             (whose experiment may be a function), or a `Study`.
-        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` by default.  The name of a function or mapping contains
-            a digest of everything that is asked for.
+        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` by default, where for a function or mapping NAME ends
+            with a digest of everything that is asked for.
         axes: the values of each parameter of the function that is swept: lists, arrays, ranges or pandas indexes, or a
             range as in a study.
         fixed: values of other parameters of the function.

@@ -53,22 +53,22 @@ class _Method(NamedTuple):
 
 
 def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -> xr.Dataset:
-    """Return how much of the variance of an output each parameter makes.
+    """Estimate how much of the variance of an output is due to each parameter.
 
-    Of a full grid these are first-order and total Sobol indices by analysis of variance over all axes, each value of
-    an axis counting the same; of a saltelli design the same two by SALib; of a morris design ``mu_star``, ``mu`` and
-    ``sigma``; of any other points first-order indices alone, for which no special design is needed.  Points count the
-    same: indices are of the distribution that the design or table has.
+    For a full grid these are first-order and total Sobol indices by analysis of variance over all axes, in which every
+    value of an axis has the same weight.  For a saltelli design they are the same two indices, by SALib; for a morris
+    design ``mu_star``, ``mu`` and ``sigma``; for any other points only first-order indices, which need no special
+    design.  All points have the same weight: the indices are for the distribution of the design or table.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
-        output: the name of an output; the main one unless given.
-        seed: of the resampling that makes errors.
+        output: the name of an output; the main one by default.
+        seed: the seed of the resampling from which errors are computed.
 
     Returns:
-        A dataset over ``parameter``, and over the dimensions that are no parameters of the table or grid (those of the
-        output itself, and axes crossed with points), with ``first`` and ``total`` or what there is of them, each with
-        a one-sigma ``NAME_error``; its attributes say how they were made, and ``notes`` what is to be known.
+        A dataset over ``parameter``, and over the dimensions that are not parameters of the table or grid (those of the
+        output itself, and axes crossed with points), with ``first`` and, if available, ``total``, each with a one-sigma
+        ``NAME_error``.  Its attributes say how they were computed; ``notes`` has warnings.
 
     Raises:
         SweepError: for an unknown output, points that are not done or not finite, and grids that are not full.
