@@ -66,7 +66,7 @@ def _read(path: Path, content: bytes) -> Any:
         try:
             content = packed(content)
         except (EOFError, ValueError, OSError, lzma.LZMAError) as error:
-            raise SweepError(f"is packed, but not whole: {error}") from error
+            raise SweepError(f"is compressed, but incomplete: {error}") from error
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
     if start.startswith(b"SIMPLE  ="):
         return _by_astropy("fits", io.BytesIO(content) if packed else path)

@@ -46,7 +46,7 @@ def fit(
 ) -> None:
     """Fit a law to a result in STORE along an axis, for every combination of the other axes.
 
-    Points weigh by their Monte-Carlo errors, and by their covariance where they share random numbers.
+    Points are weighted by their Monte-Carlo errors, and by their covariance if they share random numbers.
 
     \b
     sweep fit results/sqrt-n.zarr --over n_obj --expect -0.5
@@ -87,8 +87,8 @@ def fit(
 def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:
     """Find where in STORE a condition is met along an axis, for every combination of the other axes.
 
-    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  Of a table or
-    a design, whose points are in no order, those points are listed that meet the condition.
+    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  For a table
+    or a design, whose points are in no order, the points that meet the condition are listed.
 
     \b
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --along v_max

@@ -129,8 +129,8 @@ def match(
 ) -> None:
     """Find the galaxies in a star catalogue: cross-match STARS with one or more GALAXIES tables.
 
-    Tables are FITS, VOTable, ECSV, CSV, TSV, MRT or Parquet with the column names of the Gaia archive; options call a
-    table by its file name up to the first dot.
+    Tables are FITS, VOTable, ECSV, CSV, TSV, MRT or Parquet with the column names of the Gaia archive; options refer
+    to a table by its file name up to the first dot.
 
     \b
     sweep match tycho2.fits pgc.fits uzc.csv --supplement tycho2_suppl1.fits \\

@@ -36,13 +36,13 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON f
 break_lock_option = click.option(
     "--break-lock",
     is_flag=True,
-    help="Go on although another host seems to write to the store; make sure that it does not.",
+    help="Continue although another host seems to write to the store; make sure that it does not.",
 )
 
 accept_code_option = click.option(
     "--accept-code",
     is_flag=True,
-    help="Go on with a store that other code has made; each point then says which code made it.",
+    help="Continue a store that other code made; each point then records which code made it.",
 )
 
 
@@ -77,7 +77,7 @@ stores_argument = click.argument(
 
 
 trust_option = click.option(
-    "--trust", is_flag=True, help="Run the code that the store names, though it lies inside it or came from elsewhere."
+    "--trust", is_flag=True, help="Run the code that the store names, even if it is inside it or came from elsewhere."
 )
 
 
@@ -138,7 +138,7 @@ def resource_options(command: Command) -> Command:
     """Add the options that say what to run on; the command gets them as ``resources``."""
     file = click.Path(exists=True, dir_okay=False, path_type=Path)
     options = (
-        click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one a core]"),
+        click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one per core]"),
         click.option(
             "--pool",
             type=click.Choice(list(POOLS)),

@@ -47,9 +47,7 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
     help="How wide it will be printed, 88mm or 180mm; letters have the same size at any.  [default: each kind's own]",
 )
 @click.option("--style", type=click.Choice(["paper", "talk"]), help="Sizes of letters and lines.  [default: paper]")
-@click.option(
-    "--caption", is_flag=True, help="Write NAME.txt beside the picture: caption and text for who cannot see it."
-)
+@click.option("--caption", is_flag=True, help="Write NAME.txt beside the picture: caption and alternative text.")
 @click.option(
     "-o",
     "--output",

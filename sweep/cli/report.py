@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 @main.command()
 @stores_argument
-@click.option("--all", "everything", is_flag=True, help="The whole paper: every built-in study, run where it is not.")
+@click.option("--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it was not yet.")
 @click.option(
     "--results",
     type=click.Path(path_type=Path),
-    help="Where --all has the stores.  [default: results]",
+    help="Folder with the stores of --all.  [default: results]",
 )
 @click.option(
     "-o",

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @resource_options
 @break_lock_option
 @accept_code_option
-@click.option("--fresh", is_flag=True, help="Replace the store that is there, whatever study and code it is of.")
+@click.option("--fresh", is_flag=True, help="Replace an existing store, whatever its study and code.")
 @watching_options
 @click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
 @trust_option
@@ -54,7 +54,7 @@ def run(
 ) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
-    After an interruption the same command goes on where it stopped.
+    After an interruption the same command resumes where it stopped.
 
     \b
     sweep run quasars
@@ -77,7 +77,7 @@ def run(
 @main.command()
 @study_argument
 @study_options
-@click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one a core]")
+@click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one per core]")
 @accept_code_option
 @trust_option
 @json_option

@@ -24,7 +24,7 @@ TABLES = (".csv", ".json", ".zarr")
 )
 @json_option
 def sensitivity(store: "Location", variable: str | None, at: tuple[str, ...], out: Path | None, as_json: bool) -> None:
-    """Say how much of the variance of a result in STORE each parameter makes, with errors.
+    """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
 
     First-order and total Sobol indices of full grids and of saltelli designs, effects of morris designs, first-order
     indices of any other points.

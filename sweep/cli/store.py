@@ -83,7 +83,7 @@ def check(store: "Location", as_json: bool) -> None:
     for remark in () if as_json else report.remarks:
         click.echo(f"{store} {remark}")
     if report:
-        click.echo(f"`sweep repair {store}` sets right what can be", err=True)
+        click.echo(f"`sweep repair {store}` repairs what can be repaired", err=True)
         sys.exit(EXIT_FAILED_POINTS)
 
 

@@ -118,7 +118,7 @@ def _table_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.option(
     "--known-spin",
     metavar="X,Y,Z|TABLE",
-    help="Taken out before: mas/yr in the sign of --sign, or a table by magnitude.",
+    help="Subtracted before the fit: mas/yr with the sign of --sign, or a table by magnitude.",
 )
 @click.option("--clip", default="none", show_default=True, help="none, rayleigh, median:K, discrepancy[:N] or huber:C.")
 @click.option(
@@ -145,7 +145,7 @@ def tie(
     """Solve for the link of two real tables, REFERENCE - SATELLITE.
 
     SATELLITE has positions, parallaxes and proper motions (Gaia archive, Hipparcos-2, ICRF text, or any table with such
-    columns), REFERENCE whatever was measured of the same objects, or zero-motion for quasars.
+    columns), REFERENCE measurements of the same objects, or zero-motion for quasars.
 
     \b
     sweep tie gaia.fits vlbi.ecsv --by name --unknowns orientation,spin -o tie.zarr
@@ -183,7 +183,7 @@ def tie(
 @click.option("--add", metavar="YEARS", default="", help="Epochs of new positions, e.g. 2026,2030.")
 @click.option("--error", type=float, default=0.1, show_default=True, metavar="MAS", help="Of each new coordinate.")
 @click.option("--release", help="Scale the satellite's errors to dr4 or dr5.")
-@click.option("--from-release", default="dr3", show_default=True, help="The release that the satellite's table is.")
+@click.option("--from-release", default="dr3", show_default=True, help="Release of the satellite's table.")
 @click.option("--choose", "number", type=click.IntRange(0), default=0, metavar="N", help="Choose the N best sources.")
 @click.option("--for", "goal", default="", metavar="BLOCKS", help="What they are best for.  [default: all unknowns]")
 @click.option(

@@ -89,7 +89,7 @@ def _labels(given: object, what: str, found: list[str], unique: bool = True) -> 
     good: dict[str, Sequence[str]] = {}
     for name, labels in given.items():
         if not isinstance(labels, (tuple, list)) or not all(isinstance(label, str) for label in labels):
-            found.append(f"{what}[{name!r}]: must be a tuple of texts, not {shown(labels)}")
+            found.append(f"{what}[{name!r}]: must be a tuple of strings, not {shown(labels)}")
             continue
         if repeated := [label for label, n in Counter(labels).items() if n > 1 and unique]:
             found.append(f"{what}[{name!r}]: {shown(repeated[0])} stands there twice")
@@ -104,9 +104,9 @@ def _not_of_a_signature(parameter: Parameter) -> Iterator[str]:
     if parameter.required:
         yield "required is for the signatures of plain functions"
     if not all(isinstance(choice, str) for choice in parameter.choices):
-        yield f"choices = {shown(parameter.choices)}: must be a tuple of texts"
+        yield f"choices = {shown(parameter.choices)}: must be a tuple of strings"
     elif parameter.choices and parameter.kind != "str":
-        yield f"choices are for texts, not for a {parameter.kind}"
+        yield f"choices are for strings, not for a {parameter.kind}"
 
 
 def parameter_problems(parameter: Parameter) -> Iterator[str]:
@@ -117,7 +117,7 @@ def parameter_problems(parameter: Parameter) -> Iterator[str]:
     if text := unit_problem(parameter.unit):
         yield text
     if isinstance(parameter.choices, str):
-        yield f"choices = {shown(parameter.choices)}: must be a tuple of texts"
+        yield f"choices = {shown(parameter.choices)}: must be a tuple of strings"
         return
     bounds = (parameter.minimum, parameter.above, parameter.maximum)
     if any(bound is not None and not isinstance(bound, (int, float)) for bound in bounds):

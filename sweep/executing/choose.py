@@ -54,7 +54,7 @@ def choose_executor(
 ) -> AbstractContextManager[tuple[Place, Executor]]:
     """Return the place where a run of so many random numbers will be and its executor, to be entered.
 
-    Where nothing is requested it is worker processes, one a core; if the cost that the experiment declares does not
+    Where nothing is requested it is worker processes, one per core; if the cost that the experiment declares does not
     show that they are needed, only once the time that the first points take does.
     """
     limits, workers = resources.limits, resources.workers or available_cores()

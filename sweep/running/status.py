@@ -82,7 +82,7 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger) -> Progress:
     """Return the progress that the ledger knows; raises SweepError where the store has not recorded what that takes."""
     study = recorded_study(opened.attributes, str(opened.location))
     if study.sampling.precision is not None:
-        raise SweepError("how many realisations reach a precision, only the experiment can say")
+        raise SweepError("only the experiment can say how many realisations reach a precision")
     grid = Grid(study)
     try:
         accumulator = Accumulator(Plan(grid), ledger.ledger.rows, ledger.ledger.sums(), ledger.failures)
@@ -119,7 +119,7 @@ def _of_dataset(dataset: xr.Dataset) -> Progress:
 
 def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
     """Return what a run would do; the time is what the random numbers alone would take, from a short timing of this
-    machine, with so many ``workers`` (one a core by default).
+    machine, with so many ``workers`` (one per core by default).
     """
     plan, survey = plan_study(study, store, accept_code)
     grid = plan.grid

@@ -46,7 +46,7 @@ def require_trust(location: Location, attributes: Mapping[str, Any], trust: bool
     else:
         return
     files = ", ".join(_file(reference) for reference in inside or code)
-    raise SweepError(f"would run {files}, {reason}; look at that, and give --trust if it may run", str(location))
+    raise SweepError(f"would run {files}, {reason}; inspect it, and give --trust if it may run", str(location))
 
 
 def require_trust_of_study(path: Path, trust: bool) -> None:
@@ -54,7 +54,7 @@ def require_trust_of_study(path: Path, trust: bool) -> None:
     store = next((folder for folder in path.resolve().parents if (folder / ROOT).is_file()), None)
     if store is not None and not trust:
         raise SweepError(
-            f"lies inside the store {store}, and would run what it names; look at that, and give --trust if it may run",
+            f"lies inside the store {store}, and would run what it names; inspect it, and give --trust if it may run",
             str(path),
         )
 

@@ -95,7 +95,7 @@ def _take(location: Location, mine: Holder, break_lock: bool) -> None:
         _refuse_unless_free(location, _parsed(held), break_lock)
         if location.parent.swap(key, held, content):
             return
-    raise SweepError(f"its lock {key} changes hands all the time", str(location))
+    raise SweepError(f"its lock {key} keeps changing hands", str(location))
 
 
 def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bool) -> None:

@@ -14,7 +14,7 @@ UNBOUND = 2
 
 ROOT, COPY = "zarr.json", "blocks/zarr.json"
 
-REPAIR = "`sweep repair {}` sets right what can be"
+REPAIR = "`sweep repair {}` repairs what can be repaired"
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
 """What only the documents of a store hold, however damaged one of them is."""
 

@@ -49,9 +49,9 @@ def tie(
         seed: the seed of the bootstrap.
         workers: the number of local worker processes, for millions of quasars in Parquet; none by default.
         scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
-        options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``, ``weights``,
-            ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``,
-            ``missions`` (further tables by name, each with an orientation and a spin of its own),
+        options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
+            ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``,
+            ``corrections``, ``missions`` (further tables by name, each with an orientation and a spin of its own),
             ``satellite_options``, ``reference_options`` and ``mission_options``
             (`sweep.tie.column_names.TableOptions`).
 

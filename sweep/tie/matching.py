@@ -70,7 +70,7 @@ def _by_name(satellite: AstrometricTable, reference: AstrometricTable, own: str,
     if len(place) < len(names):
         twice = sorted({satellite.names[own][i] for i, name in enumerate(names) if name in used and place[name] != i})
         if twice:
-            raise SweepError(f"{own} {', '.join(twice[:5])} stands more than once in the table", satellite.path)
+            raise SweepError(f"{own} {', '.join(twice[:5])} occurs more than once in the table", satellite.path)
     source = np.array([place[wanted[i]] for i in rows], dtype=np.int64)
     unmatched = np.setdiff1d(np.arange(len(wanted)), rows)
     return Match(rows, source, own if own == other else f"{own} = {other}", unmatched)

@@ -173,7 +173,7 @@ def test_parquet_with_gaps(tmp_path):
         ('ra,dec\n1,"2,5"\n1,2,3\n', "row 2 has 3 columns, not 2"),
         ("ra dec name\n1 2 NGC 1\n", "row 1 has 4 columns, not 3"),
         (b"\x00\x01\x02\x03" * 10, "neither a table format that is known nor text"),
-        (b"\x1f\x8b\x08\x00bad", "is packed, but not whole"),
+        (b"\x1f\x8b\x08\x00bad", "is compressed, but incomplete"),
         (b"PK\x03\x04rest", "is a zip archive"),
         ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
         ("<VOTABLE version='1.3'><RESOURCE/></VOTABLE>", "has no table in it"),

@@ -30,7 +30,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     kept = kept_sources(dataset) & np.isfinite(without).all(axis=1)
     names, without = names[kept], without[kept]
     if len(without) < 2:
-        raise SweepError("no jackknife scatter: the unknowns hang on single sources")
+        raise SweepError("no jackknife scatter: the unknowns depend on single sources")
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
     far = np.argsort(-dataset["cook_distance"].values[kept])[:NAMED]
     figure = Figure(figsize=figure_size(10.0, 3.4 * len(blocks) + 0.5), layout="constrained")
