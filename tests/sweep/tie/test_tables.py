@@ -186,7 +186,7 @@ def test_matching_by_name_and_by_position_with_proper_motion(tmp_path):
 
 def test_a_name_twice_in_the_satellite_is_refused(tmp_path):
     twice = gaia(tmp_path / "a.ecsv", stars(4), source_id=np.array([1, 2, 2, 3]))
-    with pytest.raises(SweepError, match="source_id 2 stands more than once"):
+    with pytest.raises(SweepError, match="source_id 2 occurs more than once"):
         tie(twice, twice)
 
 
