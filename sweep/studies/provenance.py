@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -138,6 +139,7 @@ def git_commit() -> str | None:
         return None
 
 
+@cache
 def _version(package: str) -> str:
     try:
         return version(package)
