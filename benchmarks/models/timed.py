@@ -72,7 +72,8 @@ def main(tool, name, most):
         check(name, axes, found)
         os.chdir(os.sep)
     points = int(np.prod([len(values) for values in axes.values()]))
-    print(json.dumps({"seconds": seconds, "points": points, "lines": lines_of(sweep)}), flush=True)
+    told = {"first_seconds": seconds["few"], "seconds": seconds["all"], "points": points, "lines": lines_of(sweep)}
+    print(json.dumps(told), flush=True)
 
 
 if __name__ == "__main__":

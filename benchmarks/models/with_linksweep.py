@@ -1,7 +1,8 @@
 """The models swept by linksweep: each function is what a user writes."""
 
-import linksweep
 import models
+
+import linksweep
 
 
 def sir(axes):
