@@ -174,6 +174,13 @@ class Accumulator:
             ready = round_.early.pop((round_.group, round_.part), None) if round_.early else None
         return self._finish_round(point, cost, round_) if round_.group == self.plan.groups(cost) else []
 
+    def add_whole(self, points: Sequence[GridPoint], rows: Array) -> None:
+        """Add the only block of each of some points, as a deterministic experiment has it: many at once."""
+        indices = [point.index for point in points]
+        self.realisations[indices] += 1
+        self.total[indices, : rows.shape[1]] = rows
+        self.status[indices] = DONE
+
     def fail(self, index: int) -> None:
         """Mark a point as failed; none of its blocks is given out any more."""
         self.status[index] = Status.FAILED
