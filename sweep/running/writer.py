@@ -104,7 +104,11 @@ class Writer:
         keys = [key for work in works for key in work.ledger_keys()]
         clock = time.monotonic()
         with self._held(), self._lock:
-            good, ended, added = self._add(points, result)
+            if not result.failures and self.accumulator.are_whole(works):
+                ended = self.accumulator.add_whole(works, result.sums)
+                good, added = list(range(len(ended))), list[Work]()
+            else:
+                good, ended, added = self._add(points, result)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
             self._pending.add(added)
@@ -121,10 +125,6 @@ class Writer:
         self, points: Sequence[tuple[GridPoint, Block]], result: TaskResult
     ) -> tuple[list[int], list[GridPoint], list[Work]]:
         """Add rows to their points; return which are good, the points that have ended, and what these still need."""
-        if self.plan.grid.study.experiment.deterministic and not result.failures:
-            whole = [point for point, _ in points]
-            self.accumulator.add_whole(whole, result.sums[: len(whole)])
-            return list(range(len(whole))), whole, []
         good: list[int] = []
         ended: list[GridPoint] = []
         added: list[Work] = []
