@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.contract import Array, Value, check_finite
 from sweep.planning.grid import GridPoint
-from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, ledger_key
+from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, Work, ledger_key
 from sweep.planning.point_status import Status
 
 LARGEST_STEP = 16
@@ -173,6 +173,22 @@ class Accumulator:
                 round_.group += 1
             ready = round_.early.pop((round_.group, round_.part), None) if round_.early else None
         return self._finish_round(point, cost, round_) if round_.group == self.plan.groups(cost) else []
+
+    def are_whole(self, works: Sequence[Work]) -> bool:
+        """Return whether each work is all that its points need."""
+        study = self.plan.grid.study
+        whole = study.sampling.n_cat * study.sampling.n_sim
+        simple = study.sampling.precision is None and not study.experiment.further_width
+        return simple and all(work.block.realisations == whole for work in works)
+
+    def add_whole(self, works: Sequence[Work], rows: Array) -> list[GridPoint]:
+        """Add the only block of each of some points, many at once; return the points."""
+        points = [point for work in works for point in work.points]
+        indices = [point.index for point in points]
+        self.realisations[indices] += self.plan.grid.study.sampling.n_cat * self.plan.grid.study.sampling.n_sim
+        self.total[indices, : rows.shape[1]] = self.plan.grid.study.experiment.alone(rows[: len(points)])
+        self.status[indices] = DONE
+        return points
 
     def fail(self, index: int) -> None:
         """Mark a point as failed; none of its blocks is given out any more."""
