@@ -29,6 +29,11 @@ def print_whole(renderable: Any) -> None:
     Console(width=width, highlight=False).print(renderable, soft_wrap=False)
 
 
+def table_width() -> int:
+    """Return how wide a table may be: as the terminal, or `WIDTH` where there is none or it is narrower."""
+    return max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
+
+
 def print_plan(
     study: "Study", store: "Location", workers: int | None, as_json: bool, accept_code: bool = False
 ) -> None:
@@ -78,7 +83,7 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
     from sweep.analysis import components, tables
 
     if table_format == "text":
-        width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
+        width = table_width()
         print_whole(tables.as_text(dataset, width))
         if with_components and (lines := components.component_lines(dataset)):
             click.echo("\n".join(["", *lines, ""]))
@@ -109,7 +114,7 @@ def print_answer(dataset: Any) -> None:
 
 
 def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -> None:
-    """Print a comparison with published numbers, and its remarks."""
+    """Print a comparison with published numbers, its remarks, and how many have each verdict."""
     from sweep.analysis import compare_tables
 
     if table_format == "json":
@@ -120,9 +125,13 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
         for sentence in remarks:
             click.echo(sentence, err=True)
         return
-    print_whole(compare_tables.as_text(comparisons))
-    for sentence in ("", *compare_tables.notes(comparisons), *remarks, compare_tables.summary_line(comparisons)):
-        click.echo(sentence)
+    if comparisons:
+        from sweep.analysis.compare_text import as_text
+
+        print_whole(as_text(comparisons, table_width()))
+    for sentence in remarks:
+        click.echo(click.wrap_text(sentence, WIDTH))
+    click.echo(compare_tables.summary_line(comparisons))
 
 
 def print_status(report: dict[str, Any]) -> None:
