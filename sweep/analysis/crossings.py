@@ -20,14 +20,14 @@ NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 
 
-def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
+def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
     """Return where along an axis a condition is met, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
         limit: a variable, one of < <= > >=, and a number with or without a unit: "sigma_spin < 1 uas/yr".
-        along: the axis.
-        covariance: of the variable's points, dimensions (..., along, along_other); from the dataset unless given.
+        over: the axis.
+        covariance: of the variable's points, dimensions (..., over, over_other); from the dataset unless given.
 
     Returns:
         A dataset over the other axes with the variables met (see `MET_WORDS`), crossings (how many), first and last
@@ -42,24 +42,24 @@ def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.Dat
         >>> import linksweep
         >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14,15,16,17"])
         >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
-        >>> round(float(find(ds, "sigma_spin < 1 uas/yr", along="v_max")["first"].sel(model="gaia")), 3)
+        >>> round(float(find(ds, "sigma_spin < 1 uas/yr", over="v_max")["first"].sel(model="gaia")), 3)
         16.066
     """
     if isinstance(limit, str):
         limit = parse_limit(limit)
-    found = lines(dataset, limit.variable, along, covariance)
+    found = lines(dataset, limit.variable, over, covariance)
     thresholds = _thresholds(limit, found)
     rows = np.array([_cross(found, line, limit, threshold) for line, threshold in enumerate(thresholds)])
     where, value = found.over_unit, found.unit[0] if len(set(found.unit)) == 1 else ""
     columns = {
         "met": ("", "when the condition is met"),
         "crossings": ("", "how often the limit is crossed"),
-        "first": (where, f"{along} at the first crossing"),
+        "first": (where, f"{over} at the first crossing"),
         "first_error": (where, "its one-sigma error"),
-        "last": (where, f"{along} at the last crossing"),
+        "last": (where, f"{over} at the last crossing"),
         "last_error": (where, "its one-sigma error"),
         "nearest": (value, f"{limit.variable} that is nearest to the limit, where that is never crossed"),
-        "nearest_at": (where, f"{along} of the nearest"),
+        "nearest_at": (where, f"{over} of the nearest"),
     }
     result = found.grid.assign(
         {
@@ -69,7 +69,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.Dat
     )
     result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs)
     result["met"].attrs |= {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
-    about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "along": along}
+    about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "over": over}
     return result.assign_attrs(about, condition=str(limit), errors=found.errors)
 
 

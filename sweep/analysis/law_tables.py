@@ -64,7 +64,7 @@ def notes(result: xr.Dataset) -> list[str]:
     """Return sentences that belong below the table: the law, where errors come from, and what does not fit."""
     about, everything = result.attrs, rows(result)
     if "condition" in about:
-        return [f"{about['condition']} along {about['along']}; errors: {about['errors']}"]
+        return [f"{about['condition']} along {about['over']}; errors: {about['errors']}"]
     variable, over = about["variable"], about["over"]
     laws = {
         "power": f"{variable} = amplitude x ({over} / pivot)^exponent",

@@ -283,7 +283,7 @@ def arrays_in_words(dataset: xr.Dataset) -> list[str]:
     sentences = []
     for name in array_outputs(dataset):
         along = " and ".join(f"{dataset.sizes[dim]:,} along {dim}" for dim in own_dimensions(dataset, name))
-        sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --format json` has them")
+        sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --json` has them")
     return sentences
 
 

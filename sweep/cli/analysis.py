@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @main.command()
 @store_argument
-@click.option("--over", "--along", "over", help="The axis to fit along.  [default: the only one with several numbers]")
+@click.option("--over", help="The axis to fit along.  [default: the only one with several numbers]")
 @click.option("--variable", help="What to fit.  [default: the main result]")
 @click.option(
     "--law",
@@ -79,20 +79,18 @@ def fit(
 @main.command()
 @store_argument
 @click.option("--where", required=True, metavar="CONDITION", help="VARIABLE, one of < <= > >=, NUMBER and unit.")
-@click.option(
-    "--along", "--over", "along", help="The axis to look along.  [default: the only one with several numbers]"
-)
+@click.option("--over", help="The axis to look along.  [default: the only one with several numbers]")
 @place_option
 @json_option
-def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:
+def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], as_json: bool) -> None:
     """Find where in STORE a condition is met along an axis, for every combination of the other axes.
 
     Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  Of a table or
     a design, whose points are in no order, those points are listed that meet the condition.
 
     \b
-    sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --along v_max
-    sweep find results/grid.zarr --where "sigma_spin <= 0.5" --along n_obj --at model=amex,error_scale=1
+    sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
+    sweep find results/grid.zarr --where "sigma_spin <= 0.5" --over n_obj --at model=amex,error_scale=1
     """
     from sweep.analysis.conditions import parse_limit
     from sweep.analysis.crossings import find as find_crossings
@@ -102,10 +100,10 @@ def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], 
     limit = parse_limit(where)
     dataset = part_of(store, at)
     with naming(store):
-        if along is None and len(varied_parameters(dataset)) > 1:
+        if over is None and len(varied_parameters(dataset)) > 1:
             print_table(points_where(dataset, limit), "json" if as_json else "text")
             return
-        result = find_crossings(dataset, limit, require_axis(dataset, limit.variable, along))
+        result = find_crossings(dataset, limit, require_axis(dataset, limit.variable, over))
     _print(result, as_json)
 
 

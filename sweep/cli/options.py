@@ -81,6 +81,13 @@ trust_option = click.option(
 )
 
 
+def json_or(table_format: str, as_json: bool) -> str:
+    """Return the format of a table that two options name together; raises click.UsageError if they name two."""
+    if as_json and table_format != "text":
+        raise click.UsageError(f"--json and --format {table_format} are two formats; name one")
+    return "json" if as_json else table_format
+
+
 def study_options(command: Command) -> Command:
     """Add the options that name a study's overrides, which the command gets as ``overrides``, and its store."""
     options = (

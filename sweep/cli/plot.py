@@ -33,8 +33,6 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 )
 @click.option(
     "--over",
-    "--along",
-    "over",
     multiple=True,
     help="The axis to draw along; give both for a map, or two components of a scatter.",
 )
@@ -53,8 +51,6 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 @click.option(
     "-o",
     "--output",
-    "--out",
-    "out",
     type=click.Path(path_type=Path),
     help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]",
 )
@@ -68,7 +64,7 @@ def plot(
     width: float | None,
     style: str | None,
     caption: bool,
-    out: Path | None,
+    output: Path | None,
 ) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
     values, small panels, a map, a fitted law, a scatter of kept samples; of a link or a forecast of real tables, the
@@ -94,7 +90,7 @@ def plot(
         raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=...")
     if kind in STANDALONE and (variables or over):
         raise click.UsageError(f"--variable and --over do not go with --kind {kind}")
-    path = out or Path(Path(source or "accuracy").stem + ".png")
+    path = output or Path(Path(source or "accuracy").stem + ".png")
     styles.require_format(path)
     with styles.settings(width, style):
         figure, dataset = _figure(source, kind, variables, over, models, at)

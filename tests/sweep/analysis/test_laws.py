@@ -476,7 +476,7 @@ def test_fit_levelling_says_where(store_of):
 
 
 def test_find_says_from_where(store_of):
-    done = invoke("find", store_of("quasars"), "--where", "sigma_spin < 1 uas/yr", "--along", "v_max")
+    done = invoke("find", store_of("quasars"), "--where", "sigma_spin < 1 uas/yr", "--over", "v_max")
     assert "gaia  from 15." in done.stdout or "gaia  from 16." in done.stdout
     assert "amex  never; 0.5" in done.stdout
     found = json.loads(invoke("find", store_of("quasars"), "--where", "sigma_spin < 0.6", "--json").stdout)

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 
+import click
 import pytest
 import xarray as xr
 
@@ -46,11 +47,11 @@ def test_params_tell_unit_default_and_meaning(sweep):
     assert "mean chance of heads; a finite number >= 0.2 and <= 0.8" in out
 
 
-def test_plan_and_dry_run_write_nothing(sweep, tmp_path):
+def test_plan_writes_nothing(sweep, tmp_path):
     code, out, _ = sweep("plan", "grid", cwd=tmp_path)
     assert code == 0
     assert "200" in out
-    code, out, _ = sweep("run", "grid", "--dry-run", "--json", "--axis", "n_obj=10:30:10", cwd=tmp_path)
+    code, out, _ = sweep("plan", "grid", "--json", "--axis", "n_obj=10:30:10", cwd=tmp_path)
     assert json.loads(out)["points"] == 2 * 5 * 3 * 4
     assert not list(tmp_path.iterdir())
 
@@ -156,6 +157,24 @@ def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
     assert all(column.rank == 0 for column in fitting(columns, 10)[0])
     out = sweep("show", store_of("aberration"))[1]
     assert "left out to fit 80 columns: " in out
+
+
+def test_one_thing_has_one_name_in_all_commands():
+    """An option has one long spelling; -o is always --output; a script asks for JSON with --json alone."""
+    for name, command in main.commands.items():
+        for option in (p for p in command.params if isinstance(p, click.Option)):
+            long = [spelling for spelling in option.opts if spelling.startswith("--")]
+            assert len(long) == 1, (name, option.opts)
+            assert ("-o" in option.opts) == (long == ["--output"]), (name, option.opts)
+            assert long[0] not in ("--out", "--along", "--map", "--dry-run"), name
+            assert "json" not in getattr(option.type, "choices", ()), name
+
+
+@pytest.mark.parametrize("command", ["show", "compare"])
+def test_two_formats_are_refused(sweep, store_of, command):
+    code, out, err = sweep(command, store_of("quasars"), "--json", "--format", "csv")
+    assert (code, out) == (2, "")
+    assert "--json and --format csv are two formats; name one" in err
 
 
 def test_params_of_a_study_are_those_of_its_experiment(sweep):
