@@ -50,16 +50,21 @@ def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> s
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     """Return value, published, difference, that in percent, and allowance, with the digits that count."""
-    published = f"{c.published:.{_decimals(2.0 * c.rounding)}f}" if c.rounding > 0.0 else f"{c.published:g}"
+    decimals = _decimals(2.0 * c.rounding) if c.rounding > 0.0 else 0
+    published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else _exact(c.published, c.mc_error)
     if not math.isfinite(c.value):
         return "", published, "", "", ""
-    finest = c.mc_error if c.mc_error > 0.0 else 0.1 * c.rounding
-    value = with_error(c.value, finest) if c.mc_error > 0.0 else rounded(c.value, finest)
+    if c.mc_error > 0.0:
+        value, difference = with_error(c.value, c.mc_error), rounded(c.difference, c.mc_error)
+    elif c.rounding > 0.0 and c.value != round(c.value, decimals):
+        value, difference = (f"{number:.{decimals + 1}f}" for number in (c.value, c.difference))
+    else:
+        value, difference = rounded(c.value), rounded(c.difference)
     if c.difference == 0.0:
         return value, published, "none", "", _allowance(c)
     percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
     sign = "+" if c.difference > 0.0 else ""
-    return value, published, sign + rounded(c.difference, finest), percent, _allowance(c)
+    return value, published, sign + difference, percent.replace("-0.0", "0.0").replace("+0.0", "0.0"), _allowance(c)
 
 
 def power_in_words(c: Comparison) -> str:
@@ -69,6 +74,11 @@ def power_in_words(c: Comparison) -> str:
     if c.detectable == 0.0:
         return "any"
     return f"{100.0 * c.power:.2g} %" if c.published else f"{c.detectable:.2g}"
+
+
+def _exact(number: float, error: float) -> str:
+    """Return a number that has no rounding, with no more digits than ours beside it needs."""
+    return min(f"{number:g}", rounded(number, error), key=len)
 
 
 def _allowance(c: Comparison) -> str:

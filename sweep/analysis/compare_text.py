@@ -30,12 +30,19 @@ FIRST_NUMBER, FEWEST_COLUMNS = 2, 5
 INDENT, GAP, NARROWEST = "  ", "  ", 8
 """Before a row, between columns; characters of the column of places at least."""
 
+SHORT_PLACE = 16
+"""Characters of the places of rows: of longer ones a part stands above several rows."""
+
 
 @dataclass(frozen=True)
 class _Block:
-    """What was published of one thing: the lines above its rows, rows of cells, and the reasons of verdicts."""
+    """What was published of one thing: the lines above its rows, rows of cells, and the reasons of verdicts.
+
+    ``origin`` is study and source: neighbours that share it have the source once.
+    """
 
     heading: str
+    origin: str
     source: str
     rows: list[tuple[Verdict, tuple[str, ...]]]
     reasons: list[str]
@@ -57,14 +64,17 @@ def as_text(comparisons: Sequence[Comparison], width: int) -> "Text":
     widths = [widths[0], max(NARROWEST, min(widths[1], _room(widths[:used], width))), *widths[2:used]]
     text = Text(no_wrap=True)
     text.append_text(_row(HEADINGS, widths, "bold"))
-    for block in blocks:
+    for before, block, after in zip([None, *blocks], blocks, [*blocks[1:], None], strict=False):
         text.append("\n" + textwrap.fill(block.heading, width) + "\n", "bold")
-        text.append(textwrap.fill(block.source, width) + "\n", "dim")
+        if before is None or before.origin != block.origin:
+            text.append(textwrap.fill(block.source, width) + "\n", "dim")
         for verdict, cells in block.rows:
             text.append_text(_row(cells, widths, COLOURS[verdict]))
-        for reason in block.reasons:
+        for reason in block.reasons if after is None or after.reasons != block.reasons else ():
             text.append(textwrap.fill(reason, width, initial_indent=INDENT, subsequent_indent=INDENT) + "\n")
-    text.append(f"\n{textwrap.fill(POWER, width)}")
+    left_out = f"left out to fit {width} columns: {', '.join(HEADINGS[used:])}; --format csv has them"
+    notes = [*([POWER] if "power" in HEADINGS[:used] else []), *([left_out] if HEADINGS[used:] else [])]
+    text.append("".join(f"\n{textwrap.fill(note, width)}" for note in notes))
     return text
 
 
@@ -72,23 +82,36 @@ def _blocks(comparisons: Sequence[Comparison]) -> Iterator[_Block]:
     """Yield what belongs together: neighbours that are of the same thing in the same unit."""
     readable = map(in_readable_unit, comparisons)
     for (study, what, unit, source), group in groupby(readable, lambda c: (c.study, c.what, c.unit, c.source)):
-        found = list(group)
-        common = _common([c.where for c in found])
         name = f"{study}: {what} [{in_ascii(unit)}]" if unit else f"{study}: {what}"
-        heading = f"{name}, {place_in_words(common)}" if common else name
-        yield _Block(heading, source, list(_rows(found, common)), _reasons(found))
+        for found in _with_short_places(list(group)):
+            common = _common([c.where for c in found])
+            heading = f"{name}, {place_in_words(common)}" if common else name
+            reasons = dict.fromkeys(f"{c.verdict}: {c.reason}" for c in found if c.reason)
+            yield _Block(heading, f"{study}: {source}", source, list(_rows(found, common)), list(reasons))
+
+
+def _with_short_places(found: list[Comparison]) -> Iterator[list[Comparison]]:
+    """Yield comparisons in groups whose places are short without what each group shares."""
+    common = _common([c.where for c in found])
+    varied = [{k: v for k, v in c.where.items() if k not in common} for c in found]
+    if _all_agree(found) or max(len(place_in_words(place)) for place in varied) <= SHORT_PLACE:
+        yield found
+        return
+    longest = max((name for place in varied for name in place), key=len)
+    values = dict.fromkeys(place.get(longest) for place in varied)
+    for value in values:
+        yield from _with_short_places([c for c in found if c.where.get(longest) == value])
 
 
 def _common(places: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the values that several places share; none of a single one."""
-    first, *others = places
-    return {k: v for k, v in first.items() if all(k in o and o[k] == v for o in others)} if others else {}
+    """Return the values that several places share; all of a single one."""
+    return {k: v for k, v in places[0].items() if all(k in place and place[k] == v for place in places)}
 
 
 def _rows(found: Sequence[Comparison], common: Mapping[str, Any]) -> Iterator[tuple[Verdict, tuple[str, ...]]]:
     """Yield verdict and cells of each comparison; of several that all agree exactly one row in all."""
-    verdict = found[0].verdict
-    if len(found) > 1 and all(c.difference == 0.0 and c.verdict == verdict for c in found):
+    if _all_agree(found):
+        verdict = found[0].verdict
         yield verdict, (verdict, f"all {len(found)} places", "exactly", "", "none", power_in_words(found[0]), "none")
         return
     for c in found:
@@ -98,8 +121,9 @@ def _rows(found: Sequence[Comparison], common: Mapping[str, Any]) -> Iterator[tu
         yield c.verdict, (c.verdict, place_in_words(where), *numbers)
 
 
-def _reasons(found: Sequence[Comparison]) -> list[str]:
-    return list(dict.fromkeys(f"{c.verdict}: {c.reason}" for c in found if c.reason))
+def _all_agree(found: Sequence[Comparison]) -> bool:
+    """Return whether several comparisons have one verdict and no difference."""
+    return len(found) > 1 and all(c.difference == 0.0 and c.verdict == found[0].verdict for c in found)
 
 
 def _room(widths: Sequence[int], width: int) -> int:
