@@ -9,6 +9,7 @@ import xarray as xr
 
 from sweep.analysis.conditions import Limit, parse_limit
 from sweep.analysis.lines import Lines, lines
+from sweep.attributes import described
 from sweep.contract import Array, SweepError, small_sample_factor
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
@@ -63,7 +64,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     }
     result = found.grid.assign(
         {
-            name: (found.dims, rows[:, i].reshape(found.shape), {"units": unit, "long_name": meaning})
+            name: (found.dims, rows[:, i].reshape(found.shape), described(unit, meaning))
             for i, (name, (unit, meaning)) in enumerate(columns.items())
         }
     )
@@ -117,12 +118,13 @@ def interpolate(
         value = np.exp(weights @ u) if logarithm else weights @ u
         rows[line] = value, _error(weights, spread, found.samples) * (value if logarithm else 1.0)
     attributes = dataset[variable].attrs
+    unit = str(attributes.get("units", ""))
     place = xr.Variable((), at, dataset[over].attrs)
     error = f"one-sigma error of {variable}"
     return found.grid.assign_coords({over: place}).assign(
         {
             variable: (found.dims, rows[:, 0].reshape(found.shape), attributes),
-            f"{variable}_mc_error": (found.dims, rows[:, 1].reshape(found.shape), attributes | {"long_name": error}),
+            f"{variable}_mc_error": (found.dims, rows[:, 1].reshape(found.shape), described(unit, error)),
         }
     )
 

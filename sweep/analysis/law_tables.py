@@ -79,11 +79,11 @@ def notes(result: xr.Dataset) -> list[str]:
 def conclusion(result: xr.Dataset, row: Row) -> str:
     """Return in words what follows from one line of a result."""
     if "met" in result:
-        return _met(row, *(str(result[name].attrs["units"]) for name in ("first", "nearest")))
+        return _met(row, *(str(result[name].attrs.get("units", "")) for name in ("first", "nearest")))
     if row["points"] == 0.0:
         return "excluded by the study"
     if result.attrs["law"] == "levelling":
-        return _levelling(row, result.attrs["last"], str(result["limit"].attrs["units"]))
+        return _levelling(row, result.attrs["last"], str(result["limit"].attrs.get("units", "")))
     if not math.isfinite(row.get("deviation", math.nan)):
         return ""
     return "as expected" if abs(row["deviation"]) <= DEVIATION_ALLOWED else "NOT as expected"
@@ -103,7 +103,7 @@ def _columns(result: xr.Dataset, everything: Sequence[Row]) -> dict[str, list[st
         columns |= _in_readable_unit("amplitude", result, everything)
         columns[_heading("pivot", result)] = [fixed(row["pivot"], ".4g") for row in everything]
     if "end_fall" in result:
-        unit = str(result["limit"].attrs["units"]) or "unit"
+        unit = str(result["limit"].attrs.get("units", "")) or "unit"
         falls = [with_error(100.0 * row["end_fall"], 100.0 * row["end_fall_error"]) for row in everything]
         columns[f"fall at the end\n[% / {unit}]"] = falls
     if "chi2" in result:
