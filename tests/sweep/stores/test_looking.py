@@ -29,6 +29,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "calibrate": [[]],
     "check": [["STORE"]],
     "compare": [["STORE"]],
+    "demo": [["STORE"]],
     "find": [["STORE", "--where", "share < 0.5", "--over", "coins"]],
     "fit": [["STORE", "--over", "coins"]],
     "list": [[]],
