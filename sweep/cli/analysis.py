@@ -6,7 +6,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
-from sweep.cli.output import print_table, print_whole
+from sweep.cli.output import print_sentences, print_table, print_whole, table_width
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -90,7 +90,7 @@ def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], a
 
     \b
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
-    sweep find results/grid.zarr --where "sigma_spin <= 0.5" --over n_obj --at model=amex,error_scale=1
+    sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
     """
     from sweep.analysis.conditions import parse_limit
     from sweep.analysis.crossings import find as find_crossings
@@ -109,10 +109,14 @@ def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], a
 
 def _print(result: Any, as_json: bool) -> None:
     from sweep.analysis import law_tables as analysis_tables
+    from sweep.analysis.tables import left_out_in_words
 
     if as_json:
         click.echo(analysis_tables.as_json(result))
         return
-    print_whole(analysis_tables.as_text(result))
-    for sentence in ("", *analysis_tables.notes(result)):
-        click.echo(sentence)
+    width = table_width()
+    print_whole(analysis_tables.as_text(result, width))
+    click.echo()
+    print_sentences(analysis_tables.notes(result))
+    if folded := analysis_tables.fitting_columns(result, width)[1]:
+        print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --json has them"])

@@ -224,7 +224,7 @@ def _resources(
         raise click.UsageError(f"--pool {pool} has no workers")
     files = (tls_ca, tls_cert, tls_key)
     if any(files) and (scheduler is None or not scheduler.startswith("tls://") or None in files):
-        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://...")
+        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
     return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit))
 

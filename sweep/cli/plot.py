@@ -27,7 +27,12 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 
 @main.command()
 @click.argument("source", required=False)
-@click.option("--kind", type=click.Choice(all_kinds()), help="What to draw.  [default: what suits the results]")
+@click.option(
+    "--kind",
+    type=click.Choice(all_kinds()),
+    metavar="KIND",
+    help=f"What to draw: {', '.join(all_kinds())}.  [default: what suits the results]",
+)
 @click.option(
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
@@ -73,7 +78,7 @@ def plot(
     \b
     sweep plot quasars --width 88mm --caption -o quasars.pdf
     sweep plot results/grid.zarr --over n_obj --at error_scale=1
-    sweep plot results/grid.zarr --kind map --over n_obj --over v_max --at model=gaia
+    sweep plot grid --kind map --over n_obj --over v_max --at model=gaia
     sweep plot results/quasars.zarr --kind sky --at model=gaia,v_max=16
     sweep plot --kind accuracy --model amex --model gaia
     sweep plot mission.toml --kind accuracy
@@ -87,7 +92,7 @@ def plot(
     if source is None and kind != "accuracy":
         raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
     if models and kind != "accuracy":
-        raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=...")
+        raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
     if kind in STANDALONE and (variables or over):
         raise click.UsageError(f"--variable and --over do not go with --kind {kind}")
     path = output or Path(Path(source or "accuracy").stem + ".png")

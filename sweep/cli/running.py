@@ -58,7 +58,7 @@ def run(
     sweep run quasars
     sweep run quasars --set n_cat=20 -o results/quick.zarr
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
-    sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5 --range gamma=0.01:1:log
+    sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5
     sweep run sir.py:sir --points runs.csv
     """
     loaded, path = load(study, overrides, store, trust)

@@ -7,7 +7,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
-from sweep.cli.output import print_whole
+from sweep.cli.output import print_sentences, print_whole
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -49,8 +49,8 @@ def sensitivity(
         click.echo(tables.as_json(result))
     else:
         print_whole(tables.as_text(result))
-        for sentence in ("", *tables.notes(result)):
-            click.echo(sentence)
+        click.echo()
+        print_sentences(tables.notes(result))
     if output is not None:
         click.echo(f"wrote {output}", err=True)
 

@@ -44,7 +44,8 @@ def failed_points(failures: Mapping[str, str]) -> str:
 
 def _short(message: str) -> str:
     line = message.strip().partition("\n")[0]
-    return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]}..."
+    more = len(line) - LONGEST_REASON
+    return f"{line[:LONGEST_REASON]} [and {counted(more, 'character')}]" if more > 0 else line
 
 
 class RunSummary:

@@ -453,7 +453,8 @@ def test_fit_prints_exponent_expectation_and_law(store_of):
     done = invoke("fit", store_of("sqrt-n"))
     assert done.exit_code == 0
     assert "as expected" in done.stdout
-    assert "sigma_spin = amplitude x (n_obj / pivot)^exponent; errors: Monte Carlo, independent points" in done.stdout
+    law = "sigma_spin = amplitude x (n_obj / pivot)^exponent; errors: Monte Carlo, independent points"
+    assert law in " ".join(done.stdout.split())
     (row,) = json.loads(invoke("fit", store_of("sqrt-n"), "--json").stdout)["rows"]
     assert row["expected"] == -0.5
     assert row["conclusion"] == "as expected"
