@@ -16,18 +16,11 @@ from sweep.stores.store import open_dataset
 from tests.conftest import COINS
 
 PRINTING = [
-    *(
-        "list",
-        "params",
-        "params icrf2-icrf3",
-        "calibrate",
-        "plan quasars",
-        "show quasars",
-        "show quasars --at model=gaia",
-    ),
-    *("status quasars", "check quasars", "compare quasars", "fit quasars --over v_max --at model=gaia"),
-    *("find quasars --where 'sigma_spin < 1 uas/yr' --over v_max", "reproduce quasars --at model=gaia,v_max=14"),
-    *("sensitivity quasars", "tie icrf3 icrf2 --degree 2 --clip rayleigh", "forecast icrf3 icrf2 --choose 3"),
+    *("list", "params", "params icrf2-icrf3", "calibrate", "plan quasars", "show quasars"),
+    *("show quasars --at model=gaia", "status quasars", "check quasars", "compare quasars"),
+    *("fit quasars --over v_max --at model=gaia", "reproduce quasars --at model=gaia,v_max=14"),
+    *("find quasars --where 'sigma_spin < 1 uas/yr' --over v_max", "sensitivity quasars"),
+    *("tie icrf3 icrf2 --degree 2 --clip rayleigh", "forecast icrf3 icrf2 --add 2030 --choose 3"),
 ]
 """Commands about a store of `quasars` and the tables that are built in, which print no table of axes of the user's."""
 
