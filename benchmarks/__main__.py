@@ -16,12 +16,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import core_speed, main_job, memory, overhead, scale, scaling, start_up, tie
+from benchmarks import core_speed, functions, main_job, memory, overhead, scale, scaling, start_up, tie
 from benchmarks.measured import Measured, host_load
 
 BENCHMARKS = {
     "core-speed": core_speed.measure,
     "overhead": overhead.measure,
+    "functions": functions.measure,
     "main-job": main_job.measure,
     "memory": memory.measure,
     "scaling": scaling.measure,

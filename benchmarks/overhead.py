@@ -1,30 +1,16 @@
 """What a point costs the platform: a trivial grid on two worker processes, beside other ways to do it.
 
-The clock runs from when the workers are there to the last durable, labelled result.  The peers are installed into an
-environment of their own in the user's cache folder, made once; every process counts, ours and theirs.
+The clock runs from when the workers are there to the last durable, labelled result; every process counts, ours and
+theirs.
 """
 
-import os
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from benchmarks.measured import Measured, Size, Target, watch
+from benchmarks.peer_environment import environment
 
-PACKAGES = (
-    "xyzpy",
-    "matplotlib",
-    "h5netcdf",
-    "joblib",
-    "pipefunc",
-    "signac",
-    "distributed",
-    "xarray",
-    "zarr",
-    "cloudpickle",
-)
 HERE = Path(__file__).parent
 POINTS = {"tiny": 100, "normal": 10_000, "full": 10_000}
 
@@ -43,7 +29,7 @@ PEERS = {
 OURS = """
 import sys, tempfile, time
 from pathlib import Path
-from benchmarks.trivial import study
+from benchmarks.trivial import FUNCTION, study
 from sweep.studies.reader import study_from_dict
 from sweep.executing.choose import Resources
 from sweep.running.run import Silent, run_study
@@ -59,8 +45,9 @@ if __name__ == "__main__":
     points, pool = int(sys.argv[1]), sys.argv[2]
     with tempfile.TemporaryDirectory() as folder:
         clock = Clock()
-        chosen = Resources(pool="serial") if pool == "serial" else Resources(workers=2, pool=pool)
-        dataset, failures = run_study(study_from_dict(study(points)), Path(folder) / "s.zarr", chosen, clock)
+        chosen = Resources(workers=2, pool=pool) if pool == "processes" else Resources(pool="serial")
+        document = study(points) | ({"experiment": FUNCTION, "sampling": {}} if pool == "function" else {})
+        dataset, failures = run_study(study_from_dict(document), Path(folder) / "s.zarr", chosen, clock)
         assert not failures and dataset.attrs["points_done"] == dataset.attrs["points"]
         print(dataset.attrs["points"] / clock.seconds, dataset.attrs["points"] / clock.cpu)
 """
@@ -69,8 +56,8 @@ if __name__ == "__main__":
 def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     """Return points a second of ours and of the peers, taking turns."""
     turns = 1 if size == "tiny" else repetitions
-    python = _environment() if peers else None
-    ours: dict[str, list[tuple[float, float]]] = {"processes": [], "serial": []}
+    python = environment() if peers else None
+    ours: dict[str, list[tuple[float, float]]] = {"processes": [], "serial": [], "function": []}
     theirs: dict[str, list[float]] = {}
     missing: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as name:
@@ -101,6 +88,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
             "points/s",
             note="client and worker together; independent of other load",
         ),
+        Measured("linksweep, a plain function in one process", [r for r, _ in ours["function"]], "points/s"),
     ]
     durable = []
     for peer, (_, kept) in PEERS.items() if peers else ():
@@ -109,20 +97,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
         if kept and peer in theirs:
             durable.append(report[-1].value)
     if durable:
-        ratio = report[0].value / max(durable)
-        report.append(Measured("ours over the fastest durable peer", [ratio], "", Target(">=", 1.0)))
+        for place, words in ((0, "ours"), (3, "a plain function by ours")):
+            ratio = report[place].value / max(durable)
+            report.append(Measured(f"{words} over the fastest durable peer", [ratio], "", Target(">=", 1.0)))
     return report
-
-
-def _environment() -> Path:
-    """Return the Python of the peers' environment, made if there is none."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "linksweep-benchmarks"
-    python = cache / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    if not (cache / "ready").exists():
-        begun = time.perf_counter()
-        subprocess.run([sys.executable, "-m", "venv", str(cache)], check=True)
-        for package in PACKAGES:  # one that cannot be installed leaves the others
-            subprocess.run([str(python), "-m", "pip", "install", "-q", package], check=False, stderr=subprocess.DEVNULL)
-        (cache / "ready").touch()
-        print(f"peers installed into {cache} in {time.perf_counter() - begun:.0f} s", file=sys.stderr)
-    return python

@@ -24,6 +24,15 @@ experiment = Experiment(
 )
 
 
+FUNCTION = f"{Path(__file__).resolve()}:six"
+"""The same as a plain function."""
+
+
+def six(x: float = 0.0, y: float = 0.0) -> dict[str, float]:
+    """Return six numbers of a point."""
+    return {f"mean_{name}": (k + 1.0) * x + y for k, name in enumerate(NAMES)}
+
+
 def study(points: int) -> dict[str, Any]:
     """Return the document of a study of about so many points of it, in a square."""
     side = round(points**0.5)

@@ -4,10 +4,11 @@ import json
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 from sweep.contract import Experiment
+from sweep.distributions import version_of
 from sweep.load import sources_of
 from sweep.session import SessionFunction
 from sweep.sources import INSTALLED, OURS, Sources, read_sources
@@ -26,12 +27,12 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     if sources is None and place.partition(".")[0] not in OURS:
         sources = _sources_of_module(place)
         if sources is None:
-            code |= {f"package {name}": _version(name) for name in _distributions_of(place.partition(".")[0])}
+            code |= {f"package {name}": version_of(name) for name in _distributions_of(place.partition(".")[0])}
     if sources is not None:
         code |= sources.parts
         defaults = {p.name: json.dumps(p.written_default(), default=str) for p in experiment.parameters}
         code |= {f"default of {name}": text for name, text in defaults.items()}
-    return code | {f"package {name}": _version(name) for name in experiment.packages}
+    return code | {f"package {name}": version_of(name) for name in experiment.packages}
 
 
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
@@ -66,10 +67,3 @@ def _sources_of_module(name: str) -> Sources | None:
     file = Path(path).resolve()
     above = name.count(".") + (file.name == "__init__.py")
     return read_sources(file, file.parents[above])
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

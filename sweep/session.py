@@ -169,6 +169,8 @@ class _Parts:
     def _function(self, name: str, function: FunctionType) -> None:
         if not self._is_local(function.__module__):
             return
+        if (module := sys.modules.get(function.__module__)) is not None:
+            self._module(module)
         self._keep("function", name, _source(function) or "\n".join(_code(function.__code__)))
         changed = _changed(function.__code__)
         cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
@@ -185,7 +187,8 @@ class _Parts:
 
     def _module(self, module: ModuleType) -> None:
         file = getattr(module, "__file__", None)
-        if module.__name__ == "__main__" or not self._is_local(module.__name__) or file is None:
+        known = module.__name__ == "__main__" or module in self.modules
+        if known or not self._is_local(module.__name__) or file is None:
             return
         self.modules.append(module)
         for name, digest in read_sources(Path(file).resolve()).digests.items():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from core.constants import MAS
 from core.link import LinkError
@@ -224,7 +224,7 @@ def _one_by_one(sources: Sources, number: int | None) -> Clipped:
         squares = sources.discrepancies(trajectory[-1].estimate)
         ratio = np.where(factors > 0.0, squares / np.maximum(sources.count, 1.0), -1.0)
         worst = int(np.argmax(ratio))
-        if chosen is None and chi2.sf(squares[worst], sources.count[worst]) * factors.sum() > SIGNIFICANCE:
+        if chosen is None and chdtrc(sources.count[worst], squares[worst]) * factors.sum() > SIGNIFICANCE:
             chosen = len(trajectory) - 1
         factors[worst] = 0.0
         try:

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
-from scipy.stats import chi2 as chi2_distribution
-from scipy.stats import f as f_distribution
+from scipy.special import chdtrc, fdtrc  # scipy.stats takes longer to import than a small study to run
 
 from sweep.contract import Array, small_sample_factor
 
@@ -120,9 +119,9 @@ def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
     With a covariance from so many samples chi2 is Hotelling's T^2, which has an F distribution.
     """
     if not np.isfinite(samples):
-        return float(chi2_distribution.sf(chi2, dof)) if dof > 0 else np.nan
+        return float(chdtrc(dof, chi2)) if dof > 0 else np.nan
     left = samples - dof
-    return float(f_distribution.sf(chi2 * left / (dof * (samples - 1.0)), dof, left)) if dof > 0 < left else np.nan
+    return float(fdtrc(dof, left, chi2 * left / (dof * (samples - 1.0)))) if dof > 0 < left else np.nan
 
 
 def are_known(errors: Array) -> bool:

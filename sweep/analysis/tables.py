@@ -64,7 +64,7 @@ class Column:
 ERROR = "error of {}"
 """The column, in tables that are made for reading, of the whole one-sigma error of a variable."""
 
-MOST_ROWS = 1000
+MOST_ROWS = 200
 """Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
 
 

@@ -153,6 +153,10 @@ class Experiment:
         """Return the sums of a point (width,) with those of one block more; ``total`` is 0 before the first."""
         return total + row
 
+    def alone(self, rows: Array) -> Array:
+        """Return the sums of points (points, width) that have one block each."""
+        return 0.0 + rows
+
     def parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError with a suggestion for an unknown name."""
         for parameter in self.parameters:

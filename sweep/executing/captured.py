@@ -35,6 +35,17 @@ class Captured:
         if text in self.warnings or len(self.warnings) < MOST_WARNINGS:
             self.warnings[text] += 1
 
+    def taken(self) -> "Captured | None":
+        """Return what was captured since the last call, None if that is nothing; filters of warnings that were changed
+        meanwhile are as before, so that no point depends on the one before it.
+        """
+        _routes.restore_filters()
+        if not self.printed and not self.warnings:
+            return None
+        found = Captured(self.printed, self.warnings)
+        self.printed, self.warnings = "", Counter()
+        return found
+
 
 class _Routes(io.TextIOBase):
     """Standard output and warnings of this process while some of its threads are captured."""
@@ -44,6 +55,7 @@ class _Routes(io.TextIOBase):
         self._threads: dict[int, Captured] = {}
         self._before: TextIO | None = None
         self._restore = ExitStack()
+        self._filters: list[Any] = []
 
     def begin(self, captured: Captured) -> None:
         """Capture the calling thread."""
@@ -52,14 +64,21 @@ class _Routes(io.TextIOBase):
                 self._before, sys.stdout = sys.stdout, self
                 self._restore.enter_context(warnings.catch_warnings())
                 seldom = ("default", "module", "once")  # each is counted; what is ignored or an error stays so
-                filters = [
+                warnings.simplefilter("always", append=True)
+                self._filters = [
                     ("always", *rest) if action in seldom else (action, *rest) for action, *rest in warnings.filters
                 ]
-                warnings.filters[:] = filters  # type: ignore[index]
-                warnings.simplefilter("always", append=True)
+                warnings.filters[:] = self._filters  # type: ignore[index]
                 self._showwarning = warnings.showwarning
                 warnings.showwarning = self._warn  # type: ignore[assignment]
             self._threads[threading.get_ident()] = captured
+
+    def restore_filters(self) -> None:
+        """Undo what a captured thread has changed about warnings."""
+        with self._lock:
+            if warnings.filters != self._filters:
+                warnings.resetwarnings()
+                warnings.filters[:] = self._filters  # type: ignore[index]
 
     def end(self) -> None:
         """Capture the calling thread no more."""

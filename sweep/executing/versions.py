@@ -3,9 +3,9 @@
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 
 from sweep.code_identity import code_of
+from sweep.distributions import version_of
 from sweep.load import load_experiment
 
 DECIDING = ("linksweep", "numpy", "scipy")
@@ -23,12 +23,12 @@ class Identity:
 def identity(reference: str, digest: str | None = None) -> Identity:
     """Return what this process would compute an experiment with; raises SweepError as `load_experiment`."""
     experiment = load_experiment(reference, digest=digest)
-    deciding = {name: _version(name) for name in DECIDING}
+    deciding = {name: version_of(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
     for name, text in code_of(reference, experiment, digest).items():
         deciding[name] = f"with digest {text}" if name.startswith(("file ", "function ", "value ")) else text
     others = {"python": platform.python_version(), "machine": platform.machine()}
-    return Identity(deciding, others | {name: _version(name) for name in OTHERS})
+    return Identity(deciding, others | {name: version_of(name) for name in OTHERS})
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
@@ -39,10 +39,3 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
         for name in names
         if here.get(name) != there.get(name)
     ]
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

@@ -104,12 +104,18 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     """Yield the result of each unit of a task; no more of a point that took too long is tried."""
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-    defaults = experiment.defaults()
     if isinstance(experiment, FunctionExperiment) and experiment.vectorised and len(task.units) > 1:
         together = _together(experiment, task, deadlines)
         if not together.failures:
             yield together
             return
+    with captured() as said:
+        yield from _one_by_one(experiment, task, deadlines, said)
+
+
+def _one_by_one(experiment: Experiment, task: Task, deadlines: Deadlines, said: Captured) -> Iterator[TaskResult]:
+    """Yield the result of each unit of a task, with what was ``said`` meanwhile."""
+    defaults = experiment.defaults()
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in task.units:
         result = failed(len(unit.points), experiment.sums_width)
@@ -119,12 +125,11 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
         rows = [row for row in range(len(unit.points)) if row not in result.failures]
         begun = time.perf_counter()
         points = [defaults | unit.points[row] for row in rows]
-        with captured() as said:
-            if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
-                for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
-                    _try(experiment, [point], [row], unit, task, result, deadlines)
-        if said.printed or said.warnings:
-            result.said[rows[0]] = said
+        if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
+            for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
+                _try(experiment, [point], [row], unit, task, result, deadlines)
+        if (told := said.taken()) is not None:
+            result.said[min(rows, default=0)] = told
         result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
         late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
         given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
@@ -145,8 +150,8 @@ def _together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) 
             raise
         except BaseException as error:  # who is to blame is found out one by one
             result.failures.update(dict.fromkeys(range(len(points)), failure_of(error)))
-    if said.printed or said.warnings:
-        result.said[0] = said
+        if (told := said.taken()) is not None:
+            result.said[0] = told
     result.seconds[:] = (time.perf_counter() - begun) / len(points)
     return result
 

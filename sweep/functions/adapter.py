@@ -118,6 +118,10 @@ class FunctionExperiment(Experiment):
         assert self.layout is not None, "rows have a layout"
         return self.realisations.merged(self.layout, total, row)
 
+    def alone(self, rows: Array) -> Array:
+        """Return what is known of points that have one block each: as it is."""
+        return rows
+
     @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""

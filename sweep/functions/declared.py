@@ -1,8 +1,10 @@
 """`linksweep.experiment`: what a plain function declares beside its signature."""
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, TypeVar, cast
 
 from sweep.contract import Output, ResultError, SweepError, shown
 from sweep.contract.declaration import GOOD_NAME, RESERVED, packages_problems, parameter_problems
@@ -34,7 +36,7 @@ def experiment(
     packages: Sequence[str] = (),
     citation: str | Sequence[str] = (),
 ) -> Callable[[AnyFunction], AnyFunction]:
-    """Declare more of a function than its signature says.  The function stays what it is and can be called as before.
+    """Declare more of a function than its signature says.  It can be called as before.
 
     Args:
         outputs: units, meanings, dimensions and coordinates of results, and which statistics are made of them where the
@@ -45,7 +47,8 @@ def experiment(
         citation: what to cite who uses the results, for reports.
 
     Returns:
-        A decorator that returns the function itself.
+        A decorator that returns the function; where that is not being defined, for example as it comes from another
+        package, one that calls it.
 
     Raises:
         SweepError: with all that is wrong in the declaration and in the signature.
@@ -65,10 +68,26 @@ def experiment(
         if found := problems(function, declaration):
             name = getattr(function, "__name__", type(function).__name__)
             raise SweepError(found, f"function {name}")
-        setattr(function, ATTRIBUTE, declaration)
-        return function
+        declared = _one_to_declare(function)
+        setattr(declared, ATTRIBUTE, declaration)
+        return declared
 
     return declare
+
+
+def _one_to_declare(function: AnyFunction) -> AnyFunction:
+    """Return a function while it is being defined, and otherwise one that calls it: what other code imports under its
+    name must stay as it is, and workers would import it without the declaration.
+    """
+    module = sys.modules.get(getattr(function, "__module__", None) or "")
+    if getattr(module, getattr(function, "__qualname__", ""), None) is not function:
+        return function
+
+    @wraps(function)
+    def declared(*arguments: Any, **named: Any) -> Any:
+        return function(*arguments, **named)
+
+    return cast(AnyFunction, declared)
 
 
 def _sequence(given: Any) -> tuple[Any, ...]:

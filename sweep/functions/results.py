@@ -200,6 +200,8 @@ def named_results(result: Any, declared: Declared) -> dict[str, Any]:
         named = dict(result.data_vars) | _beside_dimensions(result, declared)
     elif is_xarray(result):
         named = {result.name or declared.single: result} | _beside_dimensions(result, declared)
+    elif isinstance(result, tuple) and len(declared.outputs) > 1:
+        named = _in_order(result, declared)
     else:
         return {declared.single: result}
     if not named:
@@ -207,6 +209,15 @@ def named_results(result: Any, declared: Declared) -> dict[str, Any]:
     if strange := [name for name in named if not isinstance(name, str)]:
         raise ResultError(f"{declared.function}: the name {shown(strange[0])} of an output is no text")
     return named
+
+
+def _in_order(result: tuple[Any, ...], declared: Declared) -> dict[str, Any]:
+    """Return the values of a tuple by the names of the declared outputs, in their order."""
+    names = [output.name for output in declared.outputs]
+    if len(result) != len(names):
+        expected = f"one for each declared output: {', '.join(names)}"
+        raise ResultError(f"{declared.function} returns a tuple of {len(result)} values, expected {expected}")
+    return dict(zip(names, result, strict=True))
 
 
 def _beside_dimensions(result: Any, declared: Declared) -> dict[str, Any]:

@@ -2,14 +2,14 @@
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sweep.contract import Array, Value, check_finite
 from sweep.planning.grid import GridPoint
-from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, ledger_key
+from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, Work, ledger_key
 from sweep.planning.point_status import Status
 
 LARGEST_STEP = 16
@@ -31,7 +31,7 @@ class Survey:
     pending: PlanSize
 
 
-@dataclass
+@dataclass(slots=True)
 class _Round:
     """The parts of a point that are being added, block by block in their own order; those that came early wait."""
 
@@ -80,6 +80,12 @@ class Accumulator:
         common = self.plan.grid.study.sampling.common_random_numbers
         groups: defaultdict[tuple[Value, ...], list[tuple[float, PlanSize]]] = defaultdict(list)
         if not self._rows and not self._failed:  # as fast as a grid of a million points needs
+            if self.plan.costs_nothing_special and not common:
+                indices = self.plan.grid.indices()
+                self.status[indices] = Status.MISSING
+                total = self.plan.size(1.0, len(indices))
+                self.plan.check_size(total.blocks)
+                return Survey(total, all_held, total)
             costs: Counter[float] = Counter()
             for index, parameters in self.plan.grid.parameters():
                 self.status[index] = Status.MISSING
@@ -122,10 +128,12 @@ class Accumulator:
         one = PlanSize(1, 0, 0, 0.0)
         return (held, left + one) if left.blocks else (held + one, left)
 
-    def missing(self, point: GridPoint) -> Iterator[Block]:
-        """Yield the blocks of a point that the ledger did not hold at the start, as far as they are known now."""
-        if self._is_wanted(point):
-            yield from (b for b in self._blocks(point) if ledger_key(point.digest, b) not in self._rows)
+    def missing(self, point: GridPoint) -> Sequence[Block]:
+        """Return the blocks of a point that the ledger did not hold at the start, as far as they are known now."""
+        if not self._is_wanted(point):
+            return ()
+        blocks = self._blocks(point)
+        return [b for b in blocks if ledger_key(point.digest, b) not in self._rows] if self._rows else blocks
 
     def is_missing(self, index: int) -> bool:
         """Return whether a point is neither done nor given up."""
@@ -157,14 +165,30 @@ class Accumulator:
             return []
         ready: Array | None = row
         while ready is not None:
-            self.total[index, : len(ready)] = experiment.added(self.total[index, : len(ready)], ready)
+            sums = self.total[index, : len(ready)]
+            sums[:] = experiment.added(sums, ready)
             round_.part += 1
             if round_.part == round_.parts.stop:
                 round_.part = round_.parts.start
                 round_.group += 1
             ready = round_.early.pop((round_.group, round_.part), None) if round_.early else None
-        groups = -(-self.plan.grid.study.sampling.n_cat // self.plan.block_shape(cost)[1])
-        return self._finish_round(point, round_.parts.stop) if round_.group == groups else []
+        return self._finish_round(point, cost, round_) if round_.group == self.plan.groups(cost) else []
+
+    def are_whole(self, works: Sequence[Work]) -> bool:
+        """Return whether each work is all that its points need."""
+        study = self.plan.grid.study
+        whole = study.sampling.n_cat * study.sampling.n_sim
+        simple = study.sampling.precision is None and not study.experiment.further_width
+        return simple and all(work.block.realisations == whole for work in works)
+
+    def add_whole(self, works: Sequence[Work], rows: Array) -> list[GridPoint]:
+        """Add the only block of each of some points, many at once; return the points."""
+        points = [point for work in works for point in work.points]
+        indices = [point.index for point in points]
+        self.realisations[indices] += self.plan.grid.study.sampling.n_cat * self.plan.grid.study.sampling.n_sim
+        self.total[indices, : rows.shape[1]] = self.plan.grid.study.experiment.alone(rows[: len(points)])
+        self.status[indices] = DONE
+        return points
 
     def fail(self, index: int) -> None:
         """Mark a point as failed; none of its blocks is given out any more."""
@@ -176,10 +200,9 @@ class Accumulator:
         round_ = self._rounds.get(point.index)
         return self.plan.blocks(self.plan.cost(point.parameters), None if round_ is None else round_.parts)
 
-    def _finish_round(self, point: GridPoint, parts: int) -> list[Block]:
+    def _finish_round(self, point: GridPoint, cost: float, round_: _Round) -> list[Block]:
         """Say that a point is done, or begin the round that its precision needs."""
-        cost = self.plan.cost(point.parameters)
-        kept = self._rounds[point.index].kept
+        parts, kept = round_.parts.stop, round_.kept
         if kept:
             experiment = self.plan.grid.study.experiment
             self.total[point.index, experiment.sums_width :] = experiment.of_samples(np.concatenate(kept))

@@ -90,6 +90,12 @@ class Grid:
             if not (clauses and self._excluded(parameters)):
                 yield index, parameters
 
+    def indices(self) -> NDArray[np.intp]:
+        """Return the indices of `parameters`."""
+        if self.first_rows is None and not self.study.excluded:
+            return np.arange(len(self))
+        return np.fromiter((index for index, _ in self.parameters()), dtype=np.intp)
+
     def points(self) -> Iterator[GridPoint]:
         """Yield the points that are not excluded, in C order."""
         return itertools.starmap(self._point, self.parameters())
@@ -181,6 +187,8 @@ def make_grid(study: Study) -> Grid:
         empty = False
         if (reason := check(parameters)) is None and (reason := settings.reason(parameters)) is None:
             warnings.look(parameters)
+            if check.is_constant and settings.is_constant and warnings.is_silent:
+                break  # the experiment has the same to say of all points: nothing
             continue
         if reason not in reasons and len(reasons) == MAX_PROBLEMS:
             reasons["... and other reasons; the rest of the grid was not checked"] = 0

@@ -121,16 +121,15 @@ class Plan:
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
         they are; only a last, partial block is computed again.
         """
-        wanted = range(self.parts(cost)) if parts is None else parts
-        known = self._cuts.get((cost, wanted))
+        known = self._cuts.get((cost, parts))
         if known is None:
-            known = tuple(self._cut(cost, wanted))
+            known = tuple(self._cut(cost, range(self.parts(cost)) if parts is None else parts))
             if len(self._cuts) < MOST_CUTS:
-                self._cuts[cost, wanted] = known
+                self._cuts[cost, parts] = known
         return known
 
     @cached_property
-    def _cuts(self) -> dict[tuple[float, range], Sequence[Block]]:
+    def _cuts(self) -> dict[tuple[float, range | None], Sequence[Block]]:
         """Blocks by cost and parts: points that cost the same are cut in the same way."""
         return {}
 
@@ -141,6 +140,10 @@ class Plan:
             for part in parts:
                 n_sim = self.realisations(cost, part + 1) - self.realisations(cost, part)
                 yield Block(group, part, first, min(catalogues, n_cat - first), n_sim)
+
+    def groups(self, cost: float) -> int:
+        """Return into how many groups the catalogues of a point are cut."""
+        return -(-self.grid.study.sampling.n_cat // self.block_shape(cost)[1])
 
     def parts(self, cost: float, n_sim: int | None = None) -> int:
         """Return into how many parts so many realisations (those of the study by default) of a catalogue are cut."""
@@ -182,12 +185,12 @@ class Plan:
 
     def cost(self, parameters: dict[str, Any]) -> float:
         """Return the random numbers that one realisation of a point takes, at least 1."""
-        if self._costs_nothing_special:
+        if self.costs_nothing_special:
             return 1.0
         return max(1.0, self._cost(parameters))
 
     @cached_property
-    def _costs_nothing_special(self) -> bool:
+    def costs_nothing_special(self) -> bool:
         """Whether all points cost the same, which needs no look at them."""
         return not self.grid.study.experiment.says_cost
 
@@ -196,7 +199,7 @@ class Plan:
         long table.
         """
         grid = self.grid
-        if self._costs_nothing_special:
+        if self.costs_nothing_special:
             return (), {(): 1.0}
         if (found := self._cost.table()) is None and len(grid) <= MOST_COSTS:
             names = tuple(grid.study.axes)
@@ -209,18 +212,19 @@ class Plan:
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
         """Return the work of a block of points that share its random numbers."""
-        costs = [self.cost(point.parameters) for point in points]
-        shared = max(costs) + SHARED * (sum(costs) - max(costs)) if len(costs) > 1 else costs[0]
-        return Work(points, block, block.realisations * shared + block.n_cat * len(points) * OVERHEAD)
+        cost = self.cost(points[0].parameters)
+        if len(points) > 1:
+            costs = [self.cost(point.parameters) for point in points]
+            cost = max(costs) + SHARED * (sum(costs) - max(costs))
+        return Work(points, block, block.realisations * cost + block.n_cat * len(points) * OVERHEAD)
 
     def size(self, cost: float, points: int = 1) -> PlanSize:
         """Return the counts of whole points that cost the same, by arithmetic."""
         sampling = self.grid.study.sampling
-        _, catalogues = self.block_shape(cost)
         parts = self.parts(cost)
         realisations = sampling.n_cat * self.realisations(cost, parts)
         work = realisations * cost + sampling.n_cat * parts * OVERHEAD
-        blocks = parts * -(-sampling.n_cat // catalogues)
+        blocks = parts * self.groups(cost)
         return PlanSize(points, points * blocks, points * realisations, points * work)
 
     def check_size(self, blocks: int) -> None:

@@ -39,6 +39,11 @@ class PointCache(Generic[T]):
             self._known[key] = answer
         return answer
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether the function was called and reads no axis, so that it has one value for all points."""
+        return bool(self._known) and not self._read
+
     def table(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], T]] | None:
         """Return the axes that the function reads, and its results by their values; None if not all are kept."""
         whole = len(self._read) < max(len(self._axes), 1) and len(self._known) < MAX_KEPT

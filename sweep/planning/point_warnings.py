@@ -24,6 +24,11 @@ class PointWarnings:
         if sentences := self._warn(parameters):
             self._counts.update(sentences)
 
+    @property
+    def is_silent(self) -> bool:
+        """Whether no point is warned of, as the first shows."""
+        return self._warn.is_constant and not self._counts
+
     def sentences(self) -> tuple[str, ...]:
         """Return each warning with the number of its points."""
         told = [f"{text} ({n} point{'s' if n > 1 else ''})" for text, n in list(self._counts.items())[:MOST]]

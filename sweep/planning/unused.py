@@ -40,6 +40,11 @@ class UnusedSettings:
                 return f"the axis {name} changes nothing at some points: {why}"
         return None
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether what changes nothing is the same at all points, and is not on an axis."""
+        return self._unused.is_constant and not self._axes.intersection(self._last or ())
+
     def nowhere(self) -> list[str]:
         """Return a sentence for each fixed parameter that changes nothing at any point."""
         return [

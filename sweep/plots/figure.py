@@ -23,6 +23,9 @@ MAP_POINTS = 5
 """A map is drawn unasked where two axes have at least so many points each."""
 MAP_PANELS = 6
 
+CURVE_POINTS = 8
+"""Of points in no order curves are drawn unasked where an axis has at least so many values."""
+
 
 def draw_figure(
     dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
@@ -86,7 +89,10 @@ def _suits_scatter(dataset: xr.Dataset, variables: Sequence[str], over: Sequence
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     varied = varied_parameters(dataset)
     if POINT in dataset[variable].dims and varied and all(name in varied for name in over):
-        return "points"
+        own = [name for name in numeric_axes(dataset, variable) if dataset[name].size >= CURVE_POINTS]
+        return "curves" if own and not over else "points"
+    if POINT in dataset[variable].dims and varied and len(over) == 1:
+        return "curves"
     if len(over) == 2:
         return "map"
     laws = {(claim.slope.variable, claim.slope.over) for claim in claims_of(dataset) if claim.slope is not None}

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError, shown, suggest
+from sweep.plots.curves import draw_curves
 from sweep.plots.law import draw_law, draw_law_residuals
 from sweep.plots.layout import Layout, arrange
 from sweep.plots.lines import draw_lines
@@ -155,6 +156,13 @@ def _pairs(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Fi
     return pairs_figure(dataset, variables[0], _chosen(dataset, over))
 
 
+def _curves(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    axis = _one_axis(dataset, variables[0], over)
+    return draw_panels(
+        dataset, variables, Layout((), None, None, False), lambda axes, part, name: draw_curves(axes, part, name, axis)
+    )
+
+
 def _chosen(dataset: xr.Dataset, over: Sequence[str]) -> list[str]:
     known = varied_parameters(dataset)
     if unknown := [name for name in over if name not in known]:
@@ -169,6 +177,7 @@ def _has_points(dataset: xr.Dataset, variable: str) -> bool:
 LINES = GridFigure(lambda dataset, variable: bool(_ordered(dataset) or numeric_axes(dataset, variable)), _lines)
 POINTS = GridFigure(_has_points, _points)
 PAIRS = GridFigure(lambda dataset, name: _has_points(dataset, name) and len(varied_parameters(dataset)) > 1, _pairs)
+CURVES = GridFigure(lambda d, name: _has_points(d, name) and bool(numeric_axes(d, name)), _curves)
 LAW = GridFigure(lambda dataset, variable: bool(numeric_axes(dataset, variable)), _law)
 MAP = GridFigure(lambda dataset, variable: len({dataset[a].dims[0] for a in numeric_axes(dataset, variable)}) > 1, _map)
 SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter)

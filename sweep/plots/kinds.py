@@ -27,6 +27,7 @@ GRID: Mapping[str, Kind] = {
     "scatter": Kind("sweep.plots.grid_figures:SCATTER"),
     "points": Kind("sweep.plots.grid_figures:POINTS"),
     "pairs": Kind("sweep.plots.grid_figures:PAIRS"),
+    "curves": Kind("sweep.plots.grid_figures:CURVES"),
 }
 """Of the results of a study: values of type `GridFigure`."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sweep.contract import SweepError
 from sweep.plots.style import COLOURS, finish, label, legend, symbol, unit_text
@@ -91,7 +91,7 @@ def component_dimension(dataset: xr.Dataset, variable: str) -> str:
 
 def _ellipse(mean: np.ndarray, covariance: np.ndarray, confidence: float, **style: object) -> Ellipse:
     values, vectors = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(values * chi2(2).ppf(confidence))
+    width, height = 2.0 * np.sqrt(values * chdtri(2, 1.0 - confidence))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     return Ellipse(
         (mean[0], mean[1]), width, height, angle=angle, fill=False, edgecolor=COLOURS[1], linewidth=1.2, **style

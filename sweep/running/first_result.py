@@ -17,34 +17,39 @@ from sweep.studies.study import Study
 Done = tuple[list[Work], TaskResult]
 
 
-def first_results(study: Study, pending: Pending, run: Executor) -> tuple[Study, list[Done]]:
+def first_results(study: Study, pending: Pending, run: Executor, workers: int = 1) -> tuple[Study, list[Done]]:
     """Return a study with the layout of the first result, and all work done to get one; as it is where its outputs are
     declared.
 
-    One task is given out at a time.  Where every point fails nothing is known of the results, and the study stays as it
-    is.
+    Each of the ``workers`` gets one task; the first of these, in the order of the points, that has a result decides.
+    Where every point fails nothing is known of the results, and the study stays as it is.
     """
     experiment = study.experiment
     if not isinstance(experiment, FunctionExperiment) or not experiment.undeclared:
         return study, []
     done: list[Done] = []
-    out = False
+    values: dict[int, Flat] = {}  # by the index of their point
+    tasks = points_out = 0
 
     def take(_count: int) -> list[list[Work]]:
-        nonlocal out
-        if out:
+        nonlocal tasks, points_out
+        if tasks == workers or values:
             return []
-        tasks = pending.take(1)
-        out = bool(tasks)
-        return tasks
+        given = pending.take(1)
+        tasks += len(given)
+        points_out += sum(len(work.points) for works in given for work in works)
+        return given
 
     for given, result in run(take):
-        out = False
         done.append((pending.settle(given, result.seconds), result))
-        if result.values:
-            first = result.values[min(result.values)]
-            return replace(study, experiment=experiment.with_layout(first.layout)), done
-    return study, done
+        points = [point for work in given for point in work.points]
+        values |= {points[row].index: value for row, value in result.values.items()}
+        points_out -= len(points)
+        if not points_out:
+            tasks = 0
+    if not values:
+        return study, done
+    return replace(study, experiment=experiment.with_layout(values[min(values)].layout)), done
 
 
 def as_rows(experiment: FunctionExperiment, works: Sequence[Work], result: TaskResult) -> TaskResult:

@@ -12,9 +12,10 @@ from sweep.contract import Experiment, ResultError, SweepError, shown, suggest
 from sweep.executing.worker import TaskResult, function_values, run_block
 from sweep.formatting import first_of
 from sweep.functions.adapter import FunctionExperiment
+from sweep.functions.results import Flat
 from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import Grid, describe
-from sweep.planning.plan import Plan
+from sweep.planning.plan import Plan, Work
 from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import as_rows
@@ -110,50 +111,49 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
 
 def compute(plan: Plan) -> xr.Dataset:
     """Return the dataset of a plan, computed in this process; an exception of the experiment is not caught."""
-    if isinstance(plan.grid.study.experiment, FunctionExperiment):
-        return _compute_function(plan, plan.grid.study.experiment)
-    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
-    pending = Pending(plan, accumulator)
-    study = plan.grid.study
-    with threadpool_limits(1):  # as everywhere: the last bits depend on it
-        while tasks := pending.take(1):
-            for work in tasks[0]:
-                points = [point.parameters for point in work.points]
-                rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
-                for point, row in zip(work.points, rows, strict=True):
-                    pending.add(plan.work((point,), block) for block in accumulator.add(point, work.block, row))
-    for problem in failing(accumulator, np.flatnonzero(accumulator.status == Status.DONE).tolist()).values():
-        raise problem
-    return assemble(plan, accumulator)
-
-
-def _compute_function(plan: Plan, experiment: FunctionExperiment) -> xr.Dataset:
-    """Return the dataset of a plan of a plain function, whose results may be known only after the first."""
+    plan = _with_layout(plan)
     accumulator = Accumulator(plan, {}, np.empty((0, 0)))
     pending = Pending(plan, accumulator)
     texts: dict[bytes, str] = {}
-    with threadpool_limits(1):
+    with threadpool_limits(1):  # as everywhere: the last bits depend on it
         while tasks := pending.take(1):
             for work in tasks[0]:
-                points = [point.parameters for point in work.points]
-                flats = function_values(
-                    experiment, points, work.points[0].stream, work.block, plan.grid.study.sampling.seed
-                )
-                if experiment.undeclared:
-                    study = replace(plan.grid.study, experiment=experiment.with_layout(flats[0].layout))
-                    return compute(plan.of(study))
-                rows = as_rows(
-                    experiment,
-                    [work],
-                    TaskResult(np.empty((0, 0)), np.zeros(len(flats)), values=dict(enumerate(flats))),
-                )
-                for failure in rows.failures.values():
-                    raise ResultError(failure.message)
-                texts |= rows.texts
+                result = _result(plan.grid.study, work)
+                texts |= result.texts
                 for row, point in enumerate(work.points):
-                    more = accumulator.add(point, work.block, rows.sums[row], rows.samples.get(row))
+                    more = accumulator.add(point, work.block, result.sums[row], result.samples.get(row))
                     pending.add(plan.work((point,), block) for block in more)
+    for problem in failing(accumulator, np.flatnonzero(accumulator.status == Status.DONE).tolist()).values():
+        raise problem
     return assemble(plan, accumulator, texts)
+
+
+def _with_layout(plan: Plan) -> Plan:
+    """Return the plan of a plain function whose results are only known after the first with what that is like."""
+    study = plan.grid.study
+    if not isinstance(study.experiment, FunctionExperiment) or not study.experiment.undeclared:
+        return plan
+    [[work]] = Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(1)
+    first = _values(study, study.experiment, work)[0]
+    return plan.of(replace(study, experiment=study.experiment.with_layout(first.layout)))
+
+
+def _result(study: Study, work: Work) -> TaskResult:
+    if not isinstance(study.experiment, FunctionExperiment):
+        points = [point.parameters for point in work.points]
+        rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
+        return TaskResult(rows, np.zeros(len(rows)))
+    flats = _values(study, study.experiment, work)
+    values = TaskResult(np.empty((0, 0)), np.zeros(len(flats)), values=dict(enumerate(flats)))
+    result = as_rows(study.experiment, [work], values)
+    for failure in result.failures.values():
+        raise ResultError(failure.message)
+    return result
+
+
+def _values(study: Study, experiment: FunctionExperiment, work: Work) -> list[Flat]:
+    points = [point.parameters for point in work.points]
+    return function_values(experiment, points, work.points[0].stream, work.block, study.sampling.seed)
 
 
 def place_of(study: Study, at: str, where: str) -> dict[str, Any]:

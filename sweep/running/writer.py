@@ -17,7 +17,7 @@ import xarray as xr
 from sweep.executing.worker import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import GridPoint, describe
-from sweep.planning.plan import Plan, PlanSize, Work
+from sweep.planning.plan import Block, Plan, PlanSize, Work
 from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
@@ -102,21 +102,13 @@ class Writer:
         """Add a task's results."""
         points = [(point, work.block) for work in works for point in work.points]
         keys = [key for work in works for key in work.ledger_keys()]
-        good: list[int] = []
-        ended: list[GridPoint] = []
-        added: list[Work] = []
         clock = time.monotonic()
         with self._held(), self._lock:
-            for row, (point, block) in enumerate(points):
-                if (failure := result.failures.get(row)) is not None:
-                    ends = self._fail(point, failure)
-                else:
-                    good.append(row)
-                    more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
-                    added += [self.plan.work((point,), one) for one in more]
-                    ends = self.accumulator.is_done(point.index)
-                if ends:
-                    ended.append(point)
+            if not result.failures and self.accumulator.are_whole(works):
+                ended = self.accumulator.add_whole(works, result.sums)
+                good, added = list(range(len(ended))), list[Work]()
+            else:
+                good, ended, added = self._add(points, result)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
             self._pending.add(added)
@@ -128,6 +120,25 @@ class Writer:
         if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
             self.write()
         return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended), failed)
+
+    def _add(
+        self, points: Sequence[tuple[GridPoint, Block]], result: TaskResult
+    ) -> tuple[list[int], list[GridPoint], list[Work]]:
+        """Add rows to their points; return which are good, the points that have ended, and what these still need."""
+        good: list[int] = []
+        ended: list[GridPoint] = []
+        added: list[Work] = []
+        for row, (point, block) in enumerate(points):
+            if (failure := result.failures.get(row)) is not None:
+                ends = self._fail(point, failure)
+            else:
+                good.append(row)
+                more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
+                added += [self.plan.work((point,), one) for one in more]
+                ends = self.accumulator.is_done(point.index)
+            if ends:
+                ended.append(point)
+        return good, ended, added
 
     def write(self, final: bool = False) -> xr.Dataset:
         """Write the labelled dataset of everything taken so far, and return it."""

@@ -7,10 +7,10 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from sweep.distributions import version_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import POINT_TABLE, PointTable, Study
 from sweep.tablefile import content_digest
@@ -52,7 +52,7 @@ def provenance(study: Study) -> dict[str, Any]:
         **(_common(study) if study.sampling.common_random_numbers else {}),
         **_words(study),
         "study_document": json.dumps(study.document),
-        "versions": json.dumps({"python": platform.python_version()} | {p: _version(p) for p in PACKAGES}),
+        "versions": json.dumps({"python": platform.python_version()} | {p: version_of(p) for p in PACKAGES}),
         "host": host(),
         "machine": f"{platform.system()} {platform.machine()}",
         "command": command_line(),
@@ -136,10 +136,3 @@ def git_commit() -> str | None:
         return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--untracked-files=no") else "")
     except (OSError, subprocess.SubprocessError):
         return None
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

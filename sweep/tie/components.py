@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from core.blocks import SpinByBin
 from core.constants import MAS
@@ -45,7 +45,7 @@ def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> tuple[Arra
         if one.degree <= HIGHEST_STORED:
             at = FIELDS.index(one.field), one.degree - 1
             power[at], noise[at] = one.power, one.noise
-            probability[at] = chi2.sf(one.chi2, 2 * one.degree + 1)
+            probability[at] = chdtrc(2 * one.degree + 1, one.chi2)
     return power, noise, probability
 
 

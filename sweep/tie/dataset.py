@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from core.blocks import PARAMETERS, SpinByBin
 from core.constants import MAS
@@ -177,7 +177,7 @@ def _add_spectrum(link: Link, main: Array, variables: dict[str, Any], coordinate
         at = fields_of.index(one.field), degrees.index(one.degree)
         table["power"][at], table["power_noise"][at] = one.power, one.noise
         table["power_chi2"][at] = one.chi2
-        table["power_probability"][at] = chi2.sf(one.chi2, 2 * one.degree + 1)
+        table["power_probability"][at] = chdtrc(2 * one.degree + 1, one.chi2)
     coordinates |= {"degree": degrees, "field": fields_of}
     variables |= {name: (("field", "degree"), values) for name, values in table.items()}
 

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sweep.contract import SweepError
 from sweep.plots.style import COLOURS, figure_size, finish, unit_text
@@ -72,6 +72,6 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
 
 def _ellipse(centre: np.ndarray, covariance: np.ndarray, **style: object) -> Ellipse:
     values, vectors = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chi2(2).ppf(CONFIDENCE))
+    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - CONFIDENCE))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     return Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, zorder=4, **style)

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from sweep.contract import SweepError
 from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, logarithmic
@@ -39,7 +39,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
                 linewidth=1.0,
                 label=f"noise, {kind}",
             )
-            significance = norm.isf(np.clip(one["power_probability"].values, 1e-300, 1.0))
+            significance = -ndtri(np.clip(one["power_probability"].values, 1e-300, 1.0))
             lower.plot(degree + shift, np.minimum(significance, MOST_SIGMA), linestyle="none", **style)
         shown = dataset[["power", "power_noise"]].sel(field=fields[part]).to_array().values
         logarithmic(upper, "y", 1000.0 * np.sqrt(shown))

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from core.arrays import Array
 from sweep.contract import SweepError
@@ -56,7 +56,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
     for axes in grid:
         legend(axes, loc="lower left")
-    surprise = chi2.logsf(dataset["discrepancy"].values, np.maximum(dataset["n_observations"].values, 1.0))
+    surprise = chdtrc(np.maximum(dataset["n_observations"].values, 1.0), dataset["discrepancy"].values)
     for axes, own in zip(grid, share.T, strict=True):
         order = [*np.argsort(surprise)[: NAMED // 2], *np.argsort(-own)[: NAMED // 2]]
         chosen = np.array([k for k in dict.fromkeys(order) if kept[k] and own[k] > 0.0], dtype=int)

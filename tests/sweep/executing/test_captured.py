@@ -75,3 +75,18 @@ def test_no_more_is_kept_than_a_log_should_hold():
     with captured() as found:
         print("x" * 1_000_000)
     assert len(found.printed) == 10_000
+
+
+@pytest.mark.filterwarnings("default")
+def test_each_point_is_told_of_by_itself_whatever_the_one_before_did_to_warnings():
+    with captured() as found:
+        assert found.taken() is None
+        print("first")
+        warnings.simplefilter("error")
+        first = found.taken()
+        warnings.warn("of the second", stacklevel=1)
+        second = found.taken()
+        assert found.taken() is None
+    assert (first.printed, dict(first.warnings)) == ("first\n", {})
+    assert second.printed == ""
+    assert [text.split(" (")[0] for text in second.warnings] == ["UserWarning: of the second"]

@@ -263,3 +263,15 @@ def test_points_of_a_vectorised_result_are_those_of_single_calls():
         assert flat.texts.items() >= single.texts.items()
     with pytest.raises(ResultError, match="'a' has 2 values, expected one for each of 3 points"):
         split_points({"a": [1.0, 2.0]}, 3, PLAIN, "points")
+
+
+def test_a_tuple_has_the_declared_outputs_in_order():
+    declared = Declared("both", "both", (Output("curve", dims=("time",), coords={"time": [0.0, 1.0]}), Output("peak")))
+    by_name = flatten({"curve": np.array([1.0, 2.0]), "peak": 2.0}, declared)
+    assert flatten((np.array([1.0, 2.0]), 2.0), declared) == by_name
+    with pytest.raises(ResultError, match="a tuple of 1 values, expected one for each declared output: curve, peak"):
+        flatten((1.0,), declared)
+    pairs = Declared("both", "both", (Output("total"), Output("difference")))
+    rows = split_points((np.array([3.0, 5.0]), np.array([1.0, 1.0])), 2, pairs, "points")
+    assert [row.row for row in rows] == [flatten((total, 1.0), pairs).row for total in (3.0, 5.0)]
+    assert flatten((1.0, 2.0), Declared("pair", "pair")).layout.fields[0].dims == ("pair_dim_0",)

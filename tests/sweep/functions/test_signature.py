@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pytest
+from scipy.signal.windows import kaiser
 
 from sweep.contract import Output, Parameter, SweepError
 from sweep.functions.adapter import experiment_of
@@ -138,3 +139,11 @@ def test_a_decorated_function_stays_what_it_is():
         return {"y": 2.0 * x}
 
     assert double(3.0) == {"y": 6.0}
+
+
+def test_what_other_code_imports_stays_as_it_is_when_it_is_declared():
+    declared = experiment(outputs=[Output("window", unit="m")])(kaiser)
+    assert not hasattr(kaiser, "__linksweep__")
+    assert experiment_of(declared).declared[0].unit == "m"
+    assert [parameter.name for parameter in experiment_of(declared).parameters][:2] == ["M", "beta"]
+    assert np.array_equal(declared(5, 2.0), kaiser(5, 2.0))

@@ -91,3 +91,37 @@ def test_a_report_of_points_has_scatters_and_does_not_join_them(points, tmp_path
     assert not any("What changes it" in text and "point by" in text for one in page.answers for text in one.sentences)
     axes = {axis["name"]: axis["ordered"] for axis in explorer(points, ["y"], 10_000)[0]["axes"]}
     assert axes == {"scale": True, "x": False, "k": False, "point": False, "curve_dim_0": True}
+
+
+def series_of(points):
+    def decay(rate: float = 1.0):
+        return {"left": np.exp(-rate * TIMES)}
+
+    declared = linksweep.experiment(outputs=[linksweep.Output("left", dims="time", coords={"time": (TIMES, "d")})])
+    return linksweep.run(declared(decay), points=points, pool="serial")
+
+
+TIMES = np.linspace(0.0, 3.0, 9)
+
+
+def test_a_series_at_many_points_is_a_median_with_bands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ds = series_of({"design": "halton", "n": 40, "ranges": {"rate": [0.5, 2.0]}})
+    for options in ({}, {"over": ["time"]}, {"kind": "curves"}):
+        [axes] = linksweep.plot(ds, variables=["left"], **options).axes
+        [line] = [line for line in axes.get_lines() if len(line.get_xdata())]
+        assert np.array_equal(line.get_xdata(), TIMES)
+        assert np.allclose(line.get_ydata(), np.median(ds["left"].values, axis=0), rtol=1e-12)
+        outer = axes.collections[0].get_paths()[0].vertices
+        last = outer[np.isclose(outer[:, 0], 3.0), 1]
+        assert np.allclose([last.min(), last.max()], np.quantile(ds["left"].values[:, -1], [0.05, 0.95]), rtol=1e-12)
+        assert [text.get_text() for text in axes.get_legend().get_texts()][-1] == "median of 40 points"
+
+
+def test_a_series_at_few_points_is_each_curve(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    ds = series_of({"rate": [0.5, 1.0, 2.0]})
+    [axes] = linksweep.plot(ds, variables=["left"]).axes
+    curves = [line.get_ydata() for line in axes.get_lines() if len(line.get_xdata())]
+    assert np.array_equal(curves, ds["left"].values)
+    assert not axes.collections

@@ -351,3 +351,16 @@ def test_the_dimensions_of_an_output_are_axes(tmp_path, sweep):
     assert told["rows"][1]["infected"] == sir(0.3)["infected"].tolist()
     assert told["arrays"]["infected"]["coordinates"]["time"] == T.tolist()
     assert told["units"]["time"] == "d"
+
+
+def test_an_imported_function_is_declared_in_a_script_also_for_worker_processes(tmp_path, monkeypatch):
+    (tmp_path / "pairs.py").write_text("FACTOR = 3.0\n\n\ndef pair(x: float):\n    return FACTOR * x, x\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    import pairs
+
+    declared = experiment(outputs=[Output("triple", unit="m"), Output("same", unit="s")])(pairs.pair)
+    processes = {"pool": "processes", "workers": 2, "store": tmp_path / "declared.zarr"}
+    ds = linksweep.run(declared, axes={"x": [1.0, 2.0]}, **processes)
+    assert (ds["triple"].values.tolist(), ds["same"].attrs["units"]) == ([3.0, 6.0], "s")
+    plain = run(pairs.pair, tmp_path / "plain.zarr", axes={"x": [1.0, 2.0]})
+    assert plain["pair"].values.tolist() == [[3.0, 1.0], [6.0, 2.0]]

@@ -1,0 +1,76 @@
+"""Plain functions beside xyzpy and pipefunc: the same models, with the numbers checked, in lines of code and in seconds
+after the imports.
+
+Ours run with the packages of this environment, `sun` only where pvlib is one of them.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+from benchmarks.measured import Measured, Size, Target, watch
+from benchmarks.peer_environment import environment
+
+TIMED = Path(__file__).parent / "models" / "timed.py"
+MODELS = {
+    "sir": "an ODE with a series",
+    "wait": "a queue with a quantile",
+    "sun": "pvlib",
+    "vectorised": "20 000 points, vectorised",
+    "trivial": "10 000 trivial points",
+    "nap": "40 x 0.5 s on 4 workers",
+}
+TOOLS = ("linksweep", "xyzpy", "pipefunc")
+MOST = {"tiny": 4, "normal": 1000, "full": 1000}
+IDEAL_S = (40 - 4) * 0.5 / 4
+"""What the naps of `nap` beyond the first four take on four workers."""
+
+VECTORISED, NEAR_IDEAL = Target("<=", 2.0), Target("<=", 1.1)
+
+FOUR = ("sir", "wait", "sun", "vectorised")
+
+
+class Timed(NamedTuple):
+    """What `benchmarks/models/timed.py` tells: seconds of a whole sweep and of its first points alone."""
+
+    first_seconds: float
+    seconds: float
+    points: int
+    lines: int
+
+
+def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
+    """Return lines of code and seconds of each model by each tool, taking turns."""
+    pythons = {"linksweep": sys.executable}
+    if peers:
+        pythons |= dict.fromkeys(TOOLS[1:], str(environment()))
+    report: list[Measured] = []
+    lines = {tool: [0.0] for tool in pythons}
+    for model, words in MODELS.items():
+        found: dict[str, list[Timed]] = {tool: [] for tool in pythons}
+        notes = dict.fromkeys(pythons, "")
+        for _ in range(1 if size == "tiny" else repetitions):
+            for tool, python in pythons.items():
+                try:
+                    found[tool].append(_timed(python, tool, model, MOST[size]))
+                except (RuntimeError, ValueError, IndexError) as error:
+                    notes[tool] = str(error).strip().splitlines()[-1]
+        for tool, told in found.items():
+            note = notes[tool] or f"{told[0].lines} lines"
+            target = VECTORISED if (model, tool) == ("vectorised", "linksweep") else None
+            report.append(Measured(f"{words}: {tool}", [one.seconds for one in told], "s", target, note))
+            if model == "nap":
+                after = [(one.seconds - one.first_seconds) / IDEAL_S for one in told]
+                target = NEAR_IDEAL if tool == "linksweep" and size != "tiny" else None
+                report.append(Measured(f"{words}, over the ideal after start: {tool}", after, "", target))
+            if model in FOUR and told:
+                lines[tool][0] += told[0].lines
+    return [*report, *(Measured(f"lines of code of the first four: {tool}", of) for tool, of in lines.items())]
+
+
+def _timed(python: str, tool: str, model: str, most: int) -> Timed:
+    with tempfile.TemporaryDirectory() as folder:
+        output = watch([python, str(TIMED), tool, model, str(most)], Path(folder)).output
+    return Timed(**json.loads(output.splitlines()[-1]))

@@ -1,0 +1,66 @@
+"""A series at each of many points: where the middle of them and nearly all of them are, or a few single curves."""
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+
+from sweep.contract import SweepError
+from sweep.plots.style import (
+    COLOURS,
+    finish,
+    is_wide,
+    label,
+    legend,
+    logarithmic,
+    quantity_label,
+    value_text,
+)
+from sweep.studies.study import POINT
+
+FEW_CURVES = 12
+"""No more curves than these are drawn one by one."""
+
+BANDS = ((0.05, 0.95, 0.15, "90 % of the points"), (0.25, 0.75, 0.3, "50 % of the points"))
+"""Quantiles over the points between which a band lies, its opacity and what it is called."""
+
+
+def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axes:
+    """Draw a variable of points in no order along a dimension of its own, one colour for every combination of the
+    others: the median and the bands of many points, each curve of few.
+
+    Raises SweepError where the other dimensions leave more combinations than colours.
+    """
+    along = str(dataset[over].dims[0])
+    array = dataset[variable]
+    others = [str(d) for d in array.dims if d not in (POINT, along)]
+    if int(np.prod([array.sizes[d] for d in others], dtype=int)) > len(COLOURS):
+        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in others)
+        raise SweepError(f"{variable} has {sizes} beside {over}, too many to tell apart; fix some with --at AXIS=VALUE")
+    x = dataset[over].values.astype(float)
+    many = array.sizes[POINT] > FEW_CURVES
+    for number, index in enumerate(np.ndindex(*(array.sizes[d] for d in others))):
+        one = dataset.isel(dict(zip(others, index, strict=True)))
+        words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if d in one.coords)
+        y = one[variable].transpose(POINT, along).values.astype(float)
+        _draw(axes, x, y[np.isfinite(y).any(axis=1)], COLOURS[number], words, many)
+    for which, values in (("x", x), ("y", array.values)):
+        if is_wide(values, str(dataset[over].attrs.get("units", "")) if which == "x" else ""):
+            logarithmic(axes, which, values)
+    axes.set_xlabel(label(dataset[over], over))
+    axes.set_ylabel(quantity_label(dataset, variable))
+    finish(axes)
+    if many or others:
+        legend(axes)
+    return axes
+
+
+def _draw(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str, words: str, many: bool) -> None:
+    """Draw the curves (points, x) of one colour; what they are called stands in the legend, bands once."""
+    if not many:
+        axes.plot(x, y.T, color=colour, linewidth=0.9, alpha=0.8)
+        axes.plot([], [], color=colour, label=words or "a point")
+        return
+    for low, high, opacity, name in BANDS:
+        lower, upper = np.nanquantile(y, (low, high), axis=0)
+        axes.fill_between(x, lower, upper, color=colour, alpha=opacity, linewidth=0.0, label="" if words else name)
+    axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=words or f"median of {len(y)} points")
