@@ -161,7 +161,7 @@ def make(rng: np.random.Generator, scale: float, folder: Path) -> dict[str, Any]
 def search(folder: Path) -> dict[str, Any]:
     """Run the search as a process; return its summary, wall time (s) and peak memory (GB)."""
     command = [sys.executable, "-c", "from sweep.cli import main; main()", "match", "stars.fits", "wide.fits"]
-    command += ["sharp.fits", "--supplement", "supplement.fits", "--json", "-o", "out.ecsv", "--map", "out.png"]
+    command += ["sharp.fits", "--supplement", "supplement.fits", "--json", "-o", "out.ecsv", "--figure", "out.png"]
     for name, catalogue in (("wide", WIDE), ("sharp", SHARP)):
         command += [
             "--radius",

@@ -3,7 +3,8 @@
 This is the public interface; names that are not in ``__all__`` may change without notice.
 
 =========================================  ==========================================================
-`run`, `open`, `plot`                      run a study, read the results in a store, draw them
+`run`, `open`                              run a study, read the results in a store
+`answer`, `plot`                           what results say, and their figure
 `tie`, `forecast`                          link two real tables, plan what to observe next
 `load_study`, `Study`                      read and check a study without running it
 `experiment`, `Parameter`, `Output`        declare more about a function than its signature says
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from sweep.analysis.crossings import find, interpolate
     from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
     from sweep.analysis.sensitivity import sensitivity
-    from sweep.api import open, plot, run  # noqa: A004
+    from sweep.api import answer, open, plot, run  # noqa: A004
     from sweep.contract import Experiment, Output, Parameter, Point, SweepError
     from sweep.executing.execute import Limits
     from sweep.functions.declared import experiment
@@ -59,6 +60,7 @@ __all__ = [
     "Point",
     "Study",
     "SweepError",
+    "answer",
     "experiment",
     "find",
     "fit_levelling",
@@ -78,7 +80,7 @@ _MODULES = {
     "sweep.analysis.crossings": ("find", "interpolate"),
     "sweep.analysis.laws": ("fit_levelling", "fit_power_law", "ratio"),
     "sweep.analysis.sensitivity": ("sensitivity",),
-    "sweep.api": ("open", "plot", "run"),
+    "sweep.api": ("answer", "open", "plot", "run"),
     "sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
     "sweep.executing.execute": ("Limits",),
     "sweep.functions.declared": ("experiment",),

@@ -30,6 +30,8 @@ from sweep.tie.stored import result_at
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from sweep.report.card import Card
+
 log = logging.getLogger("linksweep")
 
 
@@ -134,6 +136,35 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
     place = store_named(store)
     result = result_at(place)
     return open_dataset(place) if result is None else result
+
+
+def answer(dataset: xr.Dataset) -> "Card":
+    """Return the answer of a study's results: ``print`` shows question and answer, a notebook the figure too.
+
+    Args:
+        dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
+
+    Returns:
+        A card with ``title``, ``question`` and ``sentences``; of a link or a forecast with the ``table`` of its
+        unknowns.  Its figure, in a notebook, needs Matplotlib.
+
+    Raises:
+        SweepError: for a dataset that is none of these.
+
+    Example:
+        >>> study = {
+        ...     "title": "Two limits",
+        ...     "question": "What do fainter quasars bring?",
+        ...     "axes": {"v_max": [14.0, 16.0]},
+        ...     "fixed": {"catalogue": "quasars", "model": "gaia"},
+        ...     "sampling": {"n_sim": 50, "seed": 1},
+        ... }
+        >>> answer(run(study, "limits.zarr", pool="serial")).question
+        'What do fainter quasars bring?'
+    """
+    from sweep.report.card import card
+
+    return card(dataset)
 
 
 def plot(

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from typing import Any
 
@@ -72,6 +72,17 @@ def counted(n: int, noun: str) -> str:
         ('1 point', '12,345 points')
     """
     return f"{n:,} {noun}{'' if n == 1 else 's'}"
+
+
+def first_of(words: Sequence[Any], most: int, separator: str = ", ") -> str:
+    """Return the first of several words, and how many more there are.
+
+    Examples:
+        >>> first_of(["a", "b"], 2), first_of(range(9), 3)
+        ('a, b', '0, 1, 2 and 6 more')
+    """
+    listed = separator.join(str(word) for word in words[:most])
+    return f"{listed} and {len(words) - most:,} more" if len(words) > most else listed
 
 
 def split_assignment(text: str) -> tuple[str, str]:

@@ -74,7 +74,7 @@ experiment = Experiment(
     summarise=lambda sums, n, n_cat: {"average": sums["sum"] / n},
 )
 dataset: xr.Dataset = linksweep.run("study.toml", pool="serial")
-where: xr.Dataset = linksweep.find(dataset, "average < 1", along="mean")
+where: xr.Dataset = linksweep.find(dataset, "average < 1", over="mean")
 """
 
 

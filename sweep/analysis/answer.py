@@ -18,6 +18,7 @@ from sweep.analysis.quantity import (
     unknown_parts,
 )
 from sweep.analysis.selection import place_in_words
+from sweep.attributes import meaning_of
 from sweep.contract import Array, SweepError
 from sweep.formatting import counted
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
@@ -82,7 +83,7 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
     """Return what the results say of each headline quantity, of each of its components where it has any."""
     found = []
     for variable in headline(dataset):
-        meaning = str(dataset[variable].attrs.get("long_name", ""))
+        meaning = meaning_of(dataset[variable].attrs)
         if array := _own_axes(dataset, variable):
             found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, array)]))
             continue

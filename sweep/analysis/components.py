@@ -1,5 +1,6 @@
 """What the mean over components hides: each of them, their largest correlation, and the condition of the solution."""
 
+import textwrap
 from collections.abc import Iterator
 
 import numpy as np
@@ -21,6 +22,9 @@ FEWEST = 30
 MOST_POINTS = 3
 
 PER_LINE = 3
+
+LINE = 80
+"""Characters of a line."""
 
 
 def component_lines(dataset: xr.Dataset) -> list[str]:
@@ -106,7 +110,7 @@ def _lines(point: xr.Dataset, name: str, place: str) -> Iterator[str]:
         for label, value, unit in zip(labels, point[name].values, units, strict=True)
     ]
     width = max(map(len, cells)) + 2
-    yield f"{name}{place}"
+    yield from textwrap.wrap(f"{name}{place}", LINE)
     for first in range(0, len(cells), PER_LINE):
         yield "  " + "".join(f"{cell:{width}}" for cell in cells[first : first + PER_LINE]).rstrip()
     facts = []

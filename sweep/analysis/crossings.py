@@ -9,6 +9,7 @@ import xarray as xr
 
 from sweep.analysis.conditions import Limit, parse_limit
 from sweep.analysis.lines import Lines, lines
+from sweep.attributes import described
 from sweep.contract import Array, SweepError, small_sample_factor
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
@@ -20,14 +21,14 @@ NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 
 
-def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
+def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
     """Return where along an axis a condition is met, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
         limit: a variable, one of < <= > >=, and a number with or without a unit: "sigma_spin < 1 uas/yr".
-        along: the axis.
-        covariance: the covariance of the variable's points, with dimensions (..., along, along_other); that of the
+        over: the axis.
+        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
             dataset by default.
 
     Returns:
@@ -44,34 +45,34 @@ def find(dataset: xr.Dataset, limit: Limit | str, along: str, covariance: xr.Dat
         >>> import linksweep
         >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14,15,16,17"])
         >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
-        >>> round(float(find(ds, "sigma_spin < 1 uas/yr", along="v_max")["first"].sel(model="gaia")), 3)
+        >>> round(float(find(ds, "sigma_spin < 1 uas/yr", over="v_max")["first"].sel(model="gaia")), 3)
         16.066
     """
     if isinstance(limit, str):
         limit = parse_limit(limit)
-    found = lines(dataset, limit.variable, along, covariance)
+    found = lines(dataset, limit.variable, over, covariance)
     thresholds = _thresholds(limit, found)
     rows = np.array([_cross(found, line, limit, threshold) for line, threshold in enumerate(thresholds)])
     where, value = found.over_unit, found.unit[0] if len(set(found.unit)) == 1 else ""
     columns = {
         "met": ("", "when the condition is met"),
         "crossings": ("", "how often the limit is crossed"),
-        "first": (where, f"{along} at the first crossing"),
+        "first": (where, f"{over} at the first crossing"),
         "first_error": (where, "its one-sigma error"),
-        "last": (where, f"{along} at the last crossing"),
+        "last": (where, f"{over} at the last crossing"),
         "last_error": (where, "its one-sigma error"),
         "nearest": (value, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
-        "nearest_at": (where, f"{along} of the nearest"),
+        "nearest_at": (where, f"{over} of the nearest"),
     }
     result = found.grid.assign(
         {
-            name: (found.dims, rows[:, i].reshape(found.shape), {"units": unit, "long_name": meaning})
+            name: (found.dims, rows[:, i].reshape(found.shape), described(unit, meaning))
             for i, (name, (unit, meaning)) in enumerate(columns.items())
         }
     )
     result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs)
     result["met"].attrs |= {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
-    about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "along": along}
+    about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "over": over}
     return result.assign_attrs(about, condition=str(limit), errors=found.errors)
 
 
@@ -121,12 +122,13 @@ def interpolate(
         value = np.exp(weights @ u) if logarithm else weights @ u
         rows[line] = value, _error(weights, spread, found.samples) * (value if logarithm else 1.0)
     attributes = dataset[variable].attrs
+    unit = str(attributes.get("units", ""))
     place = xr.Variable((), at, dataset[over].attrs)
     error = f"one-sigma error of {variable}"
     return found.grid.assign_coords({over: place}).assign(
         {
             variable: (found.dims, rows[:, 0].reshape(found.shape), attributes),
-            f"{variable}_mc_error": (found.dims, rows[:, 1].reshape(found.shape), attributes | {"long_name": error}),
+            f"{variable}_mc_error": (found.dims, rows[:, 1].reshape(found.shape), described(unit, error)),
         }
     )
 

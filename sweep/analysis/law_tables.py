@@ -8,13 +8,20 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
+from sweep.analysis.tables import GAP, Column, fitting
 from sweep.formatting import fixed, plain, to_json, with_error
-from sweep.readable import in_ascii, prefixed, with_unit
+from sweep.readable import prefixed, with_unit
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 Row = Mapping[str, Any]
+
+CONCLUSION = "conclusion"
+"""The last column, in words."""
+
+FEWEST_LETTERS = 24
+"""Of a line of a conclusion."""
 
 DEVIATION_ALLOWED = 3.0
 """An exponent may deviate from the expected one by so many of its errors."""
@@ -38,8 +45,10 @@ def as_json(result: xr.Dataset) -> str:
     return to_json({**result.attrs, "units": units, "rows": described})
 
 
-def as_text(result: xr.Dataset) -> "Table":
-    """Return a table for reading, one row a line of the grid."""
+def as_text(result: xr.Dataset, width: int | None = None) -> "Table":
+    """Return a table for reading, one row a line of the grid; of the columns those that go into ``width`` characters,
+    and the conclusions in several lines where they are long.
+    """
     from rich.markup import escape
     from rich.table import Table
     from rich.text import Text
@@ -47,24 +56,43 @@ def as_text(result: xr.Dataset) -> "Table":
     table = Table(
         title=Text(str(result.attrs["title"])), title_justify="left", box=None, pad_edge=False, header_style="bold"
     )
+    columns, _ = fitting_columns(result, width)
+    for column in columns:
+        if column.name == CONCLUSION:
+            room = None if width is None else width - sum(c.width for c in columns) + column.width - GAP
+            table.add_column(Text(column.heading), max_width=room and max(room, FEWEST_LETTERS))
+        else:
+            table.add_column(Text(column.heading), justify="right", no_wrap=True)
+    for cells in zip(*(column.cells for column in columns), strict=True):
+        table.add_row(*map(escape, cells))
+    return table
+
+
+def fitting_columns(result: xr.Dataset, width: int | None = None) -> tuple[list[Column], list[Column]]:
+    """Return the columns of a table of a width, in which conclusions may take several lines, and those left out."""
+    columns = columns_of(result)
+    words = [column for column in columns if column.name == CONCLUSION]
+    room = None if width is None else width - sum(min(column.width, FEWEST_LETTERS + GAP) for column in words)
+    kept, left_out = fitting([column for column in columns if column not in words], room)
+    return [*kept, *words], left_out
+
+
+def columns_of(result: xr.Dataset) -> list[Column]:
+    """Return the columns for reading: places on the axes, the law or the crossings, and what follows."""
     everything = rows(result)
     places = [str(n) for n, c in result.coords.items() if c.dims]
     dims = _dims(result)
     places.sort(key=lambda name: (dims.index(str(result[name].dims[0])), name not in dims, name))
-    columns = {_heading(name, result): [plain(row[name]) for row in everything] for name in places}
-    columns |= _columns(result, everything)
-    for heading in columns:
-        table.add_column(Text(heading), justify="left" if heading == "conclusion" else "right", no_wrap=True)
-    for cells in zip(*columns.values(), strict=True):
-        table.add_row(*map(escape, cells))
-    return table
+    own = [_column(name, _unit(result, name), [plain(row[name]) for row in everything]) for name in places]
+    words = [conclusion(result, row) for row in everything]
+    return [*own, *_columns(result, everything), *([_column(CONCLUSION, "", words)] if any(words) else [])]
 
 
 def notes(result: xr.Dataset) -> list[str]:
     """Return sentences that belong below the table: the law, where errors come from, and what does not fit."""
     about, everything = result.attrs, rows(result)
     if "condition" in about:
-        return [f"{about['condition']} along {about['along']}; errors: {about['errors']}"]
+        return [f"{about['condition']} along {about['over']}; errors: {about['errors']}"]
     variable, over = about["variable"], about["over"]
     laws = {
         "power": f"{variable} = amplitude x ({over} / pivot)^exponent",
@@ -79,47 +107,50 @@ def notes(result: xr.Dataset) -> list[str]:
 def conclusion(result: xr.Dataset, row: Row) -> str:
     """Return in words what follows from one line of a result."""
     if "met" in result:
-        return _met(row, *(str(result[name].attrs["units"]) for name in ("first", "nearest")))
+        return _met(row, *(_unit(result, name) for name in ("first", "nearest")))
     if row["points"] == 0.0:
         return "excluded by the study"
     if result.attrs["law"] == "levelling":
-        return _levelling(row, result.attrs["last"], str(result["limit"].attrs["units"]))
+        return _levelling(row, result.attrs["last"], _unit(result, "limit"))
     if not math.isfinite(row.get("deviation", math.nan)):
         return ""
     return "as expected" if abs(row["deviation"]) <= DEVIATION_ALLOWED else "NOT as expected"
 
 
-def _columns(result: xr.Dataset, everything: Sequence[Row]) -> dict[str, list[str]]:
-    columns: dict[str, list[str]] = {}
+def _columns(result: xr.Dataset, everything: Sequence[Row]) -> Iterator[Column]:
+    """Yield the columns of numbers; those of a larger rank are left out first where there is no room."""
     if "met" not in result:
-        columns["points"] = [f"{row['points']:.0f}" for row in everything]
-        shown = ["exponent"] if result.attrs["law"] == "power" else ["plateau"]
-        for name in shown:
-            columns |= _in_readable_unit(name, result, everything)
+        yield _column("points", "", [f"{row['points']:.0f}" for row in everything], 2)
+        yield _in_readable_unit("exponent" if result.attrs["law"] == "power" else "plateau", result, everything, 0)
     if "expected" in result:
-        columns["expected"] = [fixed(row["expected"], "g") for row in everything]
-        columns["deviation"] = [fixed(row["deviation"], "+.1f", " errors") for row in everything]
+        yield _column("expected", "", [fixed(row["expected"], "g") for row in everything], 1)
+        yield _column("deviation", "", [fixed(row["deviation"], "+.1f", " errors") for row in everything], 1)
     if "amplitude" in result:
-        columns |= _in_readable_unit("amplitude", result, everything)
-        columns[_heading("pivot", result)] = [fixed(row["pivot"], ".4g") for row in everything]
+        yield _in_readable_unit("amplitude", result, everything, 4)
+        yield _column("pivot", _unit(result, "pivot"), [fixed(row["pivot"], ".4g") for row in everything], 4)
     if "end_fall" in result:
-        unit = str(result["limit"].attrs["units"]) or "unit"
+        unit = _unit(result, "limit") or "unit"
         falls = [with_error(100.0 * row["end_fall"], 100.0 * row["end_fall_error"]) for row in everything]
-        columns[f"fall at the end\n[% / {unit}]"] = falls
+        yield _column("fall at the end", f"% / {unit}", falls, 2)
     if "chi2" in result:
-        columns["chi2 / dof"] = [
-            f"{fixed(row['chi2'], '.3g') or '-'} / {fixed(row['dof'], '.0f')}" for row in everything
-        ]
-        columns["p"] = [fixed(row["p_value"], ".2g") for row in everything]
-    words = [conclusion(result, row) for row in everything]
-    return columns | ({"conclusion": words} if any(words) else {})
+        cells = [f"{fixed(row['chi2'], '.3g') or '-'} / {fixed(row['dof'], '.0f')}" for row in everything]
+        yield _column("chi2 / dof", "", cells, 3)
+        yield _column("p", "", [fixed(row["p_value"], ".2g") for row in everything], 3)
 
 
-def _in_readable_unit(name: str, result: xr.Dataset, everything: Sequence[Row]) -> dict[str, list[str]]:
+def _column(name: str, unit: str, cells: list[str], rank: int = 0) -> Column:
+    return Column(name, unit, cells, list(cells), name, rank)
+
+
+def _in_readable_unit(name: str, result: xr.Dataset, everything: Sequence[Row], rank: int) -> Column:
     """Return a column of numbers with errors, in the unit in which they read best."""
-    unit, factor = prefixed([row[name] for row in everything], str(result[name].attrs.get("units", "")))
+    unit, factor = prefixed([row[name] for row in everything], _unit(result, name))
     cells = [with_error(factor * row[name], factor * row[f"{name}_error"]) for row in everything]
-    return {f"{name}\n[{in_ascii(unit)}]" if unit else name: cells}
+    return _column(name, unit, cells, rank)
+
+
+def _unit(result: xr.Dataset, name: str) -> str:
+    return str(result[name].attrs.get("units", ""))
 
 
 def _met(row: Row, unit: str, value_unit: str) -> str:
@@ -156,8 +187,3 @@ def _lines(result: xr.Dataset) -> Iterator[tuple[dict[str, Any], xr.Dataset]]:
 
 def _dims(result: xr.Dataset) -> list[str]:
     return [str(d) for d in next(iter(result.data_vars.values())).dims]
-
-
-def _heading(name: str, result: xr.Dataset) -> str:
-    unit = result[name].attrs.get("units", "")
-    return f"{name}\n[{in_ascii(unit)}]" if unit else name

@@ -16,6 +16,7 @@ from sweep.analysis.lines import Lines, lines, require_done
 from sweep.analysis.measured_claims import claims_of
 from sweep.analysis.quantity import error_of_sum, require_quantity
 from sweep.analysis.selection import indices, place_in_words
+from sweep.attributes import described
 from sweep.contract import FEW, Array, SweepError
 
 LEVELLING_POINTS = 4
@@ -71,10 +72,10 @@ def fit_power_law(
     result = _collect(found, fits, columns)
     wanted = np.array([_expected(dataset, found, line) if expected is None else expected for line in range(len(found))])
     if np.isfinite(wanted).any():
-        result["expected"] = (found.dims, wanted.reshape(found.shape), {"units": "", "long_name": "exponent expected"})
+        result["expected"] = (found.dims, wanted.reshape(found.shape), described("", "exponent expected"))
         error = result["exponent_error"]
         result["deviation"] = (result["exponent"] - result["expected"]) / error.where(error > 0.0)
-        result["deviation"].attrs = {"units": "", "long_name": "exponent - expected, in errors of the exponent"}
+        result["deviation"].attrs = described("", "exponent - expected, in errors of the exponent")
     return result.assign_attrs(_about(dataset, found), law="power")
 
 
@@ -164,10 +165,10 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     above, below = (part[variable].drop_vars(along, errors="ignore") for part in parts)
     bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
-    result = (above / bottom).rename("ratio").assign_attrs(units="", long_name=meaning).to_dataset()
+    result = (above / bottom).rename("ratio").drop_attrs().assign_attrs(described("", meaning)).to_dataset()
     error = error_of_sum(dataset, variable, above_at, below_at, (1.0 / bottom, -above / bottom**2))
     if error is not None:
-        result["ratio_error"] = error.assign_attrs(units="", long_name="one-sigma error of ratio")
+        result["ratio_error"] = error.drop_attrs().assign_attrs(described("", "one-sigma error of ratio"))
     return result
 
 
@@ -205,7 +206,7 @@ def _collect(
     }
     return found.grid.assign(
         {
-            name: (found.dims, np.reshape(values[name], found.shape), {"units": unit, "long_name": meaning})
+            name: (found.dims, np.reshape(values[name], found.shape), described(unit, meaning))
             for name, (unit, meaning) in meanings.items()
         }
     )

@@ -18,7 +18,7 @@ def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
     require_quantity(dataset, limit.variable)
     array = dataset[limit.variable]
     if further := ", ".join(str(d) for d in array.dims if d != POINT):
-        raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --along")
+        raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
     require_done(dataset)
     threshold = limit.number_in(str(array.attrs.get("units", "")))
     return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})

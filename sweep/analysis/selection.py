@@ -7,6 +7,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.contract import FEW, SweepError, shown, suggest
+from sweep.formatting import first_of
 
 
 def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
@@ -34,8 +35,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:
         hits = {i for i, value in enumerate(values) if _is_meant(value, wanted)}
         dimension = str(dataset[name].dims[0])
         if not hits:
-            listed = ", ".join(map(str, values[:FEW])) + (", ..." if len(values) > FEW else "")
-            problems.append(f"{name} = {wanted} is not in the grid, which has {listed}")
+            problems.append(f"{name} = {wanted} is not in the grid, which has {first_of(values, FEW)}")
         elif not found.setdefault(dimension, hits) & hits:
             problems.append(f"{name} = {wanted} is at no point with the other values that are given along {dimension}")
         else:

@@ -18,6 +18,7 @@ from sweep.analysis.quantity import (
 )
 from sweep.analysis.salib_indices import morris_effects, saltelli_indices
 from sweep.analysis.variance_grid import indices_of_grid
+from sweep.attributes import described
 from sweep.contract import Array, SweepError
 from sweep.planning.point_status import Status
 from sweep.studies.designs import DESIGNS
@@ -103,7 +104,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         name: (
             (*others, "parameter"),
             np.array([one[name] for one in made.values()]).reshape(*shape, len(method.parameters)),
-            {"units": unit, "long_name": MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}")},
+            described(unit, MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}")),
         )
         for name in names
     }

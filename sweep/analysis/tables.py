@@ -12,7 +12,7 @@ import xarray as xr
 
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error
 from sweep.analysis.readable_units import in_readable_units
-from sweep.formatting import is_missing, plain, rounded, to_json, with_error
+from sweep.formatting import first_of, is_missing, plain, rounded, to_json, with_error
 from sweep.planning.point_status import Status
 from sweep.readable import in_ascii
 from sweep.studies.provenance import FUNCTION
@@ -283,7 +283,7 @@ def arrays_in_words(dataset: xr.Dataset) -> list[str]:
     sentences = []
     for name in array_outputs(dataset):
         along = " and ".join(f"{dataset.sizes[dim]:,} along {dim}" for dim in own_dimensions(dataset, name))
-        sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --format json` has them")
+        sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --json` has them")
     return sentences
 
 
@@ -291,7 +291,7 @@ def _span(values: Any) -> str:
     """Return an array of one point in short: its least and its largest number."""
     flat = np.array(values).reshape(-1)
     if flat.dtype.kind not in "biuf":
-        return f"{flat[0]} ..."
+        return first_of(flat.tolist(), 1)
     known = flat[np.isfinite(flat)]
     return f"{rounded(float(known.min()))} to {rounded(float(known.max()))}" if known.size else ""
 

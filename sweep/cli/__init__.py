@@ -2,6 +2,7 @@
 
 from sweep.cli import (
     analysis,
+    demo,
     match,
     merge,
     paper,
@@ -19,6 +20,7 @@ from sweep.cli.group import main
 
 __all__ = [
     "analysis",
+    "demo",
     "main",
     "match",
     "merge",

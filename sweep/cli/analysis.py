@@ -6,7 +6,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
-from sweep.cli.output import print_table, print_whole
+from sweep.cli.output import print_sentences, print_table, print_whole, table_width
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @main.command()
 @store_argument
-@click.option("--over", "--along", "over", help="The axis to fit along.  [default: the only one with several numbers]")
+@click.option("--over", help="The axis to fit along.  [default: the only one with several numbers]")
 @click.option("--variable", help="What to fit.  [default: the main result]")
 @click.option(
     "--law",
@@ -79,20 +79,18 @@ def fit(
 @main.command()
 @store_argument
 @click.option("--where", required=True, metavar="CONDITION", help="VARIABLE, one of < <= > >=, NUMBER and unit.")
-@click.option(
-    "--along", "--over", "along", help="The axis to look along.  [default: the only one with several numbers]"
-)
+@click.option("--over", help="The axis to look along.  [default: the only one with several numbers]")
 @place_option
 @json_option
-def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], as_json: bool) -> None:
+def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], as_json: bool) -> None:
     """Find where in STORE a condition is met along an axis, for every combination of the other axes.
 
     Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  For a table
     or a design, whose points are in no order, the points that meet the condition are listed.
 
     \b
-    sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --along v_max
-    sweep find results/grid.zarr --where "sigma_spin <= 0.5" --along n_obj --at model=amex,error_scale=1
+    sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
+    sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
     """
     from sweep.analysis.conditions import parse_limit
     from sweep.analysis.crossings import find as find_crossings
@@ -102,19 +100,23 @@ def find(store: "Location", where: str, along: str | None, at: tuple[str, ...], 
     limit = parse_limit(where)
     dataset = part_of(store, at)
     with naming(store):
-        if along is None and len(varied_parameters(dataset)) > 1:
+        if over is None and len(varied_parameters(dataset)) > 1:
             print_table(points_where(dataset, limit), "json" if as_json else "text")
             return
-        result = find_crossings(dataset, limit, require_axis(dataset, limit.variable, along))
+        result = find_crossings(dataset, limit, require_axis(dataset, limit.variable, over))
     _print(result, as_json)
 
 
 def _print(result: Any, as_json: bool) -> None:
     from sweep.analysis import law_tables as analysis_tables
+    from sweep.analysis.tables import left_out_in_words
 
     if as_json:
         click.echo(analysis_tables.as_json(result))
         return
-    print_whole(analysis_tables.as_text(result))
-    for sentence in ("", *analysis_tables.notes(result)):
-        click.echo(sentence)
+    width = table_width()
+    print_whole(analysis_tables.as_text(result, width))
+    click.echo()
+    print_sentences(analysis_tables.notes(result))
+    if folded := analysis_tables.fitting_columns(result, width)[1]:
+        print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --json has them"])

@@ -17,6 +17,7 @@ atexit.register(gc.freeze)  # else all that was imported is looked through for g
 
 SECTIONS = {
     "Run": {
+        "demo": "Show the whole way from a study to its answer",
         "run": "Run a study into a store; print table and answer",
         "plan": "Say what a run would do, and write nothing",
         "retry": "Compute failed points again",
@@ -110,6 +111,7 @@ def main() -> None:
     """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
 
     \b
+    sweep demo               the whole way from a study to its answer
     sweep run quasars        the paper's Table 1, beside the published one
     sweep list               the other built-in studies
     """

@@ -101,7 +101,7 @@ from sweep.cli.output import print_whole
     help="The matches as ECSV.",
 )
 @click.option("--table", type=click.Path(path_type=Path), help="Also the paper's 46-byte table.")
-@click.option("--map", "sky_map", type=click.Path(path_type=Path), help="Also an all-sky map (.png, .svg or .pdf).")
+@click.option("--figure", type=click.Path(path_type=Path), help="Also draw an all-sky map: .png, .svg or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @json_option
 def match(
@@ -123,7 +123,7 @@ def match(
     second_epoch_error: float,
     output: Path,
     table: Path | None,
-    sky_map: Path | None,
+    figure: Path | None,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -135,7 +135,7 @@ def match(
     \b
     sweep match tycho2.fits pgc.fits uzc.csv --supplement tycho2_suppl1.fits \\
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
-        -o galaxies.ecsv --table galaxies.dat --map galaxies.png
+        -o galaxies.ecsv --table galaxies.dat --figure galaxies.png
     """
     from sweep.search.match import find_galaxies
     from sweep.search.options import plan_search
@@ -160,7 +160,7 @@ def match(
         epoch_difference_yr=epoch_difference,
         second_epoch_error_mas=second_epoch_error,
     )
-    outputs = Outputs(output, table, sky_map)
+    outputs = Outputs(output, table, figure)
     summary = summarise(find_galaxies(search, outputs, overwrite))
     if as_json:
         from sweep.formatting import to_json

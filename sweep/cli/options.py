@@ -81,6 +81,13 @@ trust_option = click.option(
 )
 
 
+def json_or(table_format: str, as_json: bool) -> str:
+    """Return the format of a table that two options name together; raises click.UsageError if they name two."""
+    if as_json and table_format != "text":
+        raise click.UsageError(f"--json and --format {table_format} are two formats; name one")
+    return "json" if as_json else table_format
+
+
 def study_options(command: Command) -> Command:
     """Add the options that name a study's overrides, which the command gets as ``overrides``, and its store."""
     options = (
@@ -217,7 +224,7 @@ def _resources(
         raise click.UsageError(f"--pool {pool} has no workers")
     files = (tls_ca, tls_cert, tls_key)
     if any(files) and (scheduler is None or not scheduler.startswith("tls://") or None in files):
-        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://...")
+        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
     return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit))
 

@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -17,16 +18,33 @@ WIDTH = 80
 """Sentences are broken into lines of so many characters."""
 
 
+def print_sentences(sentences: Iterable[str]) -> None:
+    """Print each sentence in lines of the width of a terminal."""
+    for sentence in sentences:
+        click.echo(click.wrap_text(sentence, WIDTH))
+
+
 def print_whole(renderable: Any) -> None:
-    """Print a table or text as wide as it is: a terminal may wrap it, but no number is cut."""
+    """Print a table or text as wide as it is: a terminal may wrap it, but no number is cut.  The title of a table is a
+    sentence above it.
+    """
     from rich.console import Console
     from rich.measure import Measurement
 
+    if (title := getattr(renderable, "title", None)) is not None:
+        renderable.title = None
+        if str(title):
+            click.secho(click.wrap_text(str(title), WIDTH), italic=True)
     terminal = Console(highlight=False)
     endless = terminal.options.update(width=10_000)
     needed = Measurement.get(terminal, endless, renderable).maximum
     width = max(needed, terminal.width if sys.stdout.isatty() else 1)
     Console(width=width, highlight=False).print(renderable, soft_wrap=False)
+
+
+def table_width() -> int:
+    """Return how wide a table may be: as the terminal, or `WIDTH` where there is none or it is narrower."""
+    return max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
 
 
 def print_plan(
@@ -39,10 +57,8 @@ def print_plan(
     if as_json:
         click.echo(to_json(report))
     else:
-        for key, text in _plan_in_words(report).items():
-            click.echo(f"{key:14}{text}")
-        for sentence in report["warnings"]:
-            click.echo(f"{'warning':14}{sentence}")
+        for key, text in (*_plan_in_words(report).items(), *(("warning", text) for text in report["warnings"])):
+            click.echo(click.wrap_text(text, WIDTH, f"{key:14}", 14 * " "))
 
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
@@ -78,17 +94,16 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
     from sweep.analysis import components, tables
 
     if table_format == "text":
-        width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
+        width = table_width()
         print_whole(tables.as_text(dataset, width))
         if with_components and (lines := components.component_lines(dataset)):
             click.echo("\n".join(["", *lines, ""]))
-        for sentence in filter(None, [*tables.warnings_of(dataset), components.condition_warning(dataset)]):
-            click.echo(f"warning: {sentence}")
-        for sentence in (*tables.arrays_in_words(dataset), *tables.exactly_published(dataset)):
-            click.echo(click.wrap_text(sentence, WIDTH))
+        told = filter(None, [*tables.warnings_of(dataset), components.condition_warning(dataset)])
+        print_sentences(f"warning: {sentence}" for sentence in told)
+        print_sentences([*tables.arrays_in_words(dataset), *tables.exactly_published(dataset)])
         if folded := tables.fitting(tables.headline_columns(dataset, tables.MOST_ROWS), width)[1]:
             words = f"left out to fit {width} columns: {tables.left_out_in_words(folded)}; --format csv has them"
-            click.echo(click.wrap_text(words, WIDTH))
+            print_sentences([words])
         if left_out := tables.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):
@@ -104,12 +119,11 @@ def print_answer(dataset: Any) -> None:
     """Print the answer to the study's question, in lines of the width of a terminal."""
     from sweep.analysis.answer import answer_in_short
 
-    for sentence in answer_in_short(dataset):
-        click.echo(click.wrap_text(sentence, WIDTH))
+    print_sentences(answer_in_short(dataset))
 
 
 def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -> None:
-    """Print a comparison with published numbers, and its remarks."""
+    """Print a comparison with published numbers, its remarks, and how many have each verdict."""
     from sweep.analysis import compare_tables
 
     if table_format == "json":
@@ -120,9 +134,12 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
         for sentence in remarks:
             click.echo(sentence, err=True)
         return
-    print_whole(compare_tables.as_text(comparisons))
-    for sentence in ("", *compare_tables.notes(comparisons), *remarks, compare_tables.summary_line(comparisons)):
-        click.echo(sentence)
+    if comparisons:
+        from sweep.analysis.compare_text import as_text
+
+        print_whole(as_text(comparisons, table_width()))
+    print_sentences(remarks)
+    click.echo(compare_tables.summary_line(comparisons))
 
 
 def print_status(report: dict[str, Any]) -> None:
@@ -138,9 +155,9 @@ def print_status(report: dict[str, Any]) -> None:
         elif isinstance(value, dict):
             click.echo(f"{key}:")
             for name, text in value.items():
-                click.echo(f"  {name}: {text}")
+                click.echo(click.wrap_text(f"{name}: {text}", WIDTH, "  ", "    "))
         else:
-            click.echo(f"{key}: {value}")
+            click.echo(click.wrap_text(f"{key}: {value}", WIDTH, "", "  "))
 
 
 def status_as_json(report: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import json_option, resource_options, stores_argument
+from sweep.cli.options import json_option, json_or, resource_options, stores_argument
 from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.running import run_with_progress
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 )
 @resource_options
 @watching_options
-@click.option("--format", "table_format", type=click.Choice(["text", "csv", "json"]), default="text", show_default=True)
+@click.option("--format", "table_format", type=click.Choice(["text", "csv"]), default="text", show_default=True)
 @json_option
 def compare(
     stores: "tuple[Location, ...]",
@@ -47,6 +47,7 @@ def compare(
     sweep compare results/quasars.zarr
     sweep compare --all --workers 4
     """
+    table_format = json_or(table_format, as_json)
     from sweep.analysis.compare import all_is_well
     from sweep.executing.choose import Resources
     from sweep.paper.published_stores import compare_stores
@@ -59,7 +60,7 @@ def compare(
     if everything:
         stores = run_what_is_missing(results or RESULTS, resources, watching)
     comparisons, remarks = compare_stores(stores)
-    print_comparisons(comparisons, remarks, "json" if as_json else table_format)
+    print_comparisons(comparisons, remarks, table_format)
     if not all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)
 

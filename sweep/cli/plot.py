@@ -27,14 +27,17 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 
 @main.command()
 @click.argument("source", required=False)
-@click.option("--kind", type=click.Choice(all_kinds()), help="What to draw.  [default: what suits the results]")
+@click.option(
+    "--kind",
+    type=click.Choice(all_kinds()),
+    metavar="KIND",
+    help=f"What to draw: {', '.join(all_kinds())}.  [default: what suits the results]",
+)
 @click.option(
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
 @click.option(
     "--over",
-    "--along",
-    "over",
     multiple=True,
     help="The axis to draw along; give both for a map, or two components of a scatter.",
 )
@@ -51,8 +54,6 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 @click.option(
     "-o",
     "--output",
-    "--out",
-    "out",
     type=click.Path(path_type=Path),
     help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]",
 )
@@ -66,7 +67,7 @@ def plot(
     width: float | None,
     style: str | None,
     caption: bool,
-    out: Path | None,
+    output: Path | None,
 ) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
     values, small panels, a map, a fitted law, a scatter of kept samples; of a link or a forecast of real tables, the
@@ -75,7 +76,7 @@ def plot(
     \b
     sweep plot quasars --width 88mm --caption -o quasars.pdf
     sweep plot results/grid.zarr --over n_obj --at error_scale=1
-    sweep plot results/grid.zarr --kind map --over n_obj --over v_max --at model=gaia
+    sweep plot grid --kind map --over n_obj --over v_max --at model=gaia
     sweep plot results/quasars.zarr --kind sky --at model=gaia,v_max=16
     sweep plot --kind accuracy --model amex --model gaia
     sweep plot mission.toml --kind accuracy
@@ -89,10 +90,10 @@ def plot(
     if source is None and kind != "accuracy":
         raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
     if models and kind != "accuracy":
-        raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=...")
+        raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
     if kind in STANDALONE and (variables or over):
         raise click.UsageError(f"--variable and --over do not go with --kind {kind}")
-    path = out or Path(Path(source or "accuracy").stem + ".png")
+    path = output or Path(Path(source or "accuracy").stem + ".png")
     styles.require_format(path)
     with styles.settings(width, style):
         figure, dataset = _figure(source, kind, variables, over, models, at)

@@ -59,7 +59,7 @@ def retry(
 
 @main.command()
 @store_argument
-@click.option("--at", required=True, metavar="AXIS=VALUE,...", help="The point, e.g. model=gaia,v_max=16.")
+@click.option("--at", required=True, metavar="AXIS=VALUE[,AXIS=VALUE]", help="The point, e.g. model=gaia,v_max=16.")
 @click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
 @trust_option
 @json_option

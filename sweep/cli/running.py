@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 @accept_code_option
 @click.option("--fresh", is_flag=True, help="Replace an existing store, whatever its study and code.")
 @watching_options
-@click.option("--dry-run", is_flag=True, help="Plan only, like `sweep plan`.")
 @trust_option
 @json_option
 def run(
@@ -48,7 +47,6 @@ def run(
     accept_code: bool,
     fresh: bool,
     watching: Watching,
-    dry_run: bool,
     trust: bool,
     as_json: bool,
 ) -> None:
@@ -60,13 +58,10 @@ def run(
     sweep run quasars
     sweep run quasars --set n_cat=20 -o results/quick.zarr
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
-    sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5 --range gamma=0.01:1:log
+    sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5
     sweep run sir.py:sir --points runs.csv
     """
     loaded, path = load(study, overrides, store, trust)
-    if dry_run:
-        print_plan(loaded, path, resources.workers, as_json, accept_code)
-        return
     failures = run_with_progress(
         loaded, path, resources, watching, as_json, break_lock=break_lock, accept_code=accept_code, fresh=fresh
     )

@@ -43,7 +43,9 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
     type=click.Path(path_type=Path),
     help="The measurements, as Zarr.  [default: results/NAME-scaling.zarr]",
 )
-@click.option("--figure", type=click.Path(path_type=Path), help="Draw them with the ideal lines: .png, .svg or .pdf.")
+@click.option(
+    "--figure", type=click.Path(path_type=Path), help="Also draw them with the ideal lines: .png, .svg, .pdf."
+)
 @trust_option
 @json_option
 def scaling(

@@ -7,7 +7,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
-from sweep.cli.output import print_whole
+from sweep.cli.output import print_sentences, print_whole
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -17,13 +17,15 @@ TABLES = (".csv", ".json", ".zarr")
 
 @main.command()
 @store_argument
-@click.option("--output", "variable", metavar="NAME", help="The result to look at.  [default: the main result]")
+@click.option("--variable", help="What varies.  [default: the main result]")
 @place_option
 @click.option(
-    "-o", "--out", type=click.Path(path_type=Path), help="Write .csv, .json or .zarr, or draw .png, .svg, .pdf."
+    "-o", "--output", type=click.Path(path_type=Path), help="Write .csv, .json or .zarr, or draw .png, .svg, .pdf."
 )
 @json_option
-def sensitivity(store: "Location", variable: str | None, at: tuple[str, ...], out: Path | None, as_json: bool) -> None:
+def sensitivity(
+    store: "Location", variable: str | None, at: tuple[str, ...], output: Path | None, as_json: bool
+) -> None:
     """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
 
     First-order and total Sobol indices of full grids and of saltelli designs, effects of morris designs, first-order
@@ -31,60 +33,60 @@ def sensitivity(store: "Location", variable: str | None, at: tuple[str, ...], ou
 
     \b
     sweep sensitivity results/sir.zarr
-    sweep sensitivity results/sir.zarr --output peak -o peak.png
+    sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
     from sweep.analysis import sensitivity as analysis
     from sweep.analysis import sensitivity_tables as tables
 
     dataset = part_of(store, at)
     with naming(store):
-        if out is not None:
-            _require_known(out)
+        if output is not None:
+            _require_known(output)
         result = analysis.sensitivity(dataset, variable)
-        if out is not None:
-            _write(result, out)
+        if output is not None:
+            _write(result, output)
     if as_json:
         click.echo(tables.as_json(result))
     else:
         print_whole(tables.as_text(result))
-        for sentence in ("", *tables.notes(result)):
-            click.echo(sentence)
-    if out is not None:
-        click.echo(f"wrote {out}", err=True)
+        click.echo()
+        print_sentences(tables.notes(result))
+    if output is not None:
+        click.echo(f"wrote {output}", err=True)
 
 
-def _require_known(out: Path) -> None:
+def _require_known(output: Path) -> None:
     from sweep.contract import SweepError
 
-    if out.suffix.lower() in TABLES:
-        if out.suffix.lower() == ".zarr" and out.exists():
-            raise SweepError("exists already; take another name", str(out))
+    if output.suffix.lower() in TABLES:
+        if output.suffix.lower() == ".zarr" and output.exists():
+            raise SweepError("exists already; take another name", str(output))
         return
     try:
         from sweep.plots import style
     except ImportError as error:
         raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
-    if out.suffix.lower() not in style.FORMATS:
-        raise SweepError(f"the name must end with {', '.join((*TABLES, *style.FORMATS))}", str(out))
+    if output.suffix.lower() not in style.FORMATS:
+        raise SweepError(f"the name must end with {', '.join((*TABLES, *style.FORMATS))}", str(output))
 
 
-def _write(result: Any, out: Path) -> None:
+def _write(result: Any, output: Path) -> None:
     from sweep.analysis import sensitivity_tables as tables
     from sweep.contract import SweepError
 
-    suffix = out.suffix.lower()
+    suffix = output.suffix.lower()
     try:
         if suffix == ".csv":
-            out.write_text(tables.as_csv(result), encoding="utf-8")
+            output.write_text(tables.as_csv(result), encoding="utf-8")
         elif suffix == ".json":
-            out.write_text(tables.as_json(result) + "\n", encoding="utf-8")
+            output.write_text(tables.as_json(result) + "\n", encoding="utf-8")
         elif suffix == ".zarr":
-            result.to_zarr(out, zarr_format=3, consolidated=False)
+            result.to_zarr(output, zarr_format=3, consolidated=False)
         else:
             from sweep.plots import style
             from sweep.plots.sensitivity import sensitivity_figure
 
             with style.settings():
-                style.save(sensitivity_figure(result), out)
+                style.save(sensitivity_figure(result), output)
     except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(out)) from error
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error

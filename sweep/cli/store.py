@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import break_lock_option, json_option, part_of, place_option, store_argument
+from sweep.cli.options import break_lock_option, json_option, json_or, part_of, place_option, store_argument
 from sweep.cli.output import print_status, print_table, status_as_json
 
 if TYPE_CHECKING:
@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 
 @main.command()
 @store_argument
-@click.option(
-    "--format", "table_format", type=click.Choice(["text", "csv", "ecsv", "json"]), default="text", show_default=True
-)
+@click.option("--format", "table_format", type=click.Choice(["text", "csv", "ecsv"]), default="text", show_default=True)
 @place_option
 @json_option
 def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: bool) -> None:
@@ -30,7 +28,7 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
     """
     from sweep.tie.stored import result_at
 
-    table_format = "json" if as_json else table_format
+    table_format = json_or(table_format, as_json)
     if (result := result_at(store)) is not None:
         from sweep.tie.text import as_format
 

@@ -97,7 +97,8 @@ def params(experiment: str, as_json: bool) -> None:
     for row in rows:
         default = "see below" if row["default"] is None else row["default"]
         unit = f" [{row['unit']}]" if row["unit"] else ""
-        click.echo(f"{row['name']}{unit}  default: {default}\n    {row['meaning']}; {row['allowed']}")
+        click.echo(f"{row['name']}{unit}  default: {default}")
+        click.echo(_indented(f"{row['meaning']}; {row['allowed']}"))
 
 
 @main.command()

@@ -148,7 +148,7 @@ def tie(
     columns), REFERENCE measurements of the same objects, or zero-motion for quasars.
 
     \b
-    sweep tie gaia.fits vlbi.ecsv --by name --unknowns orientation,spin -o tie.zarr
+    sweep tie gaia.fits vlbi.ecsv --unknowns orientation,spin -o tie.zarr
     """
     from sweep.tie import text
     from sweep.tie.link_tables import tie as solve
@@ -201,7 +201,7 @@ def forecast(
     """Forecast the errors of a link with new observations, and choose what to observe.
 
     \b
-    sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --error 0.1 --choose 5 --for spin
+    sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --choose 5 --for spin
     """
     from sweep.tie import text
     from sweep.tie.planning import forecast as plan

@@ -1,6 +1,7 @@
 """The calibration of the mission curves as a report: the paper's tables in, constants and residuals out."""
 
 import csv
+import textwrap
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
@@ -27,9 +28,14 @@ from core.calibration import (
     fit,
     published_model,
 )
+from sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.console import Group
+    from rich.table import Table
+
+LINE = 80
+"""Characters of a line of text."""
 
 FORMULA: dict[Model, str] = {
     "amex": "amplitude_bright exp(slope_bright (V-9)) + amplitude_faint exp(slope_faint (V-15))",
@@ -70,12 +76,13 @@ def as_text(report: dict[str, Any]) -> "Group":
     """Return the report as tables for reading."""
     from rich.console import Group
 
-    parts: list[Any] = [
+    about = (
         "sigma_mu(V) in mas/yr. Each number weighs by its rounding error, the paper's Monte-Carlo error of "
-        f"{100 * report['paper_mc_error']:.1f} %, that of the catalogues drawn here,\n"
+        f"{100 * report['paper_mc_error']:.1f} %, that of the catalogues drawn here, "
         f"and {100 * report['model_error']:.0f} % for the model itself. Uncertainties: from the curvature of chi2, "
-        "scaled by chi2/dof where that is above one."
-    ]
+        "scaled by chi2/dof where that is above one. Equal weights: fitted to the quasars alone."
+    )
+    parts: list[Any] = [textwrap.fill(about, LINE)]
     for model, curve in report["curves"].items():
         parts += _curve_text(model, curve)
     return Group(*parts)
@@ -171,35 +178,40 @@ def _compared(numbers: dict[str, PublishedSigma], sigma: Any) -> list[dict[str, 
 
 
 def _curve_text(model: str, curve: dict[str, Any]) -> list[Any]:
-    from rich import box
-    from rich.table import Table
-
+    """Return the tables of a curve, and what they say, in lines of 80 characters."""
     equal = curve["equal_weights"]
-    constants = Table(title=f"\n{model}: {curve['formula']}", title_justify="left", box=box.SIMPLE_HEAD)
-    for heading in ("", "fitted", "within limits", "in the code", "equal weights"):
-        constants.add_column(heading, justify="right" if heading else "left", no_wrap=True)
+    constants = _table("constant", "fitted", "within\nlimits", "in the\ncode", "equal\nweights")
     for name, row in curve["constants"].items():
         other = equal["constants"][name]
         fitted, alone = (f"{r['fitted']:.4g} ± {r['standard_error']:.2g}" for r in (row, other))
-        heading = f"{name} \\[{row['unit']}]"
+        heading = f"{name} \\[{in_ascii(row['unit'])}]"
         constants.add_row(heading, fitted, f"{curve['chosen'][name]:.4g}", f"{row['in_code']:g}", alone)
-    chi2 = [f"{c['chi2']:.1f} for {c['dof']} dof" for c in (curve, equal)]
-    constants.add_row("chi2", chi2[0], "", f"{curve['in_code_chi2']:.1f}", f"{chi2[1]} (quasars only)")
+    chi2 = [f"{c['chi2']:.1f} / {c['dof']}" for c in (curve, equal)]
+    constants.add_row("chi2 / dof", chi2[0], "", f"{curve['in_code_chi2']:.1f}", chi2[1])
 
-    numbers = Table(box=box.SIMPLE_HEAD)
-    headings = ("sigma(omega) in mas/yr", "published", "fitted", "residual", "in the code", "residual", "equal weights")
     floor = {row["what"]: row["residual"] for row in equal.get("perfect_satellite", ())}
-    for heading in (*headings, "residual", *(["perfect satellite"] if floor else [])):
-        numbers.add_column(heading, justify="left" if heading == headings[0] else "right", no_wrap=True)
+    headings = ("published\n\\[mas/yr]", "fitted", "in the\ncode", "equal\nweights")
+    numbers = _table("sigma(omega), residuals", *headings, *(["perfect\nsat."] if floor else []))
     for row, other in zip(curve["numbers"], equal["numbers"], strict=True):
-        code = row["in_code"] / row["published"] - 1.0
-        cells = [row["what"], f"{row['published']:.2g}", f"{row['fitted']:.3g}", f"{100 * row['residual']:+.1f} %"]
-        cells += [f"{row['in_code']:.3g}", f"{100 * code:+.1f} %"]
-        cells += [f"{other['fitted']:.3g}", f"{100 * other['residual']:+.1f} %"]
-        if floor:
-            cells.append(f"{100 * floor[row['what']]:+.1f} %" if row["what"] in floor else "")
-        numbers.add_row(*cells)
-    return [constants, _agreement(curve), numbers, *_checks(curve)]
+        residuals = [row["residual"], row["in_code"] / row["published"] - 1.0, other["residual"]]
+        residuals += [floor[row["what"]]] if row["what"] in floor else []
+        numbers.add_row(row["what"], f"{row['published']:.2g}", *(f"{100.0 * r:+.1f} %" for r in residuals))
+    formula = _lines(f"{model}: {curve['formula']}")
+    return [formula, constants, _lines(_agreement(curve)), numbers, _lines(*_checks(curve))]
+
+
+def _table(first: str, *headings: str) -> "Table":
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in (first, *headings):
+        table.add_column(heading, justify="left" if heading == first else "right", no_wrap=True)
+    return table
+
+
+def _lines(*sentences: str) -> str:
+    """Return sentences broken into lines, between blank ones."""
+    return "\n".join(["", *(textwrap.fill(sentence, LINE) for sentence in sentences), ""])
 
 
 def _agreement(curve: dict[str, Any]) -> str:
@@ -207,7 +219,7 @@ def _agreement(curve: dict[str, Any]) -> str:
     off = max(abs(row["in_code"] / curve["chosen"][name] - 1.0) for name, row in curve["constants"].items())
     return (
         "In the code are the constants of smallest chi2 with every number within its limit "
-        f"({100 * off:.1f} % from those found here).\nTheir squared distance from the free fit is {distance:.1f} in "
+        f"({100 * off:.1f} % from those found here). Their squared distance from the free fit is {distance:.1f} in "
         "units of its covariance, where "
         f"{count} are expected for {count} constants."
     )
@@ -225,7 +237,7 @@ def _checks(curve: dict[str, Any]) -> list[str]:
     sentence = f"Equal weights, fitted to the quasars alone: quasars {worst['quasars']}"
     if "perfect_satellite" in equal:
         sentence += (
-            f", but galaxies {worst['galaxies']} and radio stars {worst['radio-stars']}.\nEven a satellite without "
+            f", but galaxies {worst['galaxies']} and radio stars {worst['radio-stars']}. Even a satellite without "
             f"errors would leave the radio stars at {_range(equal['perfect_satellite'], 'radio-stars')}: "
             "no curve saves this hypothesis."
         )

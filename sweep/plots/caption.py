@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.analysis.answer import answer_in_short, answers, completeness
+from sweep.formatting import first_of
 from sweep.readable import with_micro_signs
 
 MOST_PANELS = 6
@@ -45,7 +46,7 @@ def description(figure: Figure, dataset: xr.Dataset) -> str:
     seen = list(dict.fromkeys(_of_panel(axes) for axes in panels))
     titles = [plain(axes.get_title()) for axes in panels if axes.get_title()]
     words = f"{len(panels)} panels, " if len(panels) > 1 else ""
-    named = f" ({'; '.join(titles[:MOST_PANELS])}{', ...' if len(titles) > MOST_PANELS else ''})" if titles else ""
+    named = f" ({first_of(titles, MOST_PANELS, '; ')})" if titles else ""
     ranges = [answer.sentences[0] for answer in answers(dataset)[:1]] if "status" in dataset else []
     signs = [plain(entry) for entry in _entries(figure)]
     legend = [f"Told apart: {', '.join(signs)}."] if len(signs) > 1 else []

@@ -19,9 +19,11 @@ def differences(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
     if error is None or name not in dataset or not np.nan_to_num(dataset[name].values).any():
         return None
     found = (dataset[variable] - dataset[name]) / error.where(error > 0.0)
-    attributes = {"units": "", "symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
+    attributes = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
     kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
-    return kept.assign({f"{variable}_{SUFFIX}": found.transpose(*dataset[variable].dims).assign_attrs(attributes)})
+    return kept.assign(
+        {f"{variable}_{SUFFIX}": found.transpose(*dataset[variable].dims).drop_attrs().assign_attrs(attributes)}
+    )
 
 
 def add_band(figure: Figure) -> None:

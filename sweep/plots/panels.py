@@ -1,5 +1,6 @@
 """Small panels: one picture for every value of one or two dimensions, or for every variable, with one legend."""
 
+import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,12 @@ from sweep.plots.style import figure_size, legend_below, most_columns, value_tex
 
 MOST_INSIDE = 4
 """A legend of more entries stands below the one panel, where it covers nothing."""
+
+MOST_ACROSS = 4
+"""More panels than these beside one another, of one dimension, go on in further rows."""
+
+ROW_LETTERS = 30
+"""A longer title of a row has several lines, since the panel is no higher."""
 
 Draw = Callable[[Axes, xr.Dataset, str], Any]
 
@@ -50,7 +57,8 @@ def draw_panels(
         columns, rows = None, columns or rows
     panels = list(_panels(dataset, variables, columns, rows, layout.far and not one_unit))
     wanted = len({panel.column for panel in panels})
-    across = most_columns(wanted)
+    across = min(most_columns(wanted), MOST_ACROSS if rows is None else wanted)
+    across = -(-wanted // -(-wanted // across))  # as many in every row
     folded = across < wanted
     places = [(i // across, i % across) for i in range(len(panels))] if folded else _without_gaps(panels)
     n_rows = 1 + max(row for row, _ in places)
@@ -86,7 +94,8 @@ def _entitle(axes: Axes, panel: Panel, folded: bool, row: int, is_last: bool) ->
     if row == 0:
         axes.set_title(panel.column_title)
     if is_last:
-        axes.annotate(panel.row_title, (1.02, 0.5), xycoords="axes fraction", rotation=270, va="center", ha="left")
+        title = textwrap.fill(panel.row_title, ROW_LETTERS, break_long_words=False)
+        axes.annotate(title, (1.02, 0.5), xycoords="axes fraction", rotation=270, va="center", ha="left", ma="center")
 
 
 def _figure_size(panels: int, across: int, rows: int) -> tuple[float, float]:

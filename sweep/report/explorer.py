@@ -8,6 +8,7 @@ import xarray as xr
 from bokeh.resources import Resources
 
 from sweep.analysis.quantity import prediction_name, quantities, standard_error
+from sweep.attributes import meaning_of
 from sweep.readable import Prefixed, prefixed, written
 from sweep.studies.study import POINT
 
@@ -76,7 +77,7 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         "name": name,
         "unit": written(unit),
         **components,
-        "meaning": str(attributes.get("long_name", "")),
+        "meaning": meaning_of(attributes),
         "dims": list(map(str, dataset[name].dims)),
         **{suffix: _numbers((part * factors).transpose(*part.dims).values) for suffix, part in parts.items()},
     }

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sweep.attributes import described
 from sweep.contract import FEWEST_SAMPLES, Array, Output
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.plan import Block, Plan, ledger_key
@@ -107,8 +108,7 @@ def _covariance(plan: Plan, deviations: Array, output: Output, dimension: str) -
     shaped = np.moveaxis(shaped, dimensions.index(dimension), -2)
     covariance = shaped @ np.swapaxes(shaped, -1, -2)
     attributes = {
-        "units": squared(output.unit),
-        "long_name": f"covariance of {output.meaning} between points along {dimension}",
+        **described(squared(output.unit), f"covariance of {output.name} between points along {dimension}"),
         "samples": count,
     }
     others = (d for d in dimensions if d != dimension)

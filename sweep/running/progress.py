@@ -146,7 +146,7 @@ class TerminalProgress:
             SENTENCES.error(
                 f"{failed_points(failures)}; "
                 f"`sweep status {store}` names them and says why, `sweep retry {store}` tries them again, "
-                f"`sweep reproduce {store} --at ...` runs one here"
+                f"`sweep reproduce {store} --at POINT` runs one here"
             )
 
     def _description(self) -> str:

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from sweep.contract import Experiment, ResultError, SweepError, shown, suggest
 from sweep.executing.worker import TaskResult, function_values, run_block
+from sweep.formatting import first_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat
 from sweep.planning.accumulator import Accumulator, failing
@@ -228,5 +229,4 @@ def _same_bits(stored: Any, again: Any) -> bool:
 
 
 def _listed(values: Any) -> str:
-    first = [str(value) for value in values][:MAX_NAMED]
-    return ", ".join(first) + (", ..." if len(values) > MAX_NAMED else "")
+    return first_of(list(values), MAX_NAMED)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from sweep.attributes import described, short_meaning
 from sweep.contract import Array, Output, Parameter
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.typed import typed_array
@@ -97,13 +98,13 @@ def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[s
     if output.headline:
         attributes["headline"] = 1
     if values.dtype.kind == "M":
-        del attributes["units"]  # xarray has its own for times
+        attributes.pop("units", None)  # xarray has its own for times
     return (*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes
 
 
 def _attributes(declared: Output | Parameter) -> dict[str, Any]:
     symbol = {"symbol": declared.symbol} if declared.symbol else {}
-    return {"units": declared.unit, "long_name": declared.meaning, **symbol}
+    return described(declared.unit, declared.meaning) | symbol
 
 
 def _coordinates(grid: Grid) -> dict[str, Any]:
@@ -111,7 +112,7 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
     experiment = study.experiment
     coordinates: dict[str, Any] = {}
     if study.points is not None:
-        coordinates[POINT] = (POINT, np.arange(grid.shape[0]), {"units": "", "long_name": "number of the point"})
+        coordinates[POINT] = (POINT, np.arange(grid.shape[0]), described("", "number of the point"))
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)
@@ -122,8 +123,8 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
             coordinates[name] = (dimension, values, _attributes(parameter))
     layout = experiment.layout if isinstance(experiment, FunctionExperiment) else None
     for coordinate in layout.coordinates if layout is not None else ():
-        unit = {} if coordinate.type == "datetime" else {"units": coordinate.unit}
-        about = {**unit, "long_name": coordinate.name.replace("_", " ")}
+        unit = "" if coordinate.type == "datetime" else coordinate.unit
+        about = described(unit, coordinate.name.replace("_", " "))
         coordinates[coordinate.name] = (coordinate.name, coordinate.array(), about)
     for dimension, labels in experiment.coordinates.items():
         if dimension in coordinates:
@@ -131,11 +132,11 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
         coordinates[dimension] = (
             dimension,
             np.array(labels, dtype=object),
-            {"units": "", "long_name": dimension.replace("_", " ")},
+            described("", dimension.replace("_", " ")),
         )
     for dimension, units in experiment.component_units.items():
-        meaning = {"units": "", "long_name": f"unit of each {dimension.replace('_', ' ')}"}
-        coordinates[f"{dimension}_unit"] = (dimension, np.array(units, dtype=object), meaning)
+        about = described("", f"unit of each {dimension.replace('_', ' ')}")
+        coordinates[f"{dimension}_unit"] = (dimension, np.array(units, dtype=object), about)
     return coordinates
 
 
@@ -162,7 +163,7 @@ def _published(grid: Grid) -> dict[str, Any]:
                 else:
                     values[place], roundings[place] = float(row[column]), printed_rounding(row[column])
             name, rounding = f"{column}_published", f"{column}_published_rounding"
-            meaning = f"{output.meaning}, published"
+            meaning = f"published {short_meaning(output.meaning) or output.name}"
             variables[name] = _variable(grid, values.reshape(-1), Output(name, output.unit, meaning))
             variables[name][2].update(_origin(study.published), outside_grid=outside)
             meaning = f"half a unit of the last printed digit of {name}"

@@ -13,7 +13,10 @@ from sweep.running.eta import in_words
 from sweep.studies.study import Study
 
 NAMED = 5
-"""So many of the slowest points are named, and reasons for which points failed."""
+"""So many warnings are named, and reasons for which points failed."""
+
+SLOWEST = 3
+"""So many of the slowest points are named."""
 
 MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
 """A point is slow that takes so many times longer than half of them, and more than so many seconds."""
@@ -41,7 +44,8 @@ def failed_points(failures: Mapping[str, str]) -> str:
 
 def _short(message: str) -> str:
     line = message.strip().partition("\n")[0]
-    return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]}..."
+    more = len(line) - LONGEST_REASON
+    return f"{line[:LONGEST_REASON]} [and {counted(more, 'character')}]" if more > 0 else line
 
 
 class RunSummary:
@@ -70,11 +74,11 @@ class RunSummary:
             self._seconds.extend([0.0] * (point.index + 1 - len(self._seconds)))
         self._seconds[point.index] += seconds
         self._slowest[point.index] = point
-        if len(self._slowest) > 20 * NAMED:
+        if len(self._slowest) > 40 * SLOWEST:
             self._slowest = {index: self._slowest[index] for index in self._slowest_indices()}
 
     def _slowest_indices(self) -> list[int]:
-        return heapq.nlargest(NAMED, self._slowest, key=self._seconds.__getitem__)
+        return heapq.nlargest(SLOWEST, self._slowest, key=self._seconds.__getitem__)
 
     def summary(self, elapsed: float) -> list[str]:
         """Return what there is to say at the end of a run that took ``elapsed`` seconds; nothing if it did nothing."""

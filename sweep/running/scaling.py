@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from sweep.attributes import described
 from sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
 from sweep.executing.choose import Resources
 from sweep.executing.execute import available_cores
@@ -149,12 +150,12 @@ def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
     }
     variables = {}
     for name, (array, unit, meaning) in values.items():
-        attributes = {"units": unit, "long_name": meaning}
+        attributes = described(unit, meaning)
         variables[name] = (("kind", "workers"), np.median(array, axis=2), attributes)
         if array.shape[2] >= FEWEST_SAMPLES:
             count = array.shape[2]
             of_mean = array.var(axis=2, ddof=1) * small_sample_factor(count) / count
             error = np.sqrt(MEDIAN_OVER_MEAN * of_mean)
-            variables[f"{name}_error"] = (("kind", "workers"), error, {**attributes, "long_name": f"error of {name}"})
+            variables[f"{name}_error"] = (("kind", "workers"), error, described(unit, f"error of {name}"))
     coordinates = {"kind": np.array(KINDS, dtype=object), "workers": workers}
     return xr.Dataset(variables, coords=coordinates)

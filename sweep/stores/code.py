@@ -54,7 +54,7 @@ def check_code(store: Store, study: Study) -> None:
             [
                 "was made by other code, whose numbers would be mixed up with those of today's; --accept-code (in "
                 "Python accept_code=True) goes on and records for each point which code made it, --fresh (fresh=True) "
-                "starts anew, -o (store=...) names another store",
+                "starts anew, -o (store=NAME) names another store",
                 *found,
             ],
             str(store.location),

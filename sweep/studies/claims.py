@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from sweep.contract import Experiment, Named, Output, Value, shown, suggest
+from sweep.formatting import first_of
 from sweep.studies.study import Claim, Derived, Ratio, Reading, Slope, printed_rounding
 
 D = TypeVar("D", bound=Derived)
@@ -160,4 +161,4 @@ def _known_axes(name: str, around: ClaimContext) -> str:
 
 
 def _listed(values: Sequence[Any], most: int = 20) -> str:
-    return ", ".join(shown(v) for v in values[:most]) + (", ..." if len(values) > most else "")
+    return first_of([shown(v) for v in values], most)

@@ -11,6 +11,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from sweep.contract import Experiment, SweepError, Value, shown, suggest
+from sweep.formatting import first_of
 from sweep.load import absolute_reference, read_experiment
 from sweep.studies.axes import axis_values, override, override_points
 from sweep.studies.claims import ClaimContext, checked_claim
@@ -323,10 +324,7 @@ class _Reader:
             return None
         repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
         if repeated:
-            more = ", ..." if len(repeated) > 10 else ""
-            self.problems.add(
-                where, f"duplicate value{'s' if len(repeated) > 1 else ''} {', '.join(repeated[:10])}{more}"
-            )
+            self.problems.add(where, f"duplicate value{'s' if len(repeated) > 1 else ''} {first_of(repeated, 10)}")
         return values
 
     def _values(

@@ -2,7 +2,8 @@
 
 import json
 
-from sweep.contract import Experiment, Parameter
+from sweep.contract import Experiment, Output, Parameter
+from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.designs import DESIGNS
 from sweep.studies.study import Sampling
 
@@ -28,6 +29,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
     axes = _first_axis(experiment)
     lines = [
         f"title = {_toml(title)}",
+        '# question = "What do you want to know?"  # the report begins with it',
         f"experiment = {_toml(reference)}",
         "",
         "[axes]  # every combination of the values is a point of the grid",
@@ -69,7 +71,30 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
             continue
         default = "" if parameter.default is None else f" {_toml(parameter.written_default())}"
         lines.append(f"# {parameter.name} ={default}")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_conclusion(experiment)]) + "\n"
+
+
+def _conclusion(experiment: Experiment) -> list[str]:
+    """Return the lines of an answer that holds for any values of the axes; none where no result is one number."""
+    numbers = [output for output in experiment.outputs if not output.dims and "," not in output.unit]
+    names = [output.name for output in sorted(numbers, key=lambda output: not _is_main(output, experiment))]
+    if not names or isinstance(experiment, FunctionExperiment):
+        return []
+    value = f"{{ variable = {_toml(names[0])} }}"
+    return [
+        "",
+        "[conclusion]  # the answer: the last lines of a run, and the first of its report",
+        f"sentences = [{_toml(f'{names[0]} goes from {{least}} to {{largest}}.')}]",
+        "",
+        "[conclusion.values]  # numbers of the results; ratios and slopes too, see docs/studies.md",
+        f'least = {{ value = {value}, choose = "least" }}',
+        f'largest = {{ value = {value}, choose = "largest" }}',
+    ]
+
+
+def _is_main(output: Output, experiment: Experiment) -> bool:
+    """Return whether an output is a headline with an error, which is what tables and figures begin with."""
+    return output.headline and f"{output.name}_mc_error" in {other.name for other in experiment.outputs}
 
 
 def _example(parameter: Parameter) -> object:

@@ -80,5 +80,5 @@ def parse_bins(text: str) -> tuple[str, list[float]]:
     except ValueError:
         numbers = []
     if not (column and numbers):
-        raise SweepError(f"bins {text!r}: they are COLUMN=EDGE,EDGE,...")
+        raise SweepError(f"bins {text!r}: they are COLUMN=EDGE,EDGE and so on")
     return column, numbers

@@ -15,6 +15,7 @@ from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
 from sweep import table_reader
 from sweep.contract import SweepError
+from sweep.formatting import first_of
 from sweep.tie import hipparcos, icrf
 from sweep.tie.column_names import (
     CORRELATIONS,
@@ -341,5 +342,4 @@ class _Reader:
             self.problems.append(f"{what} in {named_rows(rows)}")
 
     def _listed(self) -> str:
-        names = list(self.table.colnames)
-        return ", ".join(names[:20]) + (" ..." if len(names) > 20 else "")
+        return first_of(list(self.table.colnames), 20)

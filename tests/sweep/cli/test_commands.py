@@ -1,9 +1,11 @@
 """The commands, as a user types them."""
 
 import json
+import shlex
 import subprocess
 import sys
 
+import click
 import pytest
 import xarray as xr
 
@@ -13,12 +15,23 @@ from sweep.cli.group import SECTIONS
 from sweep.stores.store import open_dataset
 from tests.conftest import COINS
 
+PRINTING = [
+    *("list", "params", "params icrf2-icrf3", "calibrate", "plan quasars", "show quasars"),
+    *("show quasars --at model=gaia", "status quasars", "check quasars", "compare quasars"),
+    *("fit quasars --over v_max --at model=gaia", "reproduce quasars --at model=gaia,v_max=14"),
+    *("find quasars --where 'sigma_spin < 1 uas/yr' --over v_max", "sensitivity quasars"),
+    *("tie icrf3 icrf2 --degree 2 --clip rayleigh", "forecast icrf3 icrf2 --add 2030 --choose 3"),
+]
+"""Commands about a store of `quasars` and the tables that are built in, which print no table of axes of the user's."""
+
 
 @pytest.mark.parametrize("command", sorted(main.commands))
 def test_every_command_has_help_with_an_example(sweep, command):
     code, out, _ = sweep(command, "--help")
     assert code == 0
     assert f"sweep {command}" in out.replace("Usage: sweep", "")
+    assert max(map(len, out.splitlines())) <= 80
+    assert "..." not in out.replace("STORE...", "").replace("GALAXIES...", "")
 
 
 def test_help_imports_nothing_heavy():
@@ -46,11 +59,11 @@ def test_params_tell_unit_default_and_meaning(sweep):
     assert "mean chance of heads; a finite number >= 0.2 and <= 0.8" in out
 
 
-def test_plan_and_dry_run_write_nothing(sweep, tmp_path):
+def test_plan_writes_nothing(sweep, tmp_path):
     code, out, _ = sweep("plan", "grid", cwd=tmp_path)
     assert code == 0
     assert "200" in out
-    code, out, _ = sweep("run", "grid", "--dry-run", "--json", "--axis", "n_obj=10:30:10", cwd=tmp_path)
+    code, out, _ = sweep("plan", "grid", "--json", "--axis", "n_obj=10:30:10", cwd=tmp_path)
     assert json.loads(out)["points"] == 2 * 5 * 3 * 4
     assert not list(tmp_path.iterdir())
 
@@ -129,7 +142,7 @@ def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
     assert sorted(listed) == sorted(main.commands)
     code, out, _ = sweep("--help")
     assert code == 0
-    assert "Run:\n  run         Run a study into a store" in out
+    assert "\n  run         Run a study into a store" in out.partition("\nRun:\n")[2].partition("\nLook:\n")[0]
     assert "..." not in out.partition("Run:")[2]
     assert max(map(len, out.splitlines())) <= 80
 
@@ -140,10 +153,12 @@ def test_what_is_printed_fits_80_columns(sweep, link_study, tmp_path, monkeypatc
     assert code == 0, err
     assert out.splitlines()[-1].endswith("times better.")
     assert "next: sweep plot quasars, sweep report quasars" in err
-    for command in (("list",), ("show", "quasars"), ("show", "quasars", "--at", "model=gaia"), ("fit", "--help")):
-        code, printed, _ = sweep(*command)
-        assert code == 0
-        assert max(len(line.rstrip()) for line in printed.splitlines()) <= 80, command
+    for line in PRINTING:
+        code, printed, err = sweep(*shlex.split(line))
+        assert code in (0, 1), (line, err)
+        lines = [line.rstrip() for line in printed.splitlines()]
+        assert max(map(len, lines)) <= 80, (line, max(lines, key=len))
+        assert not [line for line in lines if line.endswith("...")], line
     assert "15,533 quasars to V = 20 tie GAIA's spin" in sweep("list")[1]
     assert json.loads(sweep("list", "--json")[1])["quasars"]["question"].endswith("?")
 
@@ -156,6 +171,24 @@ def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
     assert all(column.rank == 0 for column in fitting(columns, 10)[0])
     out = sweep("show", store_of("aberration"))[1]
     assert "left out to fit 80 columns: " in out
+
+
+def test_one_thing_has_one_name_in_all_commands():
+    """An option has one long spelling; -o is always --output; a script asks for JSON with --json alone."""
+    for name, command in main.commands.items():
+        for option in (p for p in command.params if isinstance(p, click.Option)):
+            long = [spelling for spelling in option.opts if spelling.startswith("--")]
+            assert len(long) == 1, (name, option.opts)
+            assert ("-o" in option.opts) == (long == ["--output"]), (name, option.opts)
+            assert long[0] not in ("--out", "--along", "--map", "--dry-run"), name
+            assert "json" not in getattr(option.type, "choices", ()), name
+
+
+@pytest.mark.parametrize("command", ["show", "compare"])
+def test_two_formats_are_refused(sweep, store_of, command):
+    code, out, err = sweep(command, store_of("quasars"), "--json", "--format", "csv")
+    assert (code, out) == (2, "")
+    assert "--json and --format csv are two formats; name one" in err
 
 
 def test_params_of_a_study_are_those_of_its_experiment(sweep):

@@ -53,5 +53,5 @@ def test_the_text_says_what_the_numbers_mean(report):
     console.print(as_text(report))
     text = console.export_text()
     assert "no curve saves this hypothesis" in text
-    assert "[mas / yr]" in text
+    assert "[mas/yr]" in text
     assert "10 radio stars, VLBI errors x 0.5" in text

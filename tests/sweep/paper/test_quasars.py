@@ -116,7 +116,7 @@ def test_a_newcomer_selects_by_label(dataset):
 
 def test_every_variable_and_coordinate_has_a_unit_that_astropy_parses(dataset):
     for name, variable in dataset.variables.items():
-        u.Unit(variable.attrs["units"])
+        u.Unit(variable.attrs.get("units", ""))
         assert variable.attrs["long_name"], name
     assert u.Unit(dataset["sigma_spin"].attrs["units"]) == u.mas / u.yr
     assert u.Unit(dataset["v_max"].attrs["units"]) == u.mag

@@ -404,13 +404,13 @@ def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkey
     assert np.isnan(dataset["sigma_pm"].sel(model="mine", v=17.1))
     with pytest.raises(SweepError, match="'gaia' is no mission of this study"):
         models_of(study, ["gaia"])
-    done = invoke("mine.toml", "--kind", "accuracy", "--out", "a.png")
+    done = invoke("mine.toml", "--kind", "accuracy", "-o", "a.png")
     assert (done.exit_code, "the function 'broken' returns -3 at V = 9 mag" in done.stderr) == (2, True)
-    assert invoke("mine.toml", "--kind", "accuracy", "--model", "mine", "--out", "a.png").exit_code == 0
+    assert invoke("mine.toml", "--kind", "accuracy", "--model", "mine", "-o", "a.png").exit_code == 0
     named = MISSION[MISSION.index("[define.model.broken]") : MISSION.index("[fixed]")]
     (tmp_path / "mine.toml").write_text(MISSION.replace(', "broken"', "").replace(named, ""))
     run_study(load_study("mine.toml"), "mine.zarr", Resources(pool="serial"))
-    assert invoke("mine.zarr", "--kind", "accuracy", "--out", "b.png").exit_code == 0
+    assert invoke("mine.zarr", "--kind", "accuracy", "-o", "b.png").exit_code == 0
     assert (tmp_path / "b.png").stat().st_size > 10_000
 
 
@@ -478,7 +478,7 @@ def coin_store(coins, tmp_path):
     ],
 )
 def test_any_experiment_can_be_drawn(coin_store, tmp_path, arguments):
-    done = invoke(*(coin_store if a == "STORE" else a for a in arguments), "--out", tmp_path / "coins.svg")
+    done = invoke(*(coin_store if a == "STORE" else a for a in arguments), "-o", tmp_path / "coins.svg")
     if arguments[-1].endswith("=5"):
         assert (done.exit_code, "possible are none" in done.stderr) == (2, True)
     else:
@@ -491,7 +491,7 @@ def test_plot_without_options_draws_what_suits(store_of, tmp_path, monkeypatch):
     assert invoke(store_of("error-surface")).exit_code == 0
     assert (tmp_path / "error-surface.png").stat().st_size > 10_000
     assert invoke(store_of("quasars"), "--kind", "sky", "--at", "model=gaia,v_max=16").exit_code == 0
-    assert invoke("--kind", "accuracy", "--model", "gaia-2001", "--out", "a.pdf").exit_code == 0
+    assert invoke("--kind", "accuracy", "--model", "gaia-2001", "-o", "a.pdf").exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -505,8 +505,8 @@ def test_plot_without_options_draws_what_suits(store_of, tmp_path, monkeypatch):
         (["STORE", "--over", "metal", "--over", "coins"], "no map of share here"),
         (["STORE", "--kind", "law", "--over", "metal"], "'metal' is no axis with several numbers of share"),
         (["STORE", "--at", "metal=lead"], "metal = lead is not in the grid, which has gold, tin"),
-        (["STORE", "--out", "coins.bmp"], "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
-        (["STORE", "--out", "nowhere/coins.png"], "cannot draw there: No such file or directory"),
+        (["STORE", "-o", "coins.bmp"], "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
+        (["STORE", "-o", "nowhere/coins.png"], "cannot draw there: No such file or directory"),
         (["STORE", "--kind", "sky"], "only stores of the link alone can be drawn so"),
         (["STORE", "--kind", "accuracy"], "only stores of the link alone can be drawn so"),
         (["STORE", "--model", "gaia"], "--model goes with --kind accuracy"),

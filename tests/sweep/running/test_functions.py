@@ -338,7 +338,7 @@ def test_statistics_have_the_same_bits_on_any_pool(tmp_path):
 def test_the_dimensions_of_an_output_are_axes(tmp_path, sweep):
     run(sir, tmp_path / "s.zarr", axes={"beta": [0.2, 0.3, 0.4]})
     ds = linksweep.open(tmp_path / "s.zarr")
-    crossing = linksweep.find(ds, "infected > 100", along="time")
+    crossing = linksweep.find(ds, "infected > 100", over="time")
     for k, beta in enumerate((0.2, 0.3, 0.4)):
         curve = sir(beta)["infected"]
         first = np.argmax(curve > 100.0)

@@ -183,7 +183,7 @@ def test_a_table_of_one_parameter_is_an_axis_in_any_order(tmp_path):
     ds = run(model, tmp_path / "s.zarr", points={"x": [4.0, 1.0, 2.0, 1.0, 8.0]}, fixed={"k": 0})
     law = linksweep.fit_power_law(ds, "y", over="x")
     assert law.exponent.item() == pytest.approx(1.0)
-    crossing = linksweep.find(ds, "y < 0.3", along="x")
+    crossing = linksweep.find(ds, "y < 0.3", over="x")
     assert crossing["first"].item() == pytest.approx(3.0)
 
 

@@ -103,7 +103,7 @@ def search(**options):
 
 
 def test_the_search_from_files_to_files(folder):
-    result = run(*WITH_SUPPLEMENT, "-o", "out.ecsv", "--table", "out.dat", "--map", "out.png")
+    result = run(*WITH_SUPPLEMENT, "-o", "out.ecsv", "--table", "out.dat", "--figure", "out.png")
     assert result.exit_code == 0, result.output
     table = read_matches(folder / "out.ecsv")
     assert table["PGC"].tolist() == [65866, 7223, 11404, 99999]  # in order of the star's ra at the epoch
@@ -196,7 +196,7 @@ def test_no_match_still_makes_every_output(folder):
         "a.ecsv",
         "--table",
         "a.dat",
-        "--map",
+        "--figure",
         "a.svg",
     )
     assert result.exit_code == 0, result.output
@@ -377,7 +377,7 @@ def test_a_file_that_comes_up_during_the_search_is_kept(folder):
     [
         (["-o", "wide.csv"], "wide.csv is one of the tables that are read"),
         (["-o", "m.txt"], "m.txt must end in .ecsv"),
-        (["--map", "m.gif"], "m.gif must end in .png or .svg or .pdf"),
+        (["--figure", "m.gif"], "m.gif must end in .png or .svg or .pdf"),
         (["-o", "m.ecsv", "--table", "m.ecsv"], "m.ecsv is named for two outputs"),
         (["--table", "."], ". is a directory"),
         (["--table", "wide.csv/t.dat"], "is not a directory that can be written"),

@@ -109,7 +109,7 @@ def test_a_store_that_can_only_be_read(mount, study, link_study, sweep, tmp_path
         ("status", store),
         ("check", store),
         ("plan", link_study, "-o", store),
-        ("plot", store, "--out", tmp_path / "p.png"),
+        ("plot", store, "-o", tmp_path / "p.png"),
     ):
         code, _, err = sweep(*command)
         assert code == 0, (command, err)

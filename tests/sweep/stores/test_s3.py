@@ -217,7 +217,7 @@ def test_the_commands_take_a_bucket(bucket, link_study, sweep, tmp_path):
     code, out, err = sweep("status", store)
     assert (code, "complete: True" in out) == (0, True), err
     assert sweep("check", store)[:2] == (0, "every file is as it was written\n")
-    assert sweep("plot", store, "--out", tmp_path / "p.svg")[0] == 0
+    assert sweep("plot", store, "-o", tmp_path / "p.svg")[0] == 0
     code, out, err = sweep("compare", store)
     assert "Traceback" not in err
     assert store in out + err

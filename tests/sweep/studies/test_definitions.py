@@ -248,7 +248,7 @@ where = { model = "small" }
     assert not failures
     assert dataset["sigma_spin_published"].sel(model="small", v_max=16.0) == 0.004
     assert np.isnan(dataset["sigma_spin"].sel(model="coded", v_max=15.0))
-    _, out, _ = sweep("compare", "s.zarr", "--format", "json", cwd=here)
+    _, out, _ = sweep("compare", "s.zarr", "--json", cwd=here)
     claim = next(c for c in json.loads(out)["comparisons"] if c["what"] == "brighter is worse")
     spin = dataset["sigma_spin"].sel(model="small")
     assert claim["where"] == {"model": "small"}

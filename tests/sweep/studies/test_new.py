@@ -107,7 +107,8 @@ def test_an_odd_experiment(tmp_path, sweep):
     assert code == 0, err
     lines = re.findall(r"^# (\w+ = .*)$", text.split("[fixed]")[1], flags=re.MULTILINE)
     assert len(lines) == 4
-    (tmp_path / "all.toml").write_text(text + "\n".join(lines) + "\n")
+    filled = text.replace("[conclusion]", "\n".join([*lines, "", "[conclusion]"]), 1)
+    (tmp_path / "all.toml").write_text(filled)
     code, _, err = sweep("plan", "all.toml", cwd=tmp_path)
     assert code == 0, err
     code, out, err = sweep("schema", "odd.py:experiment", cwd=tmp_path)
@@ -205,3 +206,10 @@ def test_the_schema_is_printed(sweep):
     assert json.loads(out)["properties"]["fixed"]["properties"]["metal"]["enum"] == ["gold", "tin"]
     code, out, err = sweep("schema", "no.such:thing")
     assert (code, out) == (2, "")
+
+
+def test_a_new_study_has_an_answer(tmp_path, sweep):
+    sweep("new", "mine", COINS, cwd=tmp_path)
+    code, out, err = sweep("run", "mine.toml", "--set", "n_sim=20", cwd=tmp_path)
+    assert code == 0, err
+    assert out.splitlines()[-1].startswith("share goes from 0.")

@@ -1,0 +1,45 @@
+"""Attributes of variables, as xarray and the CF conventions have them: unit, short name for labels, meaning."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+DESCRIPTION = "description"
+"""The whole meaning, where ``long_name`` is only the beginning of it."""
+
+_END = re.compile(r" \(|, |; |: ")
+
+
+def described(unit: str, meaning: str) -> dict[str, Any]:
+    """Return units, long_name and description of a variable; what would be empty is left out.
+
+    Labels of xarray's own plots are made of the first two.
+
+    Examples:
+        >>> described("mas / yr", "RMS error of the spin, over its three components")["long_name"]
+        'RMS error of the spin'
+        >>> described("", "reference catalogue (step A)")
+        {'long_name': 'reference catalogue', 'description': 'reference catalogue (step A)'}
+    """
+    short = short_meaning(meaning)
+    attributes = {"units": unit, "long_name": short, DESCRIPTION: meaning if meaning != short else ""}
+    return {name: text for name, text in attributes.items() if text}
+
+
+def short_meaning(meaning: str) -> str:
+    """Return the first phrase of a meaning, up to a comma, a semicolon, a colon or a bracket.
+
+    Examples:
+        >>> short_meaning("chi2 of the fit; NaN without one"), short_meaning("f(a, b), of all")
+        ('chi2 of the fit', 'f(a, b)')
+    """
+    for end in _END.finditer(meaning):
+        before = meaning[: end.start()]
+        if before and before.count("(") == before.count(")"):
+            return before
+    return meaning
+
+
+def meaning_of(attributes: Mapping[Any, Any]) -> str:
+    """Return the whole meaning of a variable from its attributes, '' where they say none."""
+    return str(attributes.get(DESCRIPTION, attributes.get("long_name", "")))

@@ -1,0 +1,71 @@
+"""The answer of results as a card: question, answer and figure in a notebook, sentences anywhere else."""
+
+import base64
+import io
+from dataclasses import dataclass
+from html import escape
+
+import xarray as xr
+
+from sweep.analysis.answer import answer_in_short, completeness
+from sweep.contract import SweepError
+from sweep.readable import with_micro_signs
+from sweep.tie.text import as_format
+
+WIDTH = "46rem"
+"""Of a card, at most; narrower where there is less room."""
+
+
+@dataclass(frozen=True)
+class Card:
+    """What results say: ``print`` shows the sentences, a notebook the figure too.
+
+    ``sentences`` are those of the answer, after what the results lack where they are not complete; of a link or a
+    forecast of real tables there is the ``table`` of its unknowns instead.
+    """
+
+    title: str
+    question: str
+    sentences: list[str]
+    dataset: xr.Dataset
+    table: str = ""
+
+    def __repr__(self) -> str:
+        return "\n".join(filter(None, [self.question or self.title, *self.sentences, self.table]))
+
+    def _repr_html_(self) -> str:
+        """Return the card; colours are those of the notebook, in either theme."""
+        heading = f"<p><strong>{escape(self.question or self.title)}</strong></p>"
+        sentences = "".join(f"<p>{escape(with_micro_signs(sentence))}</p>" for sentence in self.sentences)
+        table = f"<pre>{escape(self.table)}</pre>" if self.table else ""
+        return f'<div style="max-width: {WIDTH}">{heading}{sentences}{table}{_picture(self.dataset)}</div>'
+
+
+def card(dataset: xr.Dataset) -> Card:
+    """Return the card of a study's results, a link or a forecast; raises SweepError for any other dataset."""
+    if "result" in dataset.attrs:
+        return Card(str(dataset.attrs.get("title", "")), "", [], dataset, as_format(dataset, "text").rstrip("\n"))
+    if "status" not in dataset:
+        raise SweepError("the dataset is no result of a study: it has no status")
+    about = {name: str(dataset.attrs.get(name, "")) for name in ("title", "question")}
+    return Card(**about, sentences=[*completeness(dataset), *answer_in_short(dataset)], dataset=dataset)
+
+
+def _picture(dataset: xr.Dataset) -> str:
+    """Return the figure as an image that is part of the page; a sentence where there is none."""
+    try:
+        from sweep.plots.caption import description
+        from sweep.plots.figure import draw_figure
+        from sweep.plots.style import settings
+    except ImportError:
+        return "<p><small>A figure needs Matplotlib: <code>pip install 'linksweep[plot]'</code></small></p>"
+    out = io.BytesIO()
+    try:
+        with settings():
+            figure = draw_figure(dataset.assign_attrs(title=""), None, ())
+            figure.savefig(out, format="png", dpi=150)
+    except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
+        return f"<p><small>{escape(f'No figure: {error}')}</small></p>"
+    image = base64.b64encode(out.getvalue()).decode()
+    words = escape(description(figure, dataset), quote=True)
+    return f'<img src="data:image/png;base64,{image}" alt="{words}" style="max-width: 100%; background: #ffffff">'

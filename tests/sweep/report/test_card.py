@@ -1,0 +1,65 @@
+"""The card of results: what a script prints, and what a notebook shows."""
+
+import builtins
+import re
+
+import pytest
+import xarray as xr
+
+import linksweep
+from sweep.contract import SweepError
+from sweep.stores.store import open_dataset
+
+QUESTION = "How well do quasars alone tie a mission's proper motions to the extragalactic frame?"
+
+
+@pytest.fixture
+def results(store_of):
+    return open_dataset(store_of("quasars"))
+
+
+def test_a_card_is_printed_as_question_and_answer(results):
+    card = linksweep.answer(results)
+    lines = str(card).splitlines()
+    assert lines[0] == QUESTION
+    assert lines[1:] == card.sentences
+    assert "quasars" in lines[-1]
+
+
+def test_a_notebook_shows_question_answer_and_a_picture_with_its_words(results):
+    page = linksweep.answer(results)._repr_html_()
+    assert "<strong>How well do quasars alone tie a mission&#x27;s proper motions" in page
+    assert 'src="data:image/png;base64,iVBOR' in page
+    [words] = re.findall(r'alt="([^"]*)"', page)
+    assert "limiting magnitude" in words.lower() or "V" in words
+
+
+def test_whatever_a_study_says_is_text(results):
+    page = linksweep.answer(results.assign_attrs(question="<script>alert(1)</script>"))._repr_html_()
+    assert "<script>" not in page
+
+
+def test_without_a_figure_there_is_a_sentence(results, monkeypatch):
+    real = builtins.__import__
+
+    def without_matplotlib(name, *rest):
+        if name.startswith("sweep.plots"):
+            raise ImportError(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without_matplotlib)
+    page = linksweep.answer(results)._repr_html_()
+    assert "<img" not in page
+    assert "linksweep[plot]" in page
+
+
+def test_incomplete_results_say_so_first(results):
+    status = results["status"].copy()
+    status[{"v_max": 0}] = 0
+    card = linksweep.answer(results.assign(status=status))
+    assert card.sentences[0].startswith("Incomplete: ")
+
+
+def test_a_dataset_of_something_else_is_refused():
+    with pytest.raises(SweepError, match="no result of a study"):
+        linksweep.answer(xr.Dataset({"x": 1.0}))
