@@ -15,6 +15,9 @@ from sweep.studies.study import Conclusion, ConclusionValue, Reading
 CONCLUSION = "conclusion"
 """The attribute of a dataset that holds it, as JSON."""
 
+PLUS_MINUS = " ± "
+"""Between two values of a sentence: the second is the error of the first."""
+
 
 def conclusion_of(dataset: xr.Dataset) -> Conclusion | None:
     """Return the conclusion that a dataset carries, None without one; raises SweepError if it cannot be read."""
@@ -46,7 +49,9 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
 
 
 def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
-    pieces, unmet = [], []
+    pieces: list[str] = []
+    unmet: list[str] = []
+    before: tuple[Measured, str] | None = None
     for text, name, form, _ in Formatter().parse(sentence):
         pieces.append(text)
         if name is None:
@@ -55,11 +60,21 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
         measured = _measured(dataset, value)
         quantity = value.quantity()
         unit = unit_of(dataset, quantity) if isinstance(quantity, Reading) else ""
-        pieces.append(_number(measured, unit, form or ""))
+        if before is not None and text == PLUS_MINUS and not form and _is_error_of(before, measured, unit):
+            pieces[-2:] = [with_unit(before[0].value, measured.value, unit)]
+        else:
+            pieces.append(_number(measured, unit, form or ""))
+        before = None if form else (measured, unit)
         if not measured.missing and (bound := _broken_bound(value, measured)):
             unmet.append(f"{in_words(quantity)} is {in_short(measured.value, measured.error, unit)}, not {bound}")
     text = "".join(pieces)
     return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})." if unmet else text
+
+
+def _is_error_of(value: tuple[Measured, str], error: Measured, unit: str) -> bool:
+    """Return whether two numbers can be written as one with its error: both are known, and in one unit."""
+    whole = (value[0], error)
+    return value[1] == unit and not any(one.missing or one.broken for one in whole) and error.value > 0.0
 
 
 def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:

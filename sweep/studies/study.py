@@ -177,6 +177,7 @@ class Conclusion(Section, frozen=True):
     """What a study found: sentences, with ``{name}`` in place of each of the ``values``.
 
     ``{name}`` is the number rounded, with a unit; ``{name:error}`` has its error beside it; ``{name:%}`` is in percent.
+    ``{name} ± {other}`` is a number with another as its error, in one unit.
     """
 
     sentences: list[Text] = Field(min_length=1)

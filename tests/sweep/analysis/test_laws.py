@@ -516,3 +516,9 @@ def test_bad_input_is_one_message(coin_store, arguments, message):
     assert done.exit_code == 2
     assert message in done.stderr
     assert done.stdout == ""
+
+
+def test_a_ratio_has_no_unit(dataset_of):
+    found = ratio(dataset_of("quasars"), "sigma_spin", "model", of="amex", to="gaia")
+    assert set(found) == {"ratio", "ratio_error"}
+    assert all("units" not in found[name].attrs for name in found)
