@@ -165,10 +165,10 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     above, below = (part[variable].drop_vars(along, errors="ignore") for part in parts)
     bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
-    result = (above / bottom).rename("ratio").drop_attrs().assign_attrs(described("", meaning)).to_dataset()
+    result = (above / bottom).rename("ratio").drop_attrs(deep=False).assign_attrs(described("", meaning)).to_dataset()
     error = error_of_sum(dataset, variable, above_at, below_at, (1.0 / bottom, -above / bottom**2))
     if error is not None:
-        result["ratio_error"] = error.drop_attrs().assign_attrs(described("", "one-sigma error of ratio"))
+        result["ratio_error"] = error.drop_attrs(deep=False).assign_attrs(described("", "one-sigma error of ratio"))
     return result
 
 

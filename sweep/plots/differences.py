@@ -18,11 +18,15 @@ def differences(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
     error, name = standard_error(dataset, variable), prediction_name(dataset, variable)
     if error is None or name not in dataset or not np.nan_to_num(dataset[name].values).any():
         return None
-    found = (dataset[variable] - dataset[name]) / error.where(error > 0.0)
+    found = ((dataset[variable] - dataset[name]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
     attributes = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
     kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
     return kept.assign(
-        {f"{variable}_{SUFFIX}": found.transpose(*dataset[variable].dims).drop_attrs().assign_attrs(attributes)}
+        {
+            f"{variable}_{SUFFIX}": found.transpose(*dataset[variable].dims)
+            .drop_attrs(deep=False)
+            .assign_attrs(attributes)
+        }
     )
 
 

@@ -18,7 +18,7 @@ from sweep.plots.panels import draw_panels
 from sweep.plots.point import draw_point
 from sweep.plots.points import pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
-from sweep.plots.style import figure_size, legend_below, wanted_width, wrapped
+from sweep.plots.style import figure_size, is_narrow, legend_below, wanted_width, wrapped
 from sweep.studies.study import POINT
 
 SCATTER_INCHES = 6.0
@@ -50,13 +50,13 @@ def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
     layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
     if layout.rows or (layout.columns and not layout.far):
         raise SweepError("a law is drawn for one further dimension at most; fix others with --at AXIS=VALUE")
-    figure = Figure(figsize=figure_size(6.4, 5.2), layout="constrained")
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    figure = Figure(figsize=figure_size(6.4, 8.0 if is_narrow() else 5.2), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2 if is_narrow() else 3, 1))
     dataset = in_readable_units(dataset)
     draw_law(upper, dataset, variables[0], axis)
     upper.set_xlabel("")
     draw_law_residuals(lower, dataset, variables[0], axis)
-    if layout.columns or layout.series:
+    if layout.columns or layout.series or is_narrow():
         legend_below(figure)
     return figure
 

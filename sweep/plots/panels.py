@@ -1,6 +1,5 @@
 """Small panels: one picture for every value of one or two dimensions, or for every variable, with one legend."""
 
-import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +12,16 @@ from matplotlib.figure import Figure
 from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError
 from sweep.plots.layout import Layout, is_far
-from sweep.plots.style import figure_size, legend_below, most_columns, value_text, wanted_width
+from sweep.plots.style import (
+    figure_size,
+    in_lines,
+    is_narrow,
+    least_height,
+    legend_below,
+    most_columns,
+    value_text,
+    wanted_width,
+)
 
 MOST_INSIDE = 4
 """A legend of more entries stands below the one panel, where it covers nothing."""
@@ -21,8 +29,8 @@ MOST_INSIDE = 4
 MOST_ACROSS = 4
 """More panels than these beside one another, of one dimension, go on in further rows."""
 
-ROW_LETTERS = 30
-"""A longer title of a row has several lines, since the panel is no higher."""
+BESIDE_INCHES = (0.4, 0.4)
+"""What labels and ticks take of the width and of the height of a panel; its titles have the rest."""
 
 Draw = Callable[[Axes, xr.Dataset, str], Any]
 
@@ -63,6 +71,7 @@ def draw_panels(
     places = [(i // across, i % across) for i in range(len(panels))] if folded else _without_gaps(panels)
     n_rows = 1 + max(row for row, _ in places)
     figure = Figure(figsize=_figure_size(len(panels), across, n_rows), layout="constrained")
+    room = [each - taken for each, taken in zip(_panel_size(across), BESIDE_INCHES, strict=True)]
     grid = figure.add_gridspec(n_rows, across)
     first: dict[tuple[Any, ...], Axes] = {}
     lowest = {column: max(row for row, other in places if other == column) for _, column in places}
@@ -77,33 +86,41 @@ def draw_panels(
         if left is not None and left[1].shares == panel.shares:
             axes.set_ylabel("")
             axes.tick_params(axis="y", which="both", labelleft=False)
+        axes.set_xlabel(in_lines(axes.get_xlabel(), room[0]) if row == lowest[column] else "")
         if row < lowest[column]:
-            axes.set_xlabel("")
             axes.tick_params(axis="x", which="both", labelbottom=False)
-        _entitle(axes, panel, folded, row, column == across - 1 or (row, column + 1) not in places)
-    if len(panels) > 1 or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE:
+        _entitle(axes, panel, room, folded, row, column == across - 1 or (row, column + 1) not in places)
+    if len(panels) > 1 or is_narrow() or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE:
         legend_below(figure)
     return figure
 
 
-def _entitle(axes: Axes, panel: Panel, folded: bool, row: int, is_last: bool) -> None:
+def _entitle(axes: Axes, panel: Panel, room: list[float], folded: bool, row: int, is_last: bool) -> None:
     """Write what a panel is of: of a column at its top, of a row at its right; all above it where panels are folded."""
     if folded or not (panel.row_title and panel.column_title):
-        axes.set_title((",\n" if folded else ", ").join(filter(None, (panel.row_title, panel.column_title))))
+        title = (",\n" if folded else ", ").join(filter(None, (panel.row_title, panel.column_title)))
+        axes.set_title(in_lines(title, room[0]))
         return
     if row == 0:
-        axes.set_title(panel.column_title)
+        axes.set_title(in_lines(panel.column_title, room[0]))
     if is_last:
-        title = textwrap.fill(panel.row_title, ROW_LETTERS, break_long_words=False)
+        title = in_lines(panel.row_title, room[1])
         axes.annotate(title, (1.02, 0.5), xycoords="axes fraction", rotation=270, va="center", ha="left", ma="center")
 
 
-def _figure_size(panels: int, across: int, rows: int) -> tuple[float, float]:
+def _panel_size(across: int) -> tuple[float, float]:
+    """Return width and height in inches of a panel with its labels."""
     if wanted_width() is None:
-        return (6.4, 4.4) if panels == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * rows)
-    width, _ = figure_size(1.0, 1.0)
-    each = width / across
-    return width, max(0.75 * each, 1.7) * rows + (0.0 if panels == 1 else 0.12 * width + 0.3)
+        return 3.1, 2.4
+    each = figure_size(1.0, 1.0)[0] / across
+    return each, max(0.75 * each, least_height())
+
+
+def _figure_size(panels: int, across: int, rows: int) -> tuple[float, float]:
+    width, height = _panel_size(across)
+    if wanted_width() is None:
+        return (6.4, 4.4) if panels == 1 else (1.2 + width * across, 1.2 + height * rows)
+    return width * across, height * rows + (0.0 if panels == 1 else 0.3)
 
 
 def _without_gaps(panels: list[Panel]) -> list[tuple[int, int]]:

@@ -1,7 +1,6 @@
 """How pictures look: colours that everyone can tell apart, labels with symbol and unit, files that do not change."""
 
 import re
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -74,6 +73,12 @@ LETTER_WIDTH = 0.58
 PANEL_PT = 14.0
 """A panel is at least so many times the size of its letters wide, of labels and ticks too."""
 
+INSIDE_PT = 25.0
+"""A figure is at least so many times the size of its letters wide if a legend stands in its panel."""
+
+LEGEND_LINE = 1.6
+"""Height of a line of a legend over the size of its letters."""
+
 _width: ContextVar[float | None] = ContextVar("width", default=None)
 
 FEW_TICKS = 8.0
@@ -136,10 +141,36 @@ def most_columns(columns: int) -> int:
     return max(1, min(columns, int(wanted * 72.0 / (PANEL_PT * float(mpl.rcParams["font.size"])))))
 
 
+def least_height() -> float:
+    """Return how high a panel is at least, in inches, where a width is asked for."""
+    return max(1.7, PANEL_PT * float(mpl.rcParams["font.size"]) / 72.0)
+
+
+def is_narrow() -> bool:
+    """Return whether figures are too narrow for a legend in a panel."""
+    wanted = _width.get()
+    return wanted is not None and wanted * 72.0 < INSIDE_PT * float(mpl.rcParams["font.size"])
+
+
 def wrapped(text: str, figure: Figure) -> str:
     """Return a title in lines that fit a figure."""
-    letters = int(figure.get_figwidth() * 72.0 / (LETTER_WIDTH * float(mpl.rcParams["font.size"])))
-    return "\n".join(line for part in text.split("\n") for line in textwrap.wrap(part, max(letters, 20)) or [""])
+    return in_lines(text, figure.get_figwidth(), 20)
+
+
+def in_lines(text: str, inches: float, least: int = 12) -> str:
+    """Return a text in lines that are as long as a width allows, but at least so many letters."""
+    letters = max(int(inches * 72.0 / (LETTER_WIDTH * float(mpl.rcParams["font.size"]))), least)
+    lines = []
+    for part in text.split("\n"):
+        line, *words = part.split(" ")
+        for word in words:
+            if _shown_letters(f"{line} {word}") > letters:
+                lines.append(line)
+                line = word
+            else:
+                line = f"{line} {word}"
+        lines.append(line)
+    return "\n".join(lines)
 
 
 def require_format(path: Path) -> None:
@@ -296,6 +327,9 @@ def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published"
         columns = max(1, min(len(order), int(figure.get_figwidth() / width)))
         handles = [entries[text] for text in order]
         figure.legend(handles, order, loc="outside lower center", ncols=columns, frameon=False)
+        if _width.get() is not None:  # the panels keep their height
+            lines = -(-len(order) // columns)
+            figure.set_figheight(figure.get_figheight() + lines * LEGEND_LINE * float(mpl.rcParams["font.size"]) / 72.0)
 
 
 def _shown_letters(text: str) -> int:

@@ -522,3 +522,4 @@ def test_a_ratio_has_no_unit(dataset_of):
     found = ratio(dataset_of("quasars"), "sigma_spin", "model", of="amex", to="gaia")
     assert set(found) == {"ratio", "ratio_error"}
     assert all("units" not in found[name].attrs for name in found)
+    assert found["v_max"].attrs["units"] == "mag"

@@ -12,6 +12,7 @@ def test_differences_are_in_errors_and_have_no_unit(dataset_of):
     for given in (dataset, in_readable_units(dataset)):
         found = differences(given, "sigma_spin")["sigma_spin_from_prediction"]
         assert "units" not in found.attrs
+        assert found["v_max"].attrs["units"] == "mag"
         expected = (given["sigma_spin"] - given["sigma_spin_rms_predicted"]) / standard_error(given, "sigma_spin")
         np.testing.assert_allclose(found.values, expected.transpose(*found.dims).values, rtol=1e-12)
 
