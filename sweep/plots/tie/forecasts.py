@@ -9,10 +9,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, unit_text
+from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, in_lines, unit_text, wanted_width
 from sweep.plots.tie.names import readable, unknown_symbol
 
 RANKED = 20
+STACKED_INCHES = 6.0
+"""In a narrower figure the errors after each chosen source stand below the ranking, not beside it."""
+
 LINES: tuple[Literal["dashed", "dotted", "dashdot"], ...] = ("dashed", "dotted", "dashdot")
 
 
@@ -40,14 +43,16 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
             )
             for _, errors, line in stages:
                 axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
-        axes.set_xlabel("epoch of the new position of each source [yr]")
+        each = figure.get_figwidth() / len(panels) - 0.4
+        axes.set_xlabel(in_lines("epoch of the new position of each source [yr]", each))
         axes.set_ylabel(f"formal error [{unit_text(unit)}]")
         axes.ticklabel_format(axis="x", useOffset=False)
         if len(epochs) <= 8:
             axes.set_xticks(epochs[order], [f"{epoch:g}" for epoch in epochs[order]])
         axes.set_ylim(bottom=0.0)
         finish(axes)
-        axes.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+        columns = 4 if each > 2.0 else 2
+        axes.legend(frameon=False, ncols=columns, columnspacing=1.0, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     lines = [Line2D([], [], color="0.3", linestyle=line, linewidth=0.9) for _, _, line in stages]
     names = [str(stage) for stage, _, _ in stages]
     figure.legend(lines, names, loc="outside lower center", ncols=len(lines), frameon=False)
@@ -65,8 +70,12 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
         raise SweepError("no ranking here: no new observation, so no source helps; give --add with epochs")
     order = np.argsort(-np.nan_to_num(gain, nan=-1.0))[:RANKED][::-1]
     chosen = [str(name) for name in dataset["step_source"].values[1:]] if "step_source" in dataset else []
-    figure = Figure(figsize=figure_size(9.6 if chosen else 5.6, 1.6 + 0.2 * len(order)), layout="constrained")
-    grid = figure.subplots(1, 2 if chosen else 1, squeeze=False)[0]
+    height = 1.6 + 0.2 * len(order)
+    stacked = bool(chosen) and (wanted_width() or STACKED_INCHES) < STACKED_INCHES
+    width, _ = figure_size(9.6 if chosen else 5.6, height)
+    figure = Figure(figsize=(width, height + (2.6 if stacked else 0.0)), layout="constrained")
+    shape = {"nrows": 2, "height_ratios": (height, 2.6)} if stacked else {"ncols": 2 if chosen else 1}
+    grid = figure.subplots(**shape, squeeze=False).ravel()
     names = [str(name) for name in dataset["source"].values[order]]
     colours = [COLOURS[1] if name in chosen else COLOURS[0] for name in names]
     grid[0].barh(range(len(order)), 100.0 * gain[order], 0.75, color=colours)
@@ -75,7 +84,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     grid[0].tick_params(axis="y", length=0.0)
     grid[0].set_xlabel(f"error of {dataset.attrs['goal']} less by [%]\nif this source alone is observed")
     if chosen:
-        grid[0].set_title("red: chosen")
+        grid[0].set_title("orange: chosen")
         _draw_steps(grid[1], dataset, chosen)
     for axes in grid:
         finish(axes)

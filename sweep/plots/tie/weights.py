@@ -69,7 +69,8 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
     share = _shares(dataset)
     order = np.argsort(-share.max(axis=1))[:RANKED]
     order = order[share.max(axis=1)[order] > 0.0][::-1]
-    figure = Figure(figsize=figure_size(8.0, 1.4 + 0.22 * len(order)), layout="constrained")
+    height = 1.4 + 0.22 * len(order)  # of any width, since each name needs its line
+    figure = Figure(figsize=(figure_size(8.0, height)[0], height), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     places = np.arange(len(order))
     height = 0.8 / share.shape[1]
