@@ -18,11 +18,8 @@ from sweep.plots.panels import draw_panels
 from sweep.plots.point import draw_point
 from sweep.plots.points import pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
-from sweep.plots.style import figure_size, is_narrow, legend_below, wanted_width, wrapped
+from sweep.plots.style import figure_size, is_narrow, is_stacked, legend_below, wrapped
 from sweep.studies.study import POINT
-
-SCATTER_INCHES = 6.0
-"""In a narrower figure the numbers of a scatter stand below it, not beside it."""
 
 
 class GridFigure(NamedTuple):
@@ -104,7 +101,7 @@ def _scatter(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> 
     if over and len(set(over)) != 2:
         raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
     one, other = over or _two_components(dataset, dimension)
-    narrow = (wanted_width() or SCATTER_INCHES) < SCATTER_INCHES
+    narrow = is_stacked()
     figure = Figure(figsize=figure_size(*((4.4, 6.4) if narrow else (7.4, 4.4))), layout="constrained")
     draw_scatter(figure.add_subplot(), dataset, variable, (one, other), below=narrow)
     return figure

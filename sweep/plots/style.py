@@ -76,6 +76,9 @@ PANEL_PT = 14.0
 INSIDE_PT = 25.0
 """A figure is at least so many times the size of its letters wide if a legend stands in its panel."""
 
+STACKED_INCHES = 6.0
+"""A narrower figure has one part below the other."""
+
 LEGEND_LINE = 1.6
 """Height of a line of a legend over the size of its letters."""
 
@@ -150,6 +153,11 @@ def is_narrow() -> bool:
     """Return whether figures are too narrow for a legend in a panel."""
     wanted = _width.get()
     return wanted is not None and wanted * 72.0 < INSIDE_PT * float(mpl.rcParams["font.size"])
+
+
+def is_stacked() -> bool:
+    """Return whether figures are too narrow for parts beside one another, so that these stand below one another."""
+    return (wanted_width() or STACKED_INCHES) < STACKED_INCHES
 
 
 def wrapped(text: str, figure: Figure) -> str:

@@ -9,13 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, in_lines, unit_text, wanted_width
+from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, in_lines, is_stacked, unit_text
 from sweep.plots.tie.names import readable, unknown_symbol
 
 RANKED = 20
-STACKED_INCHES = 6.0
-"""In a narrower figure the errors after each chosen source stand below the ranking, not beside it."""
-
 LINES: tuple[Literal["dashed", "dotted", "dashdot"], ...] = ("dashed", "dotted", "dashdot")
 
 
@@ -71,7 +68,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     order = np.argsort(-np.nan_to_num(gain, nan=-1.0))[:RANKED][::-1]
     chosen = [str(name) for name in dataset["step_source"].values[1:]] if "step_source" in dataset else []
     height = 1.6 + 0.2 * len(order)
-    stacked = bool(chosen) and (wanted_width() or STACKED_INCHES) < STACKED_INCHES
+    stacked = bool(chosen) and is_stacked()
     width, _ = figure_size(9.6 if chosen else 5.6, height)
     figure = Figure(figsize=(width, height + (2.6 if stacked else 0.0)), layout="constrained")
     shape = {"nrows": 2, "height_ratios": (height, 2.6)} if stacked else {"ncols": 2 if chosen else 1}

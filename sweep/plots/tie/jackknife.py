@@ -9,7 +9,7 @@ from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, figure_size, finish, unit_text
+from sweep.plots.style import COLOURS, figure_size, finish, is_stacked, unit_text
 from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbol, vectors
 
 CONFIDENCE = 0.683
@@ -33,8 +33,12 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         raise SweepError("no jackknife scatter: the unknowns depend on single sources")
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
     far = np.argsort(-dataset["cook_distance"].values[kept])[:NAMED]
-    figure = Figure(figsize=figure_size(10.0, 3.4 * len(blocks) + 0.5), layout="constrained")
-    grid = figure.subplots(len(blocks), 3, squeeze=False)
+    width, height = figure_size(10.0, 3.4 * len(blocks) + 0.5)
+    stacked = is_stacked()
+    figure = Figure(figsize=(width, 3.0 * width / len(blocks) + 1.0 if stacked else height), layout="constrained")
+    shape = (3, len(blocks)) if stacked else (len(blocks), 3)
+    grid = figure.subplots(*shape, squeeze=False)
+    grid = grid.T if stacked else grid
     kinds = [str(kind) for kind in dataset["error_kind"].values]
     for row, places in enumerate(blocks.values()):
         factor, unit = readable(stretched[:, places], str(dataset["unit"].values[places[0]]))
@@ -62,7 +66,9 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
             axes.autoscale_view()
             finish(axes)
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), frameon=False)
+    figure.legend(
+        handles, labels, loc="outside lower center", ncols=1 if stacked else min(4, len(labels)), frameon=False
+    )
     for row, places in enumerate(blocks.values()):
         factor, _ = readable(stretched[:, places], "mas")
         for axes, (i, j) in zip(grid[row], combinations(places, 2), strict=True):

@@ -11,7 +11,7 @@ from core.arrays import Array
 from core.constants import DEGREE
 from sweep.contract import SweepError
 from sweep.plots.sky import add_sky, on_map
-from sweep.plots.style import COLOURS, figure_size, unit_text
+from sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked, unit_text
 from sweep.plots.tie.names import readable
 
 MOST_ARROWS = 150
@@ -42,8 +42,11 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     pairs = [(name, pair) for name, pair in (("positions", (0, 1)), ("motions", (3, 4))) if _has(dataset, pair)]
     if not pairs:
         raise SweepError("no residuals on the sky: no row has a position or a motion")
-    figure = Figure(figsize=figure_size(11.0, 3.3 * len(pairs) + 0.3), layout="constrained")
-    places = figure.add_gridspec(len(pairs), 2)
+    width, height = figure_size(11.0, 3.3 * len(pairs) + 0.3)
+    stacked = is_stacked()
+    figure = Figure(figsize=(width, 1.3 * width * len(pairs) if stacked else height), layout="constrained")
+    shape = (2 * len(pairs), 1) if stacked else (len(pairs), 2)
+    places = list(figure.add_gridspec(*shape))
     for row, (what, pair) in enumerate(pairs):
         unit = str(dataset["observable_unit"].values[pair[0]])
         both = [_arrows(dataset, name, pair) for name in ("difference", "residual")]
@@ -53,13 +56,13 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
         for column, (arrows, scale, when) in enumerate(
             zip(both, scales, ("before the fit", "after the fit"), strict=True)
         ):
-            axes = add_sky(figure, places[row, column])
+            axes = add_sky(figure, places[2 * row + column])
             words = _draw(axes, arrows, scale, unit)
             averages = f", means of {len(arrows.ra)} cells" if _n_rows(dataset, pair) > MOST_ARROWS else ""
-            axes.set_title(f"{what} {when}{averages}{words}", pad=10.0)
-            if row < len(pairs) - 1:
+            axes.set_title(in_lines(f"{what} {when}{averages}{words}", width if stacked else 0.5 * width), pad=10.0)
+            if row < len(pairs) - 1 or (stacked and not column):
                 axes.set_xlabel("")
-            if column:
+            if column and not stacked:
                 axes.set_ylabel("")
     return figure
 

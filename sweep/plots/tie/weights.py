@@ -8,7 +8,7 @@ from scipy.special import chdtrc
 
 from core.arrays import Array
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, figure_size, finish, legend
+from sweep.plots.style import COLOURS, figure_size, finish, is_stacked, legend
 from sweep.plots.tie.names import kept_sources, name_points
 
 NAMED = 8
@@ -26,8 +26,11 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     names = dataset["source"].values
     smallest = np.nanmin(np.where(ratio > 0.0, ratio, np.nan)) if np.any(ratio > 0.0) else 1e-3
     ratio = np.maximum(ratio, max(smallest, 1e-4))
-    figure = Figure(figsize=figure_size(max(6.4, 0.8 + 3.8 * share.shape[1]), 4.2), layout="constrained")
-    grid = figure.subplots(1, share.shape[1], sharey=True, squeeze=False)[0]
+    blocks = share.shape[1]
+    shape = (blocks, 1) if is_stacked() else (1, blocks)
+    width, height = figure_size(max(6.4, 0.8 + 3.8 * blocks), 4.2)
+    figure = Figure(figsize=(width, 2.6 * blocks if is_stacked() else height), layout="constrained")
+    grid = figure.subplots(*shape, sharey=True, squeeze=False).ravel()
     for axes, name, own in zip(grid, dataset["block_name"].values, share.T, strict=True):
         left = 0.5 * own[kept & (own > 0.0)].min()
         gone = used & ~kept

@@ -1,0 +1,57 @@
+"""Figures of 88 mm, the width of a column: nothing is cut, covered or squeezed."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from sweep.plots import style
+from sweep.plots.figure import draw_figure
+from sweep.plots.layout import Layout
+from sweep.plots.lines import draw_lines
+from sweep.plots.panels import draw_panels
+
+WIDTH = 88.0
+
+
+@pytest.fixture(params=["paper", "talk"])
+def _narrow(request):
+    with style.settings(WIDTH, request.param):
+        yield
+
+
+def drawn(figure):
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas.get_renderer()
+
+
+def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(_narrow, dataset_of):
+    dataset = dataset_of("quasars").sel(v_max=[14.0, 20.0])
+    long = dataset["v_max"].assign_attrs(symbol="a parameter with a long name")
+    dataset = dataset.assign_coords(v_max=long).assign_coords(model=["one of two long names", "the other of them"])
+    figure = draw_panels(
+        dataset,
+        ["sigma_spin"],
+        Layout((), "model", None, False),
+        lambda axes, part, name: draw_lines(axes, part, name, "v_max"),
+    )
+    renderer = drawn(figure)
+    for texts in ([axes.title for axes in figure.axes], [axes.xaxis.label for axes in figure.axes]):
+        boxes = [text.get_window_extent(renderer) for text in texts if text.get_text()]
+        assert boxes
+        assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+        assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.width for box in boxes)
+
+
+def test_a_legend_takes_no_height_from_its_panel(_narrow, dataset_of):
+    dataset = dataset_of("quasars").sel(model="gaia")
+    many = dataset.expand_dims(draw=np.arange(6.0), axis=-1)
+    figure = draw_figure(many.transpose(*dataset["status"].dims, ...), "sigma_spin", (), ())
+    drawn(figure)  # a warning of a collapsed layout would be an error
+    (panel,) = figure.axes
+    assert figure.legends
+    assert panel.get_legend() is None
+    height = panel.get_window_extent().height / figure.dpi
+    assert height > 0.5 * style.least_height()
