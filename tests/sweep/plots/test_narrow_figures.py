@@ -7,7 +7,6 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from sweep.plots import style
-from sweep.plots.figure import draw_figure
 from sweep.plots.layout import Layout
 from sweep.plots.lines import draw_lines
 from sweep.plots.panels import draw_panels
@@ -16,7 +15,7 @@ WIDTH = 88.0
 
 
 @pytest.fixture(params=["paper", "talk"])
-def _narrow(request):
+def narrow(request):
     with style.settings(WIDTH, request.param):
         yield
 
@@ -27,7 +26,8 @@ def drawn(figure):
     return canvas.get_renderer()
 
 
-def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(_narrow, dataset_of):
+@pytest.mark.usefixtures("narrow")
+def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(dataset_of):
     dataset = dataset_of("quasars").sel(v_max=[14.0, 20.0])
     long = dataset["v_max"].assign_attrs(symbol="a parameter with a long name")
     dataset = dataset.assign_coords(v_max=long).assign_coords(model=["one of two long names", "the other of them"])
@@ -45,10 +45,16 @@ def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(_narro
         assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.width for box in boxes)
 
 
-def test_a_legend_takes_no_height_from_its_panel(_narrow, dataset_of):
+@pytest.mark.usefixtures("narrow")
+def test_a_legend_takes_no_height_from_its_panel(dataset_of):
     dataset = dataset_of("quasars").sel(model="gaia")
-    many = dataset.expand_dims(draw=np.arange(6.0), axis=-1)
-    figure = draw_figure(many.transpose(*dataset["status"].dims, ...), "sigma_spin", (), ())
+    many = dataset.expand_dims(draw=np.arange(6.0))
+    figure = draw_panels(
+        many,
+        ["sigma_spin"],
+        Layout(("draw",), None, None, False),
+        lambda axes, part, name: draw_lines(axes, part, name, "v_max"),
+    )
     drawn(figure)  # a warning of a collapsed layout would be an error
     (panel,) = figure.axes
     assert figure.legends
