@@ -306,6 +306,15 @@ def test_no_column_is_cut_and_nothing_is_wider_than_the_page(show, store_of, wid
     assert page[0] <= page[1]
 
 
+def test_a_page_that_becomes_narrow_is_no_wider_than_its_window(show, store_of):
+    driver = show([store_of("quasars")], width=1024)
+    size = {"width": 390, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    time.sleep(1.0)  # the view is drawn anew
+    page = driver.execute_script("return [document.documentElement.scrollWidth, document.documentElement.clientWidth]")
+    assert page[0] <= page[1] <= 390
+
+
 def test_headings_of_a_table_differ(show, store_of):
     driver = show([store_of("quasars")])
     for table in driver.find_elements("tag name", "table"):
