@@ -31,6 +31,7 @@ def refit(request):
     return fit(request.param, numbers, all_skies(request.param))
 
 
+@pytest.mark.slow
 def test_the_constants_in_the_code_are_the_refits_within_its_uncertainty(refit):
     in_code = IN_CODE[refit.model]
     assert MISSIONS[refit.model].curve_pm_mas_yr == in_code

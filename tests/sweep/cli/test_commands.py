@@ -76,6 +76,7 @@ def test_plan_knows_what_is_done(sweep, link_study, tmp_path):
     assert (report["points"], report["points_done"]) == (6, 4)
 
 
+@pytest.mark.slow
 def test_overrides_on_the_command_line_are_those_in_the_file(sweep, link_study, tmp_path):
     sweep("run", link_study, "-o", tmp_path / "a.zarr", "--set", "n_sim=100", "--axis", "v_max=14:15:0.5")
     text = (
@@ -121,6 +122,7 @@ def test_the_four_axis_grid_runs(sweep, tmp_path):
     assert abs(off).max() < 4.5  # 200 points
 
 
+@pytest.mark.slow
 def test_no_number_is_cut_on_a_narrow_terminal(sweep, link_study, tmp_path):
     sweep("run", link_study, "-o", tmp_path / "s.zarr", "--set", "n_sim=20")
     command = f"stty cols 40; {sys.executable} -m sweep show {tmp_path}/s.zarr"
@@ -163,6 +165,7 @@ def test_what_is_printed_fits_80_columns(sweep, link_study, tmp_path, monkeypatc
     assert json.loads(sweep("list", "--json")[1])["quasars"]["question"].endswith("?")
 
 
+@pytest.mark.slow
 def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
     columns = headline_columns(open_dataset(store_of("aberration")))
     kept, left_out = fitting(columns, 80)
@@ -191,5 +194,6 @@ def test_two_formats_are_refused(sweep, store_of, command):
     assert "--json and --format csv are two formats; name one" in err
 
 
+@pytest.mark.slow
 def test_params_of_a_study_are_those_of_its_experiment(sweep):
     assert sweep("params", "icrf2-icrf3") == sweep("params", "sweep.tie.experiment:tie")

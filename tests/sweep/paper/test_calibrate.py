@@ -40,6 +40,7 @@ def test_equal_weights_fit_the_quasars_and_miss_the_radio_stars(report):
     assert "perfect_satellite" not in report["curves"]["gaia"]["equal_weights"]
 
 
+@pytest.mark.slow
 def test_the_independent_check_is_told(report):
     check = report["curves"]["amex"]["independent_check"]
     assert check["published"] == 0.25
