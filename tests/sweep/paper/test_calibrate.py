@@ -47,6 +47,7 @@ def test_the_independent_check_is_told(report):
     assert check["in_code"] == pytest.approx(0.1804, abs=0.0001)  # 0.139 + 14.2 exp(-5.838)
 
 
+@pytest.mark.slow
 def test_the_text_says_what_the_numbers_mean(report):
     from rich.console import Console
 

@@ -50,7 +50,6 @@ def dataset(main_job):
     return xr.open_zarr(main_job[0] / "results" / "quasars.zarr").load()
 
 
-@pytest.mark.slow
 def test_every_amex_cell_of_table_1(dataset):
     ours = dataset["sigma_spin"].sel(model="amex").values
     published = ~np.isnan(PAPER[:, 2])
