@@ -195,6 +195,7 @@ def test_the_functions_of_the_documents_run(document, file, tmp_path, sweep):
         assert (ds.wait_q95 > ds.wait_mean).all()
 
 
+@pytest.mark.slow
 def test_the_table_of_points_of_the_document_runs(tmp_path, sweep):
     model, script = code("points.md", "python")
     (tmp_path / "flow.py").write_text(model)

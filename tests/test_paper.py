@@ -84,6 +84,7 @@ def test_ten_radio_stars_are_worse_than_one_over_root_n(results):
     assert 1.1 < excess < 1.35  # the paper: 0.076 sqrt(10) / (0.020 sqrt(100)) = 1.20
 
 
+@pytest.mark.slow
 def test_galaxies_give_0_16(results):
     assert abs(results("galaxies")["sigma_spin"].item() - 0.16) < 0.02
 

@@ -30,11 +30,12 @@ def print_whole(renderable: Any) -> None:
     """
     from rich.console import Console
     from rich.measure import Measurement
+    from rich.table import Table
 
-    if (title := getattr(renderable, "title", None)) is not None:
-        renderable.title = None
-        if str(title):
-            click.secho(click.wrap_text(str(title), WIDTH), italic=True)
+    if isinstance(renderable, Table) and renderable.title is not None:
+        title, renderable.title = str(renderable.title), None
+        if title:
+            click.secho(click.wrap_text(title, WIDTH), italic=True)
     terminal = Console(highlight=False)
     endless = terminal.options.update(width=10_000)
     needed = Measurement.get(terminal, endless, renderable).maximum

@@ -31,6 +31,7 @@ def refit(request):
     return fit(request.param, numbers, all_skies(request.param))
 
 
+@pytest.mark.slow
 def test_the_constants_in_the_code_are_the_refits_within_its_uncertainty(refit):
     in_code = IN_CODE[refit.model]
     assert MISSIONS[refit.model].curve_pm_mas_yr == in_code
@@ -38,6 +39,7 @@ def test_the_constants_in_the_code_are_the_refits_within_its_uncertainty(refit):
     assert np.all(np.abs(constants_of(in_code) - refit.constants) < 1.5 * refit.standard_error)
 
 
+@pytest.mark.slow
 def test_the_refit_gives_the_papers_numbers(refit):
     numbers = list(published_numbers(refit.model).values())
     assert len(numbers) == {"amex": 28, "gaia": 13}[refit.model]

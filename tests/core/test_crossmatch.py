@@ -224,6 +224,7 @@ def placed(matches: Matches, stars, catalogues):
     return sorted(rows)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(grid_sky, grid_sky, grid_sky, st.booleans(), st.randoms(use_true_random=False))
 def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, identified, random):

@@ -110,6 +110,7 @@ def test_mission_length_and_model_reach_the_satellite():
     assert scenario(point).reference_errors == NoErrors()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["reference", "satellite"])
 def test_simulated_errors_are_normal_around_zero(side):
     """Equal weights on a fixed sky, one realisation after the other: the errors of the link are sums of single ones."""

@@ -531,6 +531,7 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
     np.testing.assert_array_equal(results["sigma_spin_predicted"], 0.0)
 
 
+@pytest.mark.slow
 def test_catalogue_error_is_the_scatter_between_samples_of_catalogues():
     n_cat, n_samples = 8, 60
 

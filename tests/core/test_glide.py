@@ -103,6 +103,7 @@ def test_leak_of_one_catalogue_falls_with_the_root_of_the_number_of_objects():
         assert np.sqrt(np.mean(galactic[:, 0] ** 2)) < 3 / np.sqrt(n_obj) * expected  # of second order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("zone_deg", "contrast"), [(0.0, 0.4), (0.0, -0.9), (25.0, 0.4), (60.0, -0.5)])
 def test_leak_on_an_uneven_sky(zone_deg, contrast):
     sky, n_obj = Sky(zone_deg * DEGREE, contrast), 4000

@@ -356,6 +356,7 @@ def test_swapping_the_catalogues_flips_the_sign_to_first_order():
     assert second_order == pytest.approx(100.0, rel=0.05)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, derandomize=True, database=None)
 @given(
     n_obj=st.integers(4, 30),

@@ -61,6 +61,7 @@ def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
     assert np.all(np.abs(covariances[0] - covariances[1]) < 4.5 * mc_error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

@@ -19,6 +19,7 @@ from core.noise import ROWS, TILE
 from core.prepared import Scenario, TrueVector
 from core.quasars import quasars
 from core.simulate import simulate
+from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS
 TRUTH_MAS = np.concatenate([EPSILON, OMEGA]) / MAS
@@ -81,7 +82,7 @@ def both_sides(rng, n_sim, n_obj):
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 @pytest.mark.parametrize("reference_errors", [NoErrors(), NormalErrors(0.4, 0.7)])
-@pytest.mark.parametrize(("n_obj", "n_sim"), [(20, 1000), (1500, 20)])
+@pytest.mark.parametrize(("n_obj", "n_sim"), [(20, 520), (1500, 20), slow(20, 1000)])
 @pytest.mark.parametrize(("corrections", "solve_glide"), [(True, False), (False, False), (True, True)])
 def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, corrections, solve_glide):
     point = scenario(n_obj, 100.0, reference_errors=reference_errors, weighting=weighting, corrections=corrections)
@@ -102,7 +103,7 @@ def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, correc
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), NormalErrors(0.4, 0.7), NoErrors()])
+@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), slow(NormalErrors(0.4, 0.7)), slow(NoErrors())])
 def test_correlated_errors_equal_the_plain_loop(weighting, reference_errors):
     n_obj, n_sim = 20, 500
     factor = np.tril(np.random.default_rng(3).uniform(0.3, 1.0, (n_obj, 4, 4)))

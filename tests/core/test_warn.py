@@ -85,7 +85,7 @@ def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path):
     assert "warning: model = 'gaia'" in ran.output + ran.stderr
     (stored,) = json.loads(open_dataset(store).attrs["warnings"])
     assert stored.endswith("held at its floor (1 point)")
-    assert f"warning: {stored}" in run.invoke(main, ["show", str(store)]).output
+    assert f"warning: {stored}" in " ".join(run.invoke(main, ["show", str(store)]).output.split())
 
 
 @pytest.mark.parametrize(("last", "warned"), [(2016.5, True), (2016.0, False), (np.nan, False)])

@@ -149,6 +149,7 @@ def test_groups_discrepancies_and_separations_have_the_frames_too():
     assert np.all(separation(problem)[0] > 0.0)
 
 
+@pytest.mark.slow
 def test_draws_scatter_about_the_frames():
     problem = missions(n=8)
     truth = np.concatenate([EPSILON[0], OMEGA[0], EPSILON[1], OMEGA[1]])

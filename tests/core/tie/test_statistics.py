@@ -73,6 +73,7 @@ def test_chi2_of_a_degree_and_of_one_block_more_are_chi2():
     assert kstest(gains, chi2(10).cdf).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_the_closed_loop():
     """Rows of every kind drawn as their covariances say: mean, scatter, Q and coverage are what the solution says."""
     rng = np.random.default_rng(11)

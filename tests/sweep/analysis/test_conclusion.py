@@ -79,6 +79,7 @@ def test_what_is_not_there_is_said_or_left_out(dataset_of):
     assert concluding(dataset, "{beyond}", "{gaia}!", beyond=beyond, gaia=GAIA)[0].endswith("!")
 
 
+@pytest.mark.slow
 def test_built_in_studies_conclude_with_numbers(dataset_of):
     """All of them but those without a short run here; those of other points say only what they know."""
     for name in ("quasars", "scatter", "sqrt-n", "error-surface", "galaxies"):

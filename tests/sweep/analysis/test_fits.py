@@ -78,6 +78,7 @@ def test_correlated_points_give_the_formula_of_generalised_least_squares():
     assert law.chi2 == pytest.approx(residual @ inverse @ residual, rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
 def test_stated_errors_and_chi2_are_those_of_simulated_points(correlation):
     rng = np.random.default_rng(23)

@@ -61,6 +61,7 @@ def test_the_error_of_a_quantity_is_the_sum_of_squares(dataset_of):
     assert standard_error(one, "chi2") is None
 
 
+@pytest.mark.slow
 def test_lines_have_the_values_errors_and_places_of_the_grid(dataset_of):
     dataset = dataset_of("grid")
     found = lines(dataset, "sigma", "n_obj")
@@ -116,6 +117,7 @@ def test_the_laws_of_the_paper_come_out(dataset_of):
     assert np.all(np.abs(length["deviation"]) < 4.0)
 
 
+@pytest.mark.slow
 def test_the_expected_exponent_of_a_claim_is_that_of_its_lines_only(dataset_of):
     result = fit_power_law(dataset_of("mission-length"), "sigma_spin", "mission_length")
     stated = result["expected"].sel(model="gaia", n_obj=90).item()

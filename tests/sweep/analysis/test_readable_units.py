@@ -27,6 +27,7 @@ def test_a_component_has_the_unit_that_suits_it(dataset_of):
     np.testing.assert_array_equal(shown["covariance"].values, one["covariance"].values)
 
 
+@pytest.mark.slow
 def test_a_law_is_the_same_in_any_unit(dataset_of):
     stored = dataset_of("sqrt-n")
     law, again = (fit_power_law(ds, "sigma_spin", "n_obj") for ds in (stored, in_readable_units(stored)))

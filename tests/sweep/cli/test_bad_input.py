@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sweep.cli import main
+from tests.tiers import slow
 
 GOOD = """\
 title = "A good study"
@@ -504,7 +505,7 @@ def test_bad_scheduler(here: Path, monkeypatch: pytest.MonkeyPatch, address: str
     check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler", repr(address))
 
 
-@pytest.mark.parametrize("address", ["host", "nonsense://x:1"])
+@pytest.mark.parametrize("address", ["host", slow("nonsense://x:1")])
 def test_malformed_scheduler_address(here: Path, address: str) -> None:
     (here / "study.toml").write_text(GOOD)
     before = tree(here)

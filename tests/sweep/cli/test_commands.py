@@ -14,10 +14,11 @@ from sweep.cli import main
 from sweep.cli.group import SECTIONS
 from sweep.stores.store import open_dataset
 from tests.conftest import COINS
+from tests.tiers import slow
 
-PRINTING = [
-    *("list", "params", "params icrf2-icrf3", "calibrate", "plan quasars", "show quasars"),
-    *("show quasars --at model=gaia", "status quasars", "check quasars", "compare quasars"),
+PRINTING = ["list", "params", "plan quasars", "show quasars --at model=gaia", "status quasars", "compare quasars"]
+PRINTING_TOO = [
+    *("params icrf2-icrf3", "calibrate", "show quasars", "check quasars"),
     *("fit quasars --over v_max --at model=gaia", "reproduce quasars --at model=gaia,v_max=14"),
     *("find quasars --where 'sigma_spin < 1 uas/yr' --over v_max", "sensitivity quasars"),
     *("tie icrf3 icrf2 --degree 2 --clip rayleigh", "forecast icrf3 icrf2 --add 2030 --choose 3"),
@@ -76,6 +77,7 @@ def test_plan_knows_what_is_done(sweep, link_study, tmp_path):
     assert (report["points"], report["points_done"]) == (6, 4)
 
 
+@pytest.mark.slow
 def test_overrides_on_the_command_line_are_those_in_the_file(sweep, link_study, tmp_path):
     sweep("run", link_study, "-o", tmp_path / "a.zarr", "--set", "n_sim=100", "--axis", "v_max=14:15:0.5")
     text = (
@@ -121,6 +123,7 @@ def test_the_four_axis_grid_runs(sweep, tmp_path):
     assert abs(off).max() < 4.5  # 200 points
 
 
+@pytest.mark.slow
 def test_no_number_is_cut_on_a_narrow_terminal(sweep, link_study, tmp_path):
     sweep("run", link_study, "-o", tmp_path / "s.zarr", "--set", "n_sim=20")
     command = f"stty cols 40; {sys.executable} -m sweep show {tmp_path}/s.zarr"
@@ -147,13 +150,14 @@ def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
     assert max(map(len, out.splitlines())) <= 80
 
 
-def test_what_is_printed_fits_80_columns(sweep, link_study, tmp_path, monkeypatch):
+@pytest.mark.parametrize("commands", [PRINTING, slow(PRINTING_TOO)], ids=["some", "others"])
+def test_what_is_printed_fits_80_columns(sweep, tmp_path, monkeypatch, commands):
     monkeypatch.chdir(tmp_path)
     code, out, err = sweep("run", "quasars", "--set", "n_sim=2", "--set", "n_cat=5", "--axis", "v_max=14,20")
     assert code == 0, err
     assert out.splitlines()[-1].endswith("times better.")
     assert "next: sweep plot quasars, sweep report quasars" in err
-    for line in PRINTING:
+    for line in commands:
         code, printed, err = sweep(*shlex.split(line))
         assert code in (0, 1), (line, err)
         lines = [line.rstrip() for line in printed.splitlines()]
@@ -163,6 +167,7 @@ def test_what_is_printed_fits_80_columns(sweep, link_study, tmp_path, monkeypatc
     assert json.loads(sweep("list", "--json")[1])["quasars"]["question"].endswith("?")
 
 
+@pytest.mark.slow
 def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
     columns = headline_columns(open_dataset(store_of("aberration")))
     kept, left_out = fitting(columns, 80)
@@ -191,5 +196,6 @@ def test_two_formats_are_refused(sweep, store_of, command):
     assert "--json and --format csv are two formats; name one" in err
 
 
+@pytest.mark.slow
 def test_params_of_a_study_are_those_of_its_experiment(sweep):
     assert sweep("params", "icrf2-icrf3") == sweep("params", "sweep.tie.experiment:tie")

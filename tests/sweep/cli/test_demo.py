@@ -5,6 +5,7 @@ import pytest
 from sweep.cli import demo
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study
+from tests.tiers import slow
 
 
 def test_the_study_is_one_with_a_question_and_an_answer():
@@ -13,6 +14,7 @@ def test_the_study_is_one_with_a_question_and_an_answer():
     assert study.conclusion.sentences
 
 
+@pytest.mark.slow
 def test_the_whole_way_ends_with_the_answer_and_what_comes_next(sweep, tmp_path):
     code, out, err = sweep("demo", "here", cwd=tmp_path)
     assert code == 0, err
@@ -35,7 +37,7 @@ def test_a_folder_that_is_there_is_not_touched(sweep, tmp_path):
     assert not list((tmp_path / "linksweep-demo").iterdir())
 
 
-@pytest.mark.parametrize("package", ["matplotlib", "bokeh"])
+@pytest.mark.parametrize("package", ["matplotlib", slow("bokeh")])
 def test_steps_whose_packages_are_missing_are_left_out(tmp_path, monkeypatch, package):
     from click.testing import CliRunner
 

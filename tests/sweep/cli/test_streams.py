@@ -13,6 +13,7 @@ from sweep.executing.worker import MAX_MESSAGE
 from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study
+from tests.tiers import slow
 
 UNSAYABLE = str(Path(__file__).parents[1] / "unsayable.py") + ":experiment"
 SAID = "error: standard output cannot be written: No space left on device\n"
@@ -49,13 +50,14 @@ def test_a_full_device_is_one_sentence(store, arguments, unbuffered):
     assert shell(">/dev/full", *arguments, unbuffered=unbuffered) == (2, "", SAID)
 
 
+@pytest.mark.slow
 def test_a_run_whose_table_cannot_be_printed_is_kept(link_study, tmp_path):
     run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr", "--quiet")
     assert shell(">/dev/full", *run) == (2, "", SAID)
     assert open_dataset(tmp_path / "s.zarr").attrs["complete"] == 1
 
 
-@pytest.mark.parametrize("redirection", [">&-", "2>&-", ">&- 2>&-", "<&- >&- 2>&-", "2>/dev/full"])
+@pytest.mark.parametrize("redirection", [*map(slow, [">&-", "2>&-", ">&- 2>&-", "2>/dev/full"]), "<&- >&- 2>&-"])
 @pytest.mark.parametrize(
     "arguments",
     [("show", "STORE"), *(pytest.param(a, marks=pytest.mark.slow) for a in (("list",), ("status", "STORE", "--json")))],
@@ -69,6 +71,7 @@ def test_streams_that_nobody_reads_are_no_problem(store, arguments, redirection)
     assert said == ("" if ">&-" in redirection.replace("2>&-", "") else out)
 
 
+@pytest.mark.slow
 def test_a_run_with_closed_streams_writes_into_no_file_of_its_store(link_study, tmp_path):
     run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr")
     assert shell("<&- >&- 2>&-", *run) == (0, "", "")
@@ -80,6 +83,7 @@ def test_a_wrong_option_keeps_its_exit_code_without_standard_error():
     assert shell("2>&-", "nonsense") == (2, "", "")
 
 
+@pytest.mark.slow
 def test_a_message_that_no_file_can_hold_is_escaped_and_bounded(store, tmp_path):
     said = json.loads(open_dataset(store).attrs["failures"])["place=2"]
     assert said.startswith("ValueError: \\udc80 xxx")

@@ -79,6 +79,7 @@ def two_missions(tmp_path):
     return [str(tmp_path / f"{name}.ecsv") for name in ("gaia", "vlbi", "hipparcos")]
 
 
+@pytest.mark.slow
 def test_two_missions_have_an_orientation_and_a_spin_each(tmp_path):
     first, reference, second = two_missions(tmp_path)
     store = tmp_path / "tie.zarr"

@@ -26,6 +26,7 @@ def stored(tmp_path_factory):
     return folder, link.stdout, plan.stdout
 
 
+@pytest.mark.slow
 def test_show_prints_what_the_command_printed(stored):
     folder, link, plan = stored
     assert run("show", folder / "tie.zarr").stdout == link
@@ -90,6 +91,7 @@ def test_a_damaged_result_is_one_message(stored, tmp_path):
     assert "is damaged" in found.output
 
 
+@pytest.mark.slow
 def test_the_report_has_the_table_the_sign_and_the_figures(stored):
     folder, _, _ = stored
     found = run("report", folder / "tie.zarr", folder / "plan.zarr", "-o", folder / "page.html")

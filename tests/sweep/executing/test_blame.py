@@ -98,6 +98,7 @@ def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monke
     xr.testing.assert_identical(dataset.drop_attrs(), whole)
 
 
+@pytest.mark.slow
 def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
     def fetched(self, future):
         raise KilledWorker("task", None, 0)

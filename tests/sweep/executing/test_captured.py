@@ -10,6 +10,7 @@ import pytest
 
 from sweep.executing.captured import captured
 from tests.sweep.user import write_experiment, write_study
+from tests.tiers import slow
 
 TALKS = """
 import os, sys, warnings
@@ -29,7 +30,7 @@ POOLS = {
 }
 
 
-@pytest.mark.parametrize("pool", [pytest.param(p, marks=pytest.mark.slow) if p == "threads" else p for p in POOLS])
+@pytest.mark.parametrize("pool", [p if p == "serial" else slow(p) for p in POOLS])
 def test_what_a_model_prints_is_in_the_log_and_not_in_the_output(pool, tmp_path, start_sweep):
     program = 'os.system("echo from outside")' if pool in ("processes", "guarded") else "pass"
     write_experiment(tmp_path, before=TALKS.replace("PROGRAM", program), evaluate="total(points, n_sim)")

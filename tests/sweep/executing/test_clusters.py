@@ -3,6 +3,8 @@
 import pytest
 import xarray as xr
 
+from tests.tiers import slow
+
 LOCAL = 'class = "distributed.LocalCluster"\n'
 WORKERS = "[options]\nn_workers = 0\nthreads_per_worker = 1\n"
 
@@ -19,7 +21,7 @@ WORKERS = "[options]\nn_workers = 0\nthreads_per_worker = 1\n"
             LOCAL + "adapt = { minimum = 1, maximum = 2 }\n" + WORKERS + "processes = false\n",
             marks=pytest.mark.slow,
         ),
-        (
+        slow(
             "adaptive.yaml",
             "class: distributed.LocalCluster\nadapt: {minimum: 0, maximum: 2}\n"
             "options: {n_workers: 0, threads_per_worker: 1}\n",

@@ -56,6 +56,7 @@ def test_the_study_puts_deadly_blocks_beside_innocent_ones():
     assert any(len({work.points[0].index for work in works} & set(FATES)) > 1 for works in tasks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "resources",
     [

@@ -169,6 +169,7 @@ def test_a_worker_with_another_version_that_joins_later_stops_the_run(
     xr.testing.assert_identical(results(store), reference)  # it has written nothing
 
 
+@pytest.mark.slow
 def test_other_differences_are_told_and_no_more(link_study, tmp_path, sweep, outside):
     outside.start_worker(**other_version(tmp_path, "msgpack", "0.0.9"))
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
@@ -243,6 +244,7 @@ def listening(pids):
     return [line[1].rpartition(":")[0] for line in lines if line[3] == "0A" and line[9] in inodes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pool", ["processes", pytest.param("threads", marks=pytest.mark.slow)])
 def test_everything_listens_on_loopback_and_nothing_is_left(link_study, tmp_path, start_sweep, monkeypatch, pool):
     store = tmp_path / "s.zarr"

@@ -26,6 +26,7 @@ def servers_below(pid):
     return [child for child in found if child not in workers_below(pid)]
 
 
+@pytest.mark.slow
 def test_workers_have_the_environment_of_their_run(monkeypatch):
     before = dict(os.environ)
     for value in ("first", "second"):
@@ -57,6 +58,7 @@ def test_a_signal_to_all_processes_leaves_what_workers_are_forked_from():
         assert servers_below(os.getpid()) == [server]
 
 
+@pytest.mark.slow
 def test_two_clusters_share_what_they_are_forked_from():
     with own_cluster(LocalCluster, ONE) as first, first.get_client() as client:
         with own_cluster(LocalCluster, ONE):
@@ -81,6 +83,7 @@ def legacy_draw():
     return float(np.random.random())  # noqa: NPY002
 
 
+@pytest.mark.slow
 def test_workers_draw_different_numbers_even_from_the_generator_they_must_not_use():
     """They are forked with the same state of it, and Dask gives each a new one."""
     with own_cluster(LocalCluster, ONE | {"n_workers": 2}) as cluster, cluster.get_client() as client:

@@ -35,6 +35,7 @@ def test_a_script_without_a_guard_gets_one_sentence(tmp_path):
     assert "under `if __name__ == '__main__':`" in sentence
 
 
+@pytest.mark.slow
 def test_one_with_a_guard_computes(tmp_path):
     done = run_script(tmp_path, SCRIPT.format(guard="if __name__ == '__main__':"))
     assert (done.returncode, done.stdout) == (0, "[2. 4.]\n"), done.stderr

@@ -15,6 +15,7 @@ from sweep.running.run import Silent, run_study
 from sweep.stores.opened import OpenStore
 from sweep.studies.reader import study_from_dict
 from tests.sweep.outside import wait_until
+from tests.tiers import slow
 
 SLEEPERS = str(Path(__file__).parents[1] / "sleepers.py") + ":experiment"
 
@@ -37,7 +38,7 @@ def _finished(store):
     return len(OpenStore(store).ledger().ledger.rows) if (store / "zarr.json").exists() else 0
 
 
-@pytest.mark.parametrize("pool", POOLS)
+@pytest.mark.parametrize("pool", [p if p == "processes" else slow(p) for p in POOLS])
 def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, start_sweep, pool):
     """Nothing else comes in that would make it durable, and the end comes without a warning."""
     (tmp_path / "study.toml").write_text(

@@ -53,6 +53,7 @@ def run(start_sweep):
     return to_its_end
 
 
+@pytest.mark.slow
 def test_a_study_runs_over_tls(link_study, tmp_path, run, files, outside):
     study = ("run", link_study, "--set", "n_sim=50", "-o")
     code, err = run(*study, tmp_path / "tls.zarr", "--scheduler", outside.address, *files.options())

@@ -47,6 +47,7 @@ def coverage(runs, n):
     return {name: hit / runs for name, hit in hits.items()}
 
 
+@pytest.mark.slow
 def test_errors_hold_the_truth_as_often_as_they_should():
     """0.683 of the time: 400 runs know it to 0.023, and a skewed law is not quite a normal one."""
     for name, share in coverage(400, 600).items():

@@ -40,12 +40,14 @@ def test_equal_weights_fit_the_quasars_and_miss_the_radio_stars(report):
     assert "perfect_satellite" not in report["curves"]["gaia"]["equal_weights"]
 
 
+@pytest.mark.slow
 def test_the_independent_check_is_told(report):
     check = report["curves"]["amex"]["independent_check"]
     assert check["published"] == 0.25
     assert check["in_code"] == pytest.approx(0.1804, abs=0.0001)  # 0.139 + 14.2 exp(-5.838)
 
 
+@pytest.mark.slow
 def test_the_text_says_what_the_numbers_mean(report):
     from rich.console import Console
 

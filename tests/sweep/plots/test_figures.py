@@ -29,6 +29,7 @@ from sweep.plots.standalone import accuracy_figure, sky_figure
 from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table, models_of
 from sweep.running.run import run_study
 from sweep.studies.reader import load_study, study_from_dict
+from tests.tiers import slow
 
 
 @pytest.fixture(autouse=True)
@@ -59,13 +60,13 @@ def title(figure):
         ("quasars", 2, r"$V_\mathrm{max}$ [mag]"),
         pytest.param("sqrt-n", 2, r"$N_\mathrm{obj}$", marks=pytest.mark.slow),
         pytest.param("mission-length", 2, "$T$ [yr]", marks=pytest.mark.slow),
-        ("error-surface", 1, r"reference error scale $\Delta_\mathrm{ref}$"),
+        slow("error-surface", 1, r"reference error scale $\Delta_\mathrm{ref}$"),
         pytest.param("algorithm", 6, r"$|\epsilon|$ [mas]", marks=pytest.mark.slow),
         pytest.param("grid", 4, r"$N_\mathrm{obj}$", marks=pytest.mark.slow),
         pytest.param("aberration", 4, r"$V_\mathrm{max}$ [mag]", marks=pytest.mark.slow),
         pytest.param("radio-stars", 1, r"$N_\mathrm{obj}$", marks=pytest.mark.slow),
         pytest.param("galaxies", 1, "model", marks=pytest.mark.slow),
-        ("scatter", 1, r"$\omega_{x}$ [mas/yr]"),
+        slow("scatter", 1, r"$\omega_{x}$ [mas/yr]"),
     ],
 )
 def test_every_study_has_a_picture_without_options(dataset_of, tmp_path, name, panels, along):
@@ -86,6 +87,7 @@ def test_missions_that_differ_by_orders_have_panels_of_their_own(dataset_of):
     assert gaia.get_ylabel() == r"$\sigma(\omega)$ [µas/yr]"
 
 
+@pytest.mark.slow
 def test_layouts(dataset_of):
     layout = arrange(dataset_of("mission-length"), "sigma_spin", ("mission_length",))
     assert (layout.series, layout.columns, layout.rows, layout.far) == (("n_obj",), "model", None, True)
@@ -155,6 +157,7 @@ def test_components_in_different_units_are_refused(dataset_of):
         draw_figure(dataset_of("sqrt-n"), variables=["sigma"])
 
 
+@pytest.mark.slow
 def test_several_variables_are_columns(dataset_of):
     dataset = dataset_of("algorithm").sel(n_obj=50, mean_pm=500.0)
     figure = draw_figure(dataset, variables=["sigma_spin", "sigma_orientation"])
@@ -392,6 +395,7 @@ n_obj = 20
 """
 
 
+@pytest.mark.slow
 def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "curves.py").write_text("def broken(v):\n    return v - 12.0\n")
@@ -445,7 +449,7 @@ def test_ticks_below_two_decades_all_have_numbers():
     assert axes.yaxis.get_major_formatter()(0.005, 0) == "0.005"
 
 
-@pytest.mark.parametrize("ending", ["svg", "pdf", "png"])
+@pytest.mark.parametrize("ending", ["svg", slow("pdf"), slow("png")])
 def test_the_same_picture_is_the_same_file(dataset_of, tmp_path, ending):
     for name in ("a", "b"):
         style.save(draw_figure(dataset_of("sqrt-n")), tmp_path / f"{name}.{ending}")
@@ -535,7 +539,9 @@ def letters(figure):
 
 
 @pytest.mark.parametrize("width", [88.0, 180.0])
-@pytest.mark.parametrize("name", ["quasars", "algorithm", "sqrt-n", "error-surface", "scatter", "galaxies"])
+@pytest.mark.parametrize(
+    "name", ["quasars", *map(slow, ["algorithm", "sqrt-n", "error-surface", "scatter", "galaxies"])]
+)
 def test_letters_have_their_size_at_the_width_of_print(dataset_of, name, width):
     with style.settings(width):
         figure = draw_figure(dataset_of(name))
@@ -570,6 +576,7 @@ def test_axes_that_walk_together_are_both_named(dataset_of):
     assert label == r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"
 
 
+@pytest.mark.slow
 def test_a_caption_says_what_is_drawn_and_what_follows(store_of, tmp_path, sweep):
     code, _, err = sweep("plot", store_of("sqrt-n"), "--width", "88mm", "--caption", "-o", tmp_path / "a.svg")
     assert code == 0, err

@@ -152,6 +152,7 @@ def test_a_view_without_room_says_what_it_leaves_out():
     assert explorer(dataset, ["share"], 5)[2] == ["share", "other"]
 
 
+@pytest.mark.slow
 def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
     quasars = dataset_of("quasars")
     found = [*pictures(quasars, ["sigma_spin", "n_obj"], 0), *pictures(quasars, ["sigma_spin"], 1)]
@@ -213,6 +214,7 @@ def test_every_text_of_a_store_is_escaped(evil_store):
     assert "is what failed" in page
 
 
+@pytest.mark.slow
 def test_the_policy_names_the_scripts_of_the_page_and_nothing_else(store_of):
     page = report_of([store_of("quasars")])
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)[1].replace("&#39;", "'")
@@ -358,12 +360,14 @@ def test_the_answer_heads_the_page_and_the_worst_comes_first(dataset_of):
     assert len(set(found.results.headings)) == len(found.results.headings)
 
 
+@pytest.mark.slow
 def test_every_picture_has_words_for_who_cannot_see_it(dataset_of):
     for picture in pictures(dataset_of("quasars"), ["sigma_spin", "n_obj"], 0):
         assert " against V_max [mag]" in picture.description
         assert not set("${}") & set(picture.description)
 
 
+@pytest.mark.slow
 def test_headings_go_down_by_one(store_of):
     for stores in (["quasars"], ["quasars", "galaxies"]):
         page = report_of([store_of(name) for name in stores])

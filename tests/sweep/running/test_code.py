@@ -10,6 +10,7 @@ from sweep.running.reproduce import reproduce
 from sweep.stores.opened import OpenStore
 from sweep.stores.store import open_dataset
 from tests.sweep.user import write_experiment, write_study
+from tests.tiers import slow
 
 HELPED = {
     "before": "import helper\n",
@@ -45,7 +46,7 @@ def change(folder, kind):
     return f"file {name} has changed"
 
 
-@pytest.mark.parametrize("kind", ["body", "default", "helper", "deeper"])
+@pytest.mark.parametrize("kind", ["body", "default", slow("helper"), slow("deeper")])
 def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, folder, sweep):
     named = change(folder, kind)
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
@@ -88,6 +89,7 @@ def test_accepted_code_is_told_for_each_point(folder, sweep):
     assert code == 2
 
 
+@pytest.mark.slow
 def test_a_point_that_several_codes_made_says_so(folder, sweep):
     write_study(folder, "rate = [1.0]", "n_sim = 1024")
     assert sweep("run", "s.toml", "-o", "t.zarr", cwd=folder)[0] == 0

@@ -13,6 +13,7 @@ from sweep.planning.grid import make_grid
 from sweep.running.covariance import squared
 from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict
+from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 
@@ -83,7 +84,9 @@ def test_a_point_does_not_know_who_shares_its_numbers(tmp_path):
         assert alone["mean"].item() == whole["mean"].sel(mixing=mixing, scale=1.0).item()
 
 
-@pytest.mark.parametrize("resources", [Resources(workers=2, pool="threads"), Resources(workers=2, pool="processes")])
+@pytest.mark.parametrize(
+    "resources", [Resources(workers=2, pool="threads"), slow(Resources(workers=2, pool="processes"))]
+)
 def test_the_bits_are_those_of_the_serial_reference(tmp_path, resources):
     serial = run({"mixing": MIXING, "kind": ["a", "b"]}, tmp_path / "serial.zarr")
     other = run({"mixing": MIXING, "kind": ["a", "b"]}, tmp_path / "other.zarr", resources)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sweep.running.eta import Eta, in_words
+from tests.tiers import slow
 
 START_S = 7.0
 """Workers take this long to be there: not work, and not extrapolated."""
@@ -62,7 +63,7 @@ def scattered(random_, place):
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["workers known", "workers seen"])
-@pytest.mark.parametrize("workers", [1, 2, 7, 64])
+@pytest.mark.parametrize("workers", [1, slow(2), 7, slow(64)])
 @pytest.mark.parametrize(
     ("kind", "tasks_each"),
     [(equal, 10), (growing, 10), (shrinking, 10), (scattered, 50)],

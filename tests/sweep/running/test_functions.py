@@ -298,6 +298,7 @@ WORDS = (
 )
 
 
+@pytest.mark.slow
 def test_what_is_shown_has_the_words_of_the_experiment_alone(tmp_path, sweep):
     """The terminal at a run, and the report, but for what the interactive library brings."""
     (tmp_path / "sir.py").write_text(

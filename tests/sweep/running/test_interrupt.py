@@ -17,6 +17,7 @@ from sweep.interrupt import LOST_S, RunInterruptedError, watched
 from sweep.running.run import run_study
 from sweep.stores.store import Store
 from sweep.studies.reader import study_from_dict
+from tests.tiers import slow
 
 PATIENCE_S = 120.0
 """What is waited for a process that is to end; benchmarks/interrupt.py prints how long it takes."""
@@ -295,8 +296,8 @@ def wait_for(condition):
     ("number", "code", "words"),
     [
         (signal.SIGINT, 130, "interrupted"),
-        (signal.SIGTERM, 143, "stopped by SIGTERM"),
-        (signal.SIGHUP, 129, "stopped by SIGHUP"),
+        slow(signal.SIGTERM, 143, "stopped by SIGTERM"),
+        slow(signal.SIGHUP, 129, "stopped by SIGHUP"),
     ],
 )
 @pytest.mark.parametrize(
@@ -367,6 +368,7 @@ def test_the_exit_code_does_not_depend_on_what_was_interrupted(tmp_path, start_s
     assert "interrupted; 0 points" in err
 
 
+@pytest.mark.slow
 def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
     """Where the end itself hangs, here in a write, another Ctrl-C helps."""
     (tmp_path / "study.toml").write_text(sleepers(0.0, sheep=3))

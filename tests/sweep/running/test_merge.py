@@ -75,6 +75,7 @@ def test_tables_are_joined_and_keep_the_axes_that_cross_them(run, tmp_path):
     assert np.array_equal(ds.y.values, ds.x.values[:, None] * ds.k.values)
 
 
+@pytest.mark.slow
 def test_the_link_merges_to_the_bits_of_one_run(tmp_path):
     study = {
         "experiment": "core.experiment:link",

@@ -157,6 +157,7 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(file, t
     assert [row["point"] for row in json.loads(out)["rows"]] == [0, 2, 3]
 
 
+@pytest.mark.slow
 def test_a_design_on_the_command_line_grows(file, tmp_path, sweep):
     options = ["--range", "x=0.1:10:log", "--range", "k=4,5,6", "-o", "s.zarr", "--json", "--pool", "serial"]
     code, out, err = sweep("run", file, "--design", "sobol:4:9", *options, cwd=tmp_path)

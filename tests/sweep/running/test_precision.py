@@ -9,6 +9,7 @@ from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError
 from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict
+from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 
@@ -64,7 +65,9 @@ def test_there_is_a_most(tmp_path):
     assert dataset.attrs["complete"] == 1
 
 
-@pytest.mark.parametrize("resources", [Resources(workers=2, pool="threads"), Resources(workers=2, pool="processes")])
+@pytest.mark.parametrize(
+    "resources", [Resources(workers=2, pool="threads"), slow(Resources(workers=2, pool="processes"))]
+)
 def test_the_numbers_do_not_depend_on_who_computes_them(tmp_path, resources):
     serial, _ = run_study(study(), tmp_path / "serial.zarr", SERIAL)
     other, _ = run_study(study(), tmp_path / "other.zarr", resources)

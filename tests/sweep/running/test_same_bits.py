@@ -12,6 +12,7 @@ import xarray as xr
 import zarr
 
 from tests.sweep.outside import Outside
+from tests.tiers import slow
 
 
 def results(store):
@@ -23,7 +24,7 @@ def results(store):
     [
         *(pytest.param(("--workers", n), marks=pytest.mark.slow) for n in (1, 4)),
         ("--workers", 2),
-        ("--pool", "threads", "--workers", 4),
+        slow(("--pool", "threads", "--workers", 4)),
     ],
     ids=["1 process", "4 processes", "2 processes", "4 threads"],
 )
@@ -42,6 +43,7 @@ def scheduler(tmp_path):
         yield outside.address
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_runs_elsewhere(link_study, tmp_path, sweep, reference, scheduler):
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", scheduler)
     assert code == 0, err

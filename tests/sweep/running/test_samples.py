@@ -38,6 +38,7 @@ def test_samples_are_the_realisations_behind_the_results(kept):
     assert len(np.unique(estimate.isel(model=0, n_obj=0, component=0))) == 14_000
 
 
+@pytest.mark.slow
 def test_keeping_samples_changes_no_other_number(kept, tmp_path):
     without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
     dataset, _ = run_study(study_from_dict(without), tmp_path / "without.zarr", SERIAL)

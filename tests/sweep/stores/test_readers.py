@@ -15,6 +15,7 @@ from sweep.stores.store import open_dataset
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store
+from tests.tiers import slow
 
 READ = """
 import json, sys, time
@@ -69,7 +70,7 @@ def turn(number, last, shape=(50, 40)):
     )
 
 
-@pytest.mark.parametrize(("reader", "turns", "pause"), [("open_dataset", 100, 0.0), ("xr.open_zarr", 10, 0.2)])
+@pytest.mark.parametrize(("reader", "turns", "pause"), [slow("open_dataset", 100, 0.0), ("xr.open_zarr", 10, 0.2)])
 def test_a_reader_sees_one_writing_or_another(tmp_path, coins, reader, turns, pause):
     """Ours whatever its haste and the writer's; plain xarray where it reads in less time than lies between two writings
     (a run leaves at least 5 s), and slower readings do not count.  There are writings, with ever longer pauses, until

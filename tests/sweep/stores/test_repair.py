@@ -201,6 +201,7 @@ def test_a_store_in_a_bucket_is_repaired_too(bucket, coins):
     xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
 
 
+@pytest.mark.slow
 def test_the_commands(tmp_path, link_study, sweep):
     store = tmp_path / "s.zarr"
     quick = ("run", link_study, "-o", store, "--set", "n_sim=20", "--pool", "serial")

@@ -207,6 +207,7 @@ def test_two_runs_on_one_bucket(bucket, link_study, start_sweep, sweep):
     assert f"{store}: is being written by process {first.pid} on " in err
 
 
+@pytest.mark.slow
 def test_the_commands_take_a_bucket(bucket, link_study, sweep, tmp_path):
     store = f"{bucket}/s.zarr"
     quick = ("run", link_study, "-o", store, "--set", "n_sim=20")

@@ -46,6 +46,7 @@ def test_what_was_flushed_is_there_again(tmp_path, study):
     assert np.array_equal(open_store(tmp_path / "s.zarr", study).sums(), sums)
 
 
+@pytest.mark.slow
 def test_the_ledger_grows_over_chunks_in_few_files(tmp_path, study):
     store = open_store(tmp_path / "s.zarr", study)
     chunk = json.loads(store.attributes["ledger"])["sums"][0]

@@ -24,6 +24,7 @@ from sweep.contract import SweepError
 from sweep.planning.grid import make_grid
 from sweep.studies.reader import load_study, study_from_dict
 from tests.sweep.mutations import ROOT, mutants
+from tests.tiers import slow
 
 GOOD: dict[str, Any] = {
     "title": "A good study",
@@ -144,6 +145,8 @@ fuzz = settings(
     max_examples=300, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck), database=None
 )
 
+less_fuzz = settings(fuzz, max_examples=60)  # of what writes files
+
 
 def test_the_study_to_mutilate_is_good() -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -164,7 +167,7 @@ def test_mutilated_documents(document: dict[str, Any]) -> None:
     assert isinstance(problems, list)
 
 
-@fuzz
+@less_fuzz
 @given(document=documents(), options=st.lists(st.tuples(keys, values), max_size=2), axes=st.lists(keys, max_size=1))
 def test_mutilated_files(document: dict[str, Any], options: list[tuple[str, Any]], axes: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -176,6 +179,7 @@ def test_mutilated_files(document: dict[str, Any], options: list[tuple[str, Any]
         outcome(lambda: load_study(str(path), settings, [f"v_max={axis}:20:0.5" for axis in axes]))
 
 
+@pytest.mark.slow
 @fuzz
 @given(text=st.text(max_size=60), at=st.integers(0, 400))
 def test_mutilated_text(text: str, at: int) -> None:
@@ -251,7 +255,7 @@ def test_mutants_of_every_study_are_planned_or_refused(folder: Path, count: int)
     assert min(codes[0], codes[2]) > count // 20  # the mutations are neither too gentle nor too wild
 
 
-@pytest.mark.parametrize("count", [10, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [2, slow(100)])
 def test_mutants_that_are_planned_can_be_run(folder: Path, count: int) -> None:
     small = ["study.toml", "--set", "n_sim=2", "--set", "n_cat=1"]
     ran = 0

@@ -13,6 +13,7 @@ from sweep.contract import SweepError
 from sweep.tie import row_groups
 from sweep.tie.link_tables import tie
 from tests.sweep.outside import Outside
+from tests.tiers import slow
 
 SPIN = (0.03, -0.02, 0.05)
 
@@ -50,7 +51,7 @@ OPTIONS = [
 ]
 
 
-@pytest.mark.parametrize("options", OPTIONS)
+@pytest.mark.parametrize("options", [OPTIONS[0], OPTIONS[1], *map(slow, OPTIONS[2:])])
 def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     path = quasars(tmp_path / "quasars.parquet")
     whole = tie(path, "zero-motion", **options)

@@ -41,6 +41,7 @@ def test_a_link_has_the_figures_that_its_content_allows(link):
         linksweep.plot(link, variables=["estimate"])
 
 
+@pytest.mark.slow
 def test_the_scatter_of_the_stretched_solutions_is_the_jackknife_error(link):
     axes = linksweep.plot(link, "jackknife").axes[0]
     points = axes.lines[0].get_xydata()
