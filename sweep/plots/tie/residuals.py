@@ -46,7 +46,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     stacked = is_stacked()
     figure = Figure(figsize=(width, 1.3 * width * len(pairs) if stacked else height), layout="constrained")
     shape = (2 * len(pairs), 1) if stacked else (len(pairs), 2)
-    places = list(figure.add_gridspec(*shape))
+    places = figure.add_gridspec(*shape)
     for row, (what, pair) in enumerate(pairs):
         unit = str(dataset["observable_unit"].values[pair[0]])
         both = [_arrows(dataset, name, pair) for name in ("difference", "residual")]
