@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
 from sweep.contract import Experiment, SweepError
@@ -110,7 +111,7 @@ def run(
         dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
     if failures:
         log.warning("%s: %s", place, failed_points(failures))
-    return dataset
+    return _drawable(dataset)
 
 
 def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
@@ -135,7 +136,14 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
     """
     place = store_named(store)
     result = result_at(place)
-    return open_dataset(place) if result is None else result
+    return _drawable(open_dataset(place)) if result is None else result
+
+
+def _drawable(dataset: xr.Dataset) -> xr.Dataset:
+    """Return results with texts of fixed width as coordinates: xarray draws over no others."""
+    texts = {name: values for name, values in dataset.coords.items() if values.dtype.kind == "T"}
+    fixed = {n: (v.dims, np.array(v.values.tolist(), dtype=np.str_), v.attrs) for n, v in texts.items()}
+    return dataset.assign_coords(fixed)
 
 
 def answer(dataset: xr.Dataset) -> "Card":

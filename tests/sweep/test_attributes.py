@@ -5,6 +5,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
+import linksweep
 from sweep.attributes import described, meaning_of, short_meaning
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study
@@ -42,6 +43,17 @@ def test_the_plots_of_xarray_are_labelled(store_of):
     axes.clear()
     dataset["n_obj"].sel(model="gaia").plot.line(ax=axes)
     assert axes.get_ylabel().replace("\n", " ") == "number of objects in the catalogue"
+    pyplot.close(figure)
+
+
+def test_xarray_draws_over_coordinates_of_text(store_of):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    dataset = linksweep.open(store_of("quasars"))
+    assert dataset["model"].values.tolist() == ["amex", "gaia"]
+    figure, axes = pyplot.subplots()
+    dataset["sigma_spin"].plot(ax=axes)
+    assert axes.get_xlabel() == "limiting magnitude V [mag]"
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["amex", "gaia"]
     pyplot.close(figure)
 
 

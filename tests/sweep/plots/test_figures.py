@@ -61,11 +61,11 @@ def title(figure):
         pytest.param("sqrt-n", 2, r"$N_\mathrm{obj}$", marks=pytest.mark.slow),
         pytest.param("mission-length", 2, "$T$ [yr]", marks=pytest.mark.slow),
         slow("error-surface", 1, r"reference error scale $\Delta_\mathrm{ref}$"),
-        pytest.param("algorithm", 6, r"$|\epsilon|$ [mas]", marks=pytest.mark.slow),
+        slow("algorithm", 6, r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"),
         pytest.param("grid", 4, r"$N_\mathrm{obj}$", marks=pytest.mark.slow),
         pytest.param("aberration", 4, r"$V_\mathrm{max}$ [mag]", marks=pytest.mark.slow),
         pytest.param("radio-stars", 1, r"$N_\mathrm{obj}$", marks=pytest.mark.slow),
-        pytest.param("galaxies", 1, "model", marks=pytest.mark.slow),
+        slow("galaxies", 1, r"$\sigma(\omega)$ [mas/yr]"),
         slow("scatter", 1, r"$\omega_{x}$ [mas/yr]"),
     ],
 )
