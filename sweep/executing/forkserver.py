@@ -104,9 +104,9 @@ def signals_blocked(make: Callable[[], Made]) -> Made:
     def start() -> None:
         try:
             if hasattr(signal, "pthread_sigmask"):
-                signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP, signal.SIGTERM])
-                resource_tracker.ensure_running()  # before the other: where it starts, it unblocks SIGINT here
-                signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+                signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
+                resource_tracker.ensure_running()  # before the others: where it starts, it unblocks them here
+                signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
             made.set_result(make())
         except BaseException as error:
             made.set_exception(error)
