@@ -18,8 +18,11 @@ from sweep.plots.panels import draw_panels
 from sweep.plots.point import draw_point
 from sweep.plots.points import pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
-from sweep.plots.style import figure_size, is_narrow, is_stacked, legend_below, wrapped
+from sweep.plots.style import figure_size, is_narrow, is_stacked, legend_below, line_inches, wanted_width, wrapped
 from sweep.studies.study import POINT
+
+POINT_LINES = 13
+"""Lines of text that the figure of one point has room for at least."""
 
 
 class GridFigure(NamedTuple):
@@ -32,8 +35,11 @@ class GridFigure(NamedTuple):
 def _lines(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     if all(dataset[name].size == 1 for name in variables) and not over:
         figure = draw_panels(dataset.squeeze(), variables, Layout((), None, None, False), draw_point)
+        for legend in figure.legends:
+            legend.set_visible(False)  # the rows have the names already
+            legend.set_in_layout(False)
         width, height = figure.get_size_inches().tolist()
-        figure.set_size_inches(width, min(height, 1.0 + 0.3 * width))
+        figure.set_size_inches(width, max(min(height, 1.0 + 0.3 * width), POINT_LINES * line_inches()))
         return figure
     axis = _one_axis(dataset, variables[0], over)
     layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
@@ -82,7 +88,10 @@ def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
     )
     add_bar(figure, readable, variables[0])
     if words := accuracy_in_words(dataset, variables[0]):
-        figure.supxlabel(wrapped(words, figure), fontsize="medium")
+        text = wrapped(words, figure)
+        if wanted_width() is not None:  # the panels keep their height
+            figure.set_figheight(figure.get_figheight() + (1 + text.count("\n")) * line_inches())
+        figure.supxlabel(text, fontsize="medium")
     return figure
 
 

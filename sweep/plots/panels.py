@@ -87,6 +87,7 @@ def draw_panels(
             axes.set_ylabel("")
             axes.tick_params(axis="y", which="both", labelleft=False)
         axes.set_xlabel(in_lines(axes.get_xlabel(), room[0]) if row == lowest[column] else "")
+        axes.set_ylabel(in_lines(axes.get_ylabel(), room[1]))
         if row < lowest[column]:
             axes.tick_params(axis="x", which="both", labelbottom=False)
         _entitle(axes, panel, room, folded, row, column == across - 1 or (row, column + 1) not in places)

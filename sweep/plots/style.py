@@ -337,7 +337,12 @@ def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published"
         figure.legend(handles, order, loc="outside lower center", ncols=columns, frameon=False)
         if _width.get() is not None:  # the panels keep their height
             lines = -(-len(order) // columns)
-            figure.set_figheight(figure.get_figheight() + lines * LEGEND_LINE * float(mpl.rcParams["font.size"]) / 72.0)
+            figure.set_figheight(figure.get_figheight() + lines * line_inches())
+
+
+def line_inches() -> float:
+    """Return the height of a line below the panels."""
+    return LEGEND_LINE * float(mpl.rcParams["font.size"]) / 72.0
 
 
 def _shown_letters(text: str) -> int:
