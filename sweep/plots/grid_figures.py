@@ -21,6 +21,9 @@ from sweep.plots.scatter import component_dimension, draw_scatter, sampled
 from sweep.plots.style import figure_size, is_narrow, is_stacked, legend_below, line_inches, wanted_width, wrapped
 from sweep.studies.study import POINT
 
+BELOW_LINES, BELOW_LINE_INCHES = 12, 0.2
+"""Lines of the labels and numbers of a narrow scatter, and the height of each that the figure has room for."""
+
 POINT_LINES = 13
 """Lines of text that the figure of one point has room for at least."""
 
@@ -112,6 +115,8 @@ def _scatter(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> 
     one, other = over or _two_components(dataset, dimension)
     narrow = is_stacked()
     figure = Figure(figsize=figure_size(*((4.4, 6.4) if narrow else (7.4, 4.4))), layout="constrained")
+    if narrow:
+        figure.set_figheight(figure.get_figheight() + BELOW_LINES * (line_inches() - BELOW_LINE_INCHES))
     draw_scatter(figure.add_subplot(), dataset, variable, (one, other), below=narrow)
     return figure
 

@@ -76,7 +76,7 @@ def draw_scatter(
         axes,
         title="\n".join([*sigmas, correlation]),
         loc="upper left",
-        bbox_to_anchor=(0.0, -0.16) if below else (1.0, 1.0),
+        bbox_to_anchor=(-0.3, -0.2) if below else (1.0, 1.0),
         alignment="left",
         markerscale=1.5,
     )
