@@ -37,7 +37,6 @@ class Timed(NamedTuple):
 
     first_seconds: float
     seconds: float
-    points: int
     lines: int
 
 

@@ -8,6 +8,9 @@ from typing import Any
 
 MOST_DECIMALS = 9
 
+WIDTH = 80
+"""Sentences are broken into lines of so many characters."""
+
 
 def with_error(value: Any, error: float) -> str:
     """Return a number and its error with two digits of the error.

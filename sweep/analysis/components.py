@@ -8,6 +8,7 @@ import xarray as xr
 
 from sweep.analysis.quantity import ERROR_SUFFIXES
 from sweep.contract import Array
+from sweep.formatting import WIDTH
 from sweep.planning.point_status import Status
 from sweep.readable import in_three_digits
 
@@ -22,9 +23,6 @@ FEWEST = 30
 MOST_POINTS = 3
 
 PER_LINE = 3
-
-LINE = 80
-"""Characters of a line."""
 
 
 def component_lines(dataset: xr.Dataset) -> list[str]:
@@ -110,7 +108,7 @@ def _lines(point: xr.Dataset, name: str, place: str) -> Iterator[str]:
         for label, value, unit in zip(labels, point[name].values, units, strict=True)
     ]
     width = max(map(len, cells)) + 2
-    yield from textwrap.wrap(f"{name}{place}", LINE)
+    yield from textwrap.wrap(f"{name}{place}", WIDTH)
     for first in range(0, len(cells), PER_LINE):
         yield "  " + "".join(f"{cell:{width}}" for cell in cells[first : first + PER_LINE]).rstrip()
     facts = []

@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from sweep.cli.group import main
-from sweep.cli.output import WIDTH, print_answer
+from sweep.cli.output import print_answer
+from sweep.formatting import WIDTH
 
 STUDY = Path(__file__).with_name("demo.toml")
 
@@ -43,6 +44,7 @@ def demo(context: click.Context, folder: Path) -> None:
     \b
     sweep demo
     """
+    from sweep.stores.named import default_store
     from sweep.stores.store import open_dataset
 
     text = STUDY.read_text(encoding="utf-8")
@@ -61,7 +63,7 @@ def demo(context: click.Context, folder: Path) -> None:
             with command.make_context(name, arguments, parent=context) as inner:
                 command.invoke(inner)
             click.echo()
-        dataset = open_dataset("results/demo.zarr")
+        dataset = open_dataset(default_store("demo"))
     click.secho(click.wrap_text(dataset.attrs["question"], WIDTH), bold=True)
     print_answer(dataset)
     click.echo(f"\nnext: cd {shlex.quote(str(folder))}")

@@ -7,15 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.formatting import to_json
+from sweep.formatting import WIDTH, to_json
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
     from sweep.studies.study import Study
-
-
-WIDTH = 80
-"""Sentences are broken into lines of so many characters."""
 
 
 def print_sentences(sentences: Iterable[str]) -> None:

@@ -9,7 +9,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option
-from sweep.cli.output import WIDTH
+from sweep.formatting import WIDTH
 
 
 @main.command("list")

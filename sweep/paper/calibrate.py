@@ -28,14 +28,12 @@ from core.calibration import (
     fit,
     published_model,
 )
+from sweep.formatting import WIDTH
 from sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.console import Group
     from rich.table import Table
-
-LINE = 80
-"""Characters of a line of text."""
 
 FORMULA: dict[Model, str] = {
     "amex": "amplitude_bright exp(slope_bright (V-9)) + amplitude_faint exp(slope_faint (V-15))",
@@ -82,7 +80,7 @@ def as_text(report: dict[str, Any]) -> "Group":
         f"and {100 * report['model_error']:.0f} % for the model itself. Uncertainties: from the curvature of chi2, "
         "scaled by chi2/dof where that is above one. Equal weights: fitted to the quasars alone."
     )
-    parts: list[Any] = [textwrap.fill(about, LINE)]
+    parts: list[Any] = [textwrap.fill(about, WIDTH)]
     for model, curve in report["curves"].items():
         parts += _curve_text(model, curve)
     return Group(*parts)
@@ -211,7 +209,7 @@ def _table(first: str, *headings: str) -> "Table":
 
 def _lines(*sentences: str) -> str:
     """Return sentences broken into lines, between blank ones."""
-    return "\n".join(["", *(textwrap.fill(sentence, LINE) for sentence in sentences), ""])
+    return "\n".join(["", *(textwrap.fill(sentence, WIDTH) for sentence in sentences), ""])
 
 
 def _agreement(curve: dict[str, Any]) -> str:

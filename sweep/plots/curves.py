@@ -4,17 +4,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from sweep.contract import SweepError
-from sweep.plots.style import (
-    COLOURS,
-    finish,
-    is_wide,
-    label,
-    legend,
-    logarithmic,
-    quantity_label,
-    value_text,
-)
+from sweep.plots.points import told_apart
+from sweep.plots.style import COLOURS, finish, is_wide, label, legend, logarithmic, quantity_label
 from sweep.studies.study import POINT
 
 FEW_CURVES = 12
@@ -32,16 +23,11 @@ def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Ax
     """
     along = str(dataset[over].dims[0])
     array = dataset[variable]
-    others = [str(d) for d in array.dims if d not in (POINT, along)]
-    if int(np.prod([array.sizes[d] for d in others], dtype=int)) > len(COLOURS):
-        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in others)
-        raise SweepError(f"{variable} has {sizes} beside {over}, too many to tell apart; fix some with --at AXIS=VALUE")
+    series = told_apart(dataset, variable, (POINT, along), f"beside {over}")
     x = dataset[over].values.astype(float)
     many = array.sizes[POINT] > FEW_CURVES
-    for number, index in enumerate(np.ndindex(*(array.sizes[d] for d in others))):
-        one = dataset.isel(dict(zip(others, index, strict=True)))
-        words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if d in one.coords)
-        y = one[variable].transpose(POINT, along).values.astype(float)
+    for number, (place, words) in enumerate(series):
+        y = array.isel(place).transpose(POINT, along).values.astype(float)
         _draw(axes, x, y[np.isfinite(y).any(axis=1)], COLOURS[number], words, many)
     for which, values in (("x", x), ("y", array.values)):
         if is_wide(values, str(dataset[over].attrs.get("units", "")) if which == "x" else ""):
@@ -49,7 +35,7 @@ def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Ax
     axes.set_xlabel(label(dataset[over], over))
     axes.set_ylabel(quantity_label(dataset, variable))
     finish(axes)
-    if many or others:
+    if many or array.ndim > 2:
         legend(axes)
     return axes
 

@@ -37,10 +37,8 @@ class GridFigure(NamedTuple):
 
 def _lines(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     if all(dataset[name].size == 1 for name in variables) and not over:
-        figure = draw_panels(dataset.squeeze(), variables, Layout((), None, None, False), draw_point)
-        for legend in figure.legends:
-            legend.set_visible(False)  # the rows have the names already
-            legend.set_in_layout(False)
+        layout = Layout((), None, None, False)
+        figure = draw_panels(dataset.squeeze(), variables, layout, draw_point, rows_named=True)
         width, height = figure.get_size_inches().tolist()
         figure.set_size_inches(width, max(min(height, 1.0 + 0.3 * width), POINT_LINES * line_inches()))
         return figure

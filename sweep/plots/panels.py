@@ -49,12 +49,18 @@ class Panel:
 
 
 def draw_panels(
-    dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, one_unit: bool = False
+    dataset: xr.Dataset,
+    variables: list[str],
+    layout: Layout,
+    draw: Draw,
+    one_unit: bool = False,
+    rows_named: bool = False,
 ) -> Figure:
     """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
 
     Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
     their own, unless ``one_unit``.  Where the figure is too narrow for the columns they go on in further rows.
+    There is no legend where ``draw`` names what it draws beside it (``rows_named``).
     """
     columns, rows = layout.columns, layout.rows
     if len(variables) > 1:
@@ -91,6 +97,8 @@ def draw_panels(
         if row < lowest[column]:
             axes.tick_params(axis="x", which="both", labelbottom=False)
         _entitle(axes, panel, room, folded, row, column == across - 1 or (row, column + 1) not in places)
+    if rows_named:
+        return figure
     if len(panels) > 1 or is_narrow() or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE:
         legend_below(figure)
     return figure

@@ -1,6 +1,7 @@
 """Points of a table or a design, which are in no order: a quantity over each parameter, and parameters in pairs."""
 
 import math
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -109,16 +110,9 @@ def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> F
 def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
     """Draw a variable over a parameter, one colour for every combination of the other dimensions."""
     array = dataset[variable]
-    others = [str(d) for d in array.dims if d != POINT]
-    count = int(np.prod([array.sizes[d] for d in others], dtype=int))
-    if count > len(COLOURS):
-        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in others)
-        raise SweepError(f"{variable} has {sizes} at each point, too many to tell apart; fix some with --at AXIS=VALUE")
     error = standard_error(dataset, variable)
-    for number, index in enumerate(np.ndindex(*(array.sizes[d] for d in others))):
-        place = dict(zip(others, index, strict=True))
+    for number, (place, text) in enumerate(told_apart(dataset, variable, (POINT,), "at each point")):
         one = dataset.isel(place)
-        text = ", ".join(value_text(dataset, d, one[d].item()) for d in others if d in one.coords)
         y = one[variable].values.astype(float)
         x = _places(axes, dataset, parameter, "x")
         style = {"color": COLOURS[number], "label": text or variable, **_marks(len(x), MARKERS[number])}
@@ -129,6 +123,22 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
     _scale(axes, "y", array.values)
     axes.set_xlabel(label(dataset[parameter], parameter))
     finish(axes)
+
+
+def told_apart(
+    dataset: xr.Dataset, variable: str, along: Collection[str], where: str
+) -> list[tuple[dict[str, int], str]]:
+    """Return the place of every combination of the dimensions of a variable beside those it is drawn ``along``, each in
+    words; raises SweepError where they are more than the colours.
+    """
+    array = dataset[variable]
+    others = [str(d) for d in array.dims if d not in along]
+    places = [dict(zip(others, index, strict=True)) for index in np.ndindex(*(array.sizes[d] for d in others))]
+    if len(places) > len(COLOURS):
+        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in others)
+        raise SweepError(f"{variable} has {sizes} {where}, too many to tell apart; fix some with --at AXIS=VALUE")
+    named = [d for d in others if d in dataset.coords]
+    return [(place, ", ".join(value_text(dataset, d, dataset[d][place[d]].item()) for d in named)) for place in places]
 
 
 def _places(

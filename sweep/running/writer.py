@@ -104,11 +104,7 @@ class Writer:
         keys = [key for work in works for key in work.ledger_keys()]
         clock = time.monotonic()
         with self._held(), self._lock:
-            if not result.failures and self.accumulator.are_whole(works):
-                ended = self.accumulator.add_whole(works, result.sums)
-                good, added = list(range(len(ended))), list[Work]()
-            else:
-                good, ended, added = self._add(points, result)
+            good, ended, added = self._add(works, points, result)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
             self._pending.add(added)
@@ -122,9 +118,12 @@ class Writer:
         return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended), failed)
 
     def _add(
-        self, points: Sequence[tuple[GridPoint, Block]], result: TaskResult
+        self, works: Sequence[Work], points: Sequence[tuple[GridPoint, Block]], result: TaskResult
     ) -> tuple[list[int], list[GridPoint], list[Work]]:
         """Add rows to their points; return which are good, the points that have ended, and what these still need."""
+        if not result.failures and self.accumulator.are_whole(works):
+            whole = self.accumulator.add_whole(works, result.sums)
+            return list(range(len(whole))), whole, []
         good: list[int] = []
         ended: list[GridPoint] = []
         added: list[Work] = []
