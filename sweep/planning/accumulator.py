@@ -6,9 +6,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sweep.contract import Array, Value, check_finite
-from sweep.planning.grid import GridPoint
+from sweep.planning.block_rows import BlockRows
+from sweep.planning.grid import AT_ONCE, GridPoint
 from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, Work, ledger_key
 from sweep.planning.point_status import Status
 
@@ -60,14 +62,15 @@ class Accumulator:
         only: Collection[bytes] | None = None,
         samples: Callable[[bytes], Array] | None = None,
     ) -> None:
-        """Start with the ``rows`` of a ledger and their ``sums``, and the points (by digest) that ``failed``.
+        """Start with the ``rows`` of a ledger (`BlockRows`, or any mapping) and their ``sums``, and the points (by
+        digest) that ``failed``.
 
         With ``only`` nothing is missing but these points; ``samples`` gives the kept realisations of a row.  Raises
         SweepError for a plan of too many blocks.
         """
         grid = plan.grid
         self._samples = samples if grid.study.experiment.further_width else None
-        self.plan, self._rows, self._failed, self._only = plan, rows, failed, only
+        self.plan, self._rows, self._failed, self._only = plan, BlockRows.of(rows), failed, only
         experiment = grid.study.experiment
         self.total = np.zeros((len(grid), experiment.sums_width + experiment.further_width))
         self.realisations = np.zeros(len(grid), dtype=np.int64)
@@ -97,6 +100,8 @@ class Accumulator:
                 total += self.plan.size(cost, points)
             self.plan.check_size(total.blocks)
             return Survey(total, all_held, replace(total, cost=_cost_together(groups)) if common else total)
+        if (block := self._only_block()) is not None:
+            return self._survey_of_whole_points(block, sums)
         for point in self.plan.grid.points():
             self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
             held, left = self._resume(point, sums)
@@ -108,6 +113,35 @@ class Accumulator:
                 if common:
                     groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
         return Survey(total, all_held, replace(pending, cost=_cost_together(groups)) if common else pending)
+
+    def _only_block(self) -> Block | None:
+        """Return the block that is all of every point, None where there are more or they differ from point to point."""
+        sampling = self.plan.grid.study.sampling
+        alike = self.plan.costs_nothing_special and not sampling.common_random_numbers and sampling.precision is None
+        blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
+        return blocks[0] if len(blocks) == 1 else None
+
+    def _survey_of_whole_points(self, block: Block, sums: Array) -> Survey:
+        """Add what the ledger holds of points that have one block each, many at a time: a million take seconds."""
+        grid, experiment = self.plan.grid, self.plan.grid.study.experiment
+        indices = grid.indices()
+        self.plan.check_size(len(indices))
+        held = pending = 0
+        for start in range(0, len(indices), AT_ONCE):
+            some = indices[start : start + AT_ONCE]
+            digests = grid.digests(some)
+            rows = self._rows.find([ledger_key(digest, block) for digest in digests])
+            missing = np.array([digest not in self._failed for digest in digests], dtype=bool)
+            done = missing & (rows >= 0)
+            self.status[some] = np.where(missing, np.where(done, DONE, MISSING), int(Status.FAILED))
+            self.realisations[some] = np.where(rows >= 0, block.realisations, 0)
+            self.total[some[done], : experiment.sums_width] = experiment.alone(sums[rows[done]])
+            held += int(np.count_nonzero(rows >= 0))
+            missing &= ~done
+            if self._only is not None:
+                missing &= np.array([digest in self._only for digest in digests], dtype=bool)
+            pending += int(np.count_nonzero(missing))
+        return Survey(*(self.plan.size(1.0, count) for count in (len(indices), held, pending)))
 
     def _resume(self, point: GridPoint, sums: Array) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
@@ -134,6 +168,10 @@ class Accumulator:
             return ()
         blocks = self._blocks(point)
         return [b for b in blocks if ledger_key(point.digest, b) not in self._rows] if self._rows else blocks
+
+    def missing_points(self) -> NDArray[np.intp]:
+        """Return the indices of the points that are neither done nor given up now."""
+        return np.flatnonzero(self.status == MISSING)
 
     def is_missing(self, index: int) -> bool:
         """Return whether a point is neither done nor given up."""

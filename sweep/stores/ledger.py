@@ -8,6 +8,8 @@ A chunk that is lost costs the rows in it and no other.
 """
 
 import json
+import math
+from array import array
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from hashlib import blake2b
 from typing import Any
@@ -16,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Array, Experiment
+from sweep.planning.block_rows import KEY_BYTES, BlockRows
 from sweep.stores.chunked_rows import Column, DamagedError, Layout
 from sweep.stores.location import Location
 
-KEY_BYTES = 32
 START_BYTES = 8
 DIGEST_BYTES = 16
 FEWEST_ROWS = 64
@@ -104,7 +106,7 @@ class Ledger:
         index = index[: self._next]
         self._sums: Array | None = _as_long_as(read["sums"], self._next)
         keys, starts, counts = rows_of(index)
-        self._starts = starts.tolist()
+        self._starts = array("q", starts.tobytes())
         whole = index.any(axis=1) & self._sampled(starts, counts)
         if "digests" in columns:
             digests = _as_long_as(read["digests"], self._next)
@@ -112,7 +114,7 @@ class Ledger:
             whole &= self._bound(index, digests)
         else:
             whole &= ~np.isnan(self._sums).all(axis=1)
-        self.rows = {keys[row].tobytes(): int(row) for row in np.flatnonzero(whole)}
+        self.rows = BlockRows(keys, whole)
         self._samples_end = int((starts + counts).max(initial=0)) if "samples" in columns else 0
         columns["index"].resume(self._next, index)
         columns["sums"].resume(self._next, self._sums)
@@ -188,8 +190,8 @@ class Ledger:
             bound = [_digests(index, sums), *([_digests(index, samples)] if samples else [])]
             self._columns["digests"].append(np.concatenate(bound, axis=1))
         self._columns["index"].append(index)
-        self._starts += starts
-        self.rows.update(zip(keys, range(self._next, self._next + len(keys)), strict=True))
+        self._starts.extend(starts)
+        self.rows.extend(keys)
         self._next += len(keys)
 
     def bind(self, digests: Column) -> None:
@@ -244,9 +246,14 @@ def _index_rows(keys: Sequence[bytes], starts: Sequence[int]) -> NDArray[np.uint
 
 def _digests(index: NDArray[np.uint8], values: Iterable[Array]) -> NDArray[np.uint8]:
     """Return the digest of each row of the index together with its sums or samples, (rows, `DIGEST_BYTES`)."""
+    rows, width = index.tobytes(), index.shape[1]
+    own = (np.asarray(one, dtype="<f8").tobytes() for one in values)
+    if isinstance(values, np.ndarray):  # rows of one length are cut from the bytes of all
+        size, content = 8 * math.prod(values.shape[1:]), np.asarray(values, dtype="<f8").tobytes()
+        own = (content[size * row : size * (row + 1)] for row in range(len(values)))
     digests = (
-        blake2b(row.tobytes() + np.asarray(own, dtype="<f8").tobytes(), digest_size=DIGEST_BYTES).digest()
-        for row, own in zip(index, values, strict=True)
+        blake2b(rows[start : start + width] + one, digest_size=DIGEST_BYTES).digest()
+        for start, one in zip(range(0, len(rows), width), own, strict=True)
     )
     return np.frombuffer(b"".join(digests), dtype=np.uint8).reshape(-1, DIGEST_BYTES)
 

@@ -75,10 +75,12 @@ class Store:
         if not (places := self.study.experiment.text_places()):
             return
         sums = self._ledger.sums()
-        for key, row in list(self.rows.items()):
+        without = []
+        for key, row in self.rows.items():
             content = sums[row].tobytes()
             if any(content[start : start + TEXT_BYTES] not in self.texts for start in places):
-                del self.rows[key]
+                without.append(key)
+        self.rows.remove(without)
 
     def sums(self) -> Array:
         """Return all rows of the ledger, (rows, width); `rows` says which is whose."""
