@@ -8,9 +8,8 @@ A chunk that is lost costs the rows in it and no other.
 """
 
 import json
-import math
 from array import array
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from hashlib import blake2b
 from typing import Any
 
@@ -35,6 +34,9 @@ KINDS: dict[str, tuple[str, float]] = {
     "index": ("uint8", 0),
 }
 """Kind and fill value of each array, in the order of writing."""
+
+AT_ONCE = 2**16
+"""Rows that are compared with their digests at a time."""
 
 ELSEWHERE = "it holds rows that blocks/index and blocks/digests do not speak of there"
 
@@ -244,22 +246,32 @@ def _index_rows(keys: Sequence[bytes], starts: Sequence[int]) -> NDArray[np.uint
     return np.frombuffer(index, dtype=np.uint8).reshape(len(keys), KEY_BYTES + START_BYTES)
 
 
-def _digests(index: NDArray[np.uint8], values: Iterable[Array]) -> NDArray[np.uint8]:
+def _digests(index: NDArray[np.uint8], values: Sequence[Array] | Array) -> NDArray[np.uint8]:
     """Return the digest of each row of the index together with its sums or samples, (rows, `DIGEST_BYTES`)."""
-    rows, width = index.tobytes(), index.shape[1]
-    own = (np.asarray(one, dtype="<f8").tobytes() for one in values)
-    if isinstance(values, np.ndarray):  # rows of one length are cut from the bytes of all
-        size, content = 8 * math.prod(values.shape[1:]), np.asarray(values, dtype="<f8").tobytes()
-        own = (content[size * row : size * (row + 1)] for row in range(len(values)))
-    digests = (
-        blake2b(rows[start : start + width] + one, digest_size=DIGEST_BYTES).digest()
-        for start, one in zip(range(0, len(rows), width), own, strict=True)
-    )
-    return np.frombuffer(b"".join(digests), dtype=np.uint8).reshape(-1, DIGEST_BYTES)
+    found = np.empty((len(index), DIGEST_BYTES), dtype=np.uint8)
+    for start in range(0, len(index), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        rows, width = index[part].tobytes(), index.shape[1]
+        digests = (
+            blake2b(rows[width * row : width * (row + 1)] + own, digest_size=DIGEST_BYTES).digest()
+            for row, own in enumerate(_contents(values[part]))
+        )
+        found[part] = np.frombuffer(b"".join(digests), dtype=np.uint8).reshape(-1, DIGEST_BYTES)
+    return found
+
+
+def _contents(values: Sequence[Array] | Array) -> Iterator[bytes]:
+    """Yield the bytes of each row, or of each array of a list."""
+    if not isinstance(values, np.ndarray):
+        yield from (np.asarray(own, dtype="<f8").tobytes() for own in values)
+        return
+    size, content = 8 * values.shape[1], np.asarray(values, dtype="<f8").tobytes()
+    yield from (content[size * row : size * (row + 1)] for row in range(len(values)))
 
 
 def _as_long_as(rows: NDArray[Any], count: int) -> NDArray[Any]:
     """Return the first rows; those of chunks that are not there are NaN, or 0 if they cannot be."""
     fill = np.nan if rows.dtype.kind == "f" else 0
-    missing = np.full((max(0, count - len(rows)), rows.shape[1]), fill, dtype=rows.dtype)
-    return np.concatenate([rows[:count], missing])
+    if len(rows) >= count:
+        return rows[:count]
+    return np.concatenate([rows, np.full((count - len(rows), rows.shape[1]), fill, dtype=rows.dtype)])
