@@ -24,6 +24,11 @@ from sweep.stores.root import COPY, ROOT, find_root, is_bound
 from sweep.stores.texts import Texts
 from sweep.studies.study import Study
 
+BLOCKS = "blocks"
+"""The attribute that tells how many blocks the ledger had when the dataset was written: it is as new as the ledger where
+there are as many now.
+"""
+
 RESERVED = {"blocks", "failures"}
 CODE = "code"
 """The attribute that tells which code made the rows of the ledger."""
@@ -154,6 +159,7 @@ class Store:
             "ledger": self._bound_shapes(),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
             "generation": self.attributes.get("generation", 0) + 1,
+            BLOCKS: len(self.rows),
             snapshot.CHECKSUMS: json.dumps({name: array.checksums() for name, array in named.items()}),
         }
         documents = {name: array.document for name, array in named.items()}
@@ -233,7 +239,7 @@ class Store:
         """Keep a copy if the study has changed since the last one."""
         decisive = ("study_digest", "linksweep_format", "ledger")
         if self._copied is None or any(self._copied.get(key) != attributes.get(key) for key in decisive):
-            left_out = ("failures", "generation", snapshot.CHECKSUMS)
+            left_out = ("failures", "generation", BLOCKS, snapshot.CHECKSUMS)
             copied = {key: value for key, value in attributes.items() if key not in left_out}
             self.location.put(COPY, sealed(group_document(copied), COPY))
             self._copied = copied
