@@ -83,17 +83,20 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
         component_units={name: tuple(units) for name, units in record["component_units"].items()},
         samples=_computes_nothing if samples else None,
         sample_outputs=samples,
-        cost=_cost(record),
+        **_cost(record),
         shared=tuple(record["shared"]),
         nan_sums=tuple(record.get("nan_sums", ())),
     )
 
 
-def _cost(record: Mapping[str, Any]) -> Callable[[Point], float]:
+def _cost(record: Mapping[str, Any]) -> dict[str, Callable[[Point], float]]:
+    """Return the cost of a point as an argument of `Experiment`: none where all points cost the same."""
     if "costs" not in record:
-        return _computes_nothing
+        return {"cost": _computes_nothing}
     names, costs = record["cost_axes"], record["costs"]
-    return lambda point: float(costs[_key(tuple(point[name] for name in names))])
+    if costs == {_key(()): 1.0}:
+        return {}
+    return {"cost": lambda point: float(costs[_key(tuple(point[name] for name in names))])}
 
 
 def _key(values: tuple[Any, ...]) -> str:
