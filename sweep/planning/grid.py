@@ -138,8 +138,7 @@ class Grid:
     def _along(self, indices: NDArray[np.intp]) -> list[Iterator[tuple[Value, ...]]]:
         """Return the values on the axes of each dimension, point by point."""
         return [
-            map(column.__getitem__, places)
-            for column, places in zip(self._columns, self._places(indices), strict=True)
+            map(column.__getitem__, places) for column, places in zip(self._columns, self._places(indices), strict=True)
         ]
 
     def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:

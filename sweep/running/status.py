@@ -83,8 +83,9 @@ Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int
 
 
 def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -> Progress:
-    """Return the progress that the ledger knows, or a dataset that is known to say the ``same`` and is read in a moment;
-    raises SweepError where the store has not recorded what that takes.
+    """Return the progress that the ledger knows, or a dataset that says the ``same``, which takes a fraction of the time.
+
+    Raises SweepError where the store has not recorded what that takes.
     """
     study = recorded_study(opened.attributes, str(opened.location))
     grid = Grid(study)

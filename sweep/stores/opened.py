@@ -80,8 +80,9 @@ class OpenStore:
         return dataset
 
     def ledger(self, compared: bool = True) -> OpenLedger:
-        """Return the ledger, its rows ``compared`` with their digests; raises SweepError that names the files of it which
-        are damaged.
+        """Return the ledger, its rows ``compared`` with their digests.
+
+        Raises SweepError that names the files of it which are damaged.
         """
         damaged: dict[str, str] = {}
         ledger: Ledger | None = None

@@ -25,9 +25,7 @@ from sweep.stores.texts import Texts
 from sweep.studies.study import Study
 
 BLOCKS = "blocks"
-"""The attribute that tells how many blocks the ledger had when the dataset was written: it is as new as the ledger where
-there are as many now.
-"""
+"""The attribute that tells how many blocks the ledger had when the dataset was written."""
 
 RESERVED = {"blocks", "failures"}
 CODE = "code"
