@@ -145,22 +145,26 @@ class Accumulator:
 
     def _resume(self, point: GridPoint, sums: Array) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
-        held = left = PlanSize(0, 0, 0, 0.0)
+        held, left = [0, 0], [0, 0]  # blocks and their realisations
+        cost_held = cost_left = 0.0
         blocks = list(self._blocks(point))
         while blocks:
             more: list[Block] = []
             for block in blocks:
-                work = self.plan.work((point,), block)
-                size = PlanSize(0, 1, block.realisations, work.cost)
-                if (row := self._rows.get(work.ledger_keys()[0])) is None:
-                    left += size
+                key = ledger_key(point.digest, block)
+                row = self._rows.get(key)
+                counts = left if row is None else held
+                counts[0] += 1
+                counts[1] += block.realisations
+                cost = self.plan.work((point,), block).cost
+                if row is None:
+                    cost_left += cost
                 else:
-                    held += size
-                    kept = None if self._samples is None else self._samples(work.ledger_keys()[0])
-                    more += self.add(point, block, sums[row], kept)
+                    cost_held += cost
+                    more += self.add(point, block, sums[row], None if self._samples is None else self._samples(key))
             blocks = more
-        one = PlanSize(1, 0, 0, 0.0)
-        return (held, left + one) if left.blocks else (held + one, left)
+        whole = int(not left[0])
+        return PlanSize(whole, held[0], held[1], cost_held), PlanSize(1 - whole, left[0], left[1], cost_left)
 
     def missing(self, point: GridPoint) -> Sequence[Block]:
         """Return the blocks of a point that the ledger did not hold at the start, as far as they are known now."""

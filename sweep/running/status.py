@@ -83,7 +83,7 @@ Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int
 
 
 def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -> Progress:
-    """Return the progress that the ledger knows, or a dataset that says the ``same``, which takes a fraction of the time.
+    """Return the progress that the ledger knows, or a dataset that says the ``same``, which takes less time.
 
     Raises SweepError where the store has not recorded what that takes.
     """
