@@ -127,11 +127,12 @@ class Accumulator:
         indices = grid.indices()
         self.plan.check_size(len(indices))
         held = pending = 0
+        of_block = ledger_key(b"", block)
         for start in range(0, len(indices), AT_ONCE):
             some = indices[start : start + AT_ONCE]
             digests = grid.digests(some)
-            rows = self._rows.find([ledger_key(digest, block) for digest in digests])
-            missing = np.array([digest not in self._failed for digest in digests], dtype=bool)
+            rows = self._rows.find([digest + of_block for digest in digests])
+            missing = ~_among(digests, self._failed)
             done = missing & (rows >= 0)
             self.status[some] = np.where(missing, np.where(done, DONE, MISSING), int(Status.FAILED))
             self.realisations[some] = np.where(rows >= 0, block.realisations, 0)
@@ -139,7 +140,7 @@ class Accumulator:
             held += int(np.count_nonzero(rows >= 0))
             missing &= ~done
             if self._only is not None:
-                missing &= np.array([digest in self._only for digest in digests], dtype=bool)
+                missing &= _among(digests, self._only)
             pending += int(np.count_nonzero(missing))
         return Survey(*(self.plan.size(1.0, count) for count in (len(indices), held, pending)))
 
@@ -279,6 +280,11 @@ class Accumulator:
             return parts
         needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
         return min(max(parts + 1, self.plan.parts(cost, needed)), self.plan.parts(cost, sampling.most))
+
+
+def _among(digests: Sequence[bytes], some: Collection[bytes]) -> NDArray[np.bool_]:
+    """Return which of the digests are among some."""
+    return np.array([digest in some for digest in digests], dtype=bool) if some else np.zeros(len(digests), dtype=bool)
 
 
 def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Exception]:

@@ -123,8 +123,10 @@ class Grid:
             itertools.repeat(own[0], len(indices)) if dimension is None else map(own.__getitem__, places[dimension])
             for dimension, own in self._texts_along
         ]
-        rows = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
-        return [_digest(filter(None, row)) for row in rows]
+        rows: Iterable[Iterable[Any]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
+        if any(None in own for _, own in self._texts_along):  # a parameter at its default
+            rows = (filter(None, row) for row in rows)
+        return list(map(_digest, rows))
 
     @cached_property
     def _texts_along(self) -> list[tuple[str | None, list[str | None]]]:
@@ -218,7 +220,10 @@ def make_grid(study: Study) -> Grid:
     grid = Grid(study)
     if len(grid) > MAX_POINTS:
         sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
-        message = f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed"
+        message = (
+            f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed: cut an axis into studies "
+            "with a store each, or take a design of points (--design)"
+        )
         raise SweepError(message, study.source)
     sentences = _repeated(grid)
     reasons: dict[str, int] = {}
