@@ -221,7 +221,7 @@ def make_grid(study: Study) -> Grid:
     if len(grid) > MAX_POINTS:
         sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
         message = (
-            f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed: cut an axis into studies "
+            f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed: cut it into studies "
             "with a store each, or take a design of points (--design)"
         )
         raise SweepError(message, study.source)
