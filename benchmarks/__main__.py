@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import core_speed, functions, main_job, memory, overhead, scale, scaling, start_up, tie
+from benchmarks import core_speed, functions, main_job, memory, million, overhead, scale, scaling, start_up, tie
 from benchmarks.measured import Measured, host_load
 
 BENCHMARKS = {
@@ -28,6 +28,7 @@ BENCHMARKS = {
     "scaling": scaling.measure,
     "start-up": start_up.measure,
     "scale": scale.measure,
+    "million": million.measure,
     "tie": tie.measure,
 }
 
