@@ -76,6 +76,7 @@ class Accumulator:
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self._rounds: dict[int, _Round] = {}
+        self._whole = self._only_block()
         self.survey = self._survey(sums)
 
     def _survey(self, sums: Array) -> Survey:
@@ -100,8 +101,8 @@ class Accumulator:
                 total += self.plan.size(cost, points)
             self.plan.check_size(total.blocks)
             return Survey(total, all_held, replace(total, cost=_cost_together(groups)) if common else total)
-        if (block := self._only_block()) is not None:
-            return self._survey_of_whole_points(block, sums)
+        if self._whole is not None:
+            return self._survey_of_whole_points(self._whole, sums)
         for point in self.plan.grid.points():
             self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
             held, left = self._resume(point, sums)
@@ -172,7 +173,9 @@ class Accumulator:
         if not self._is_wanted(point):
             return ()
         blocks = self._blocks(point)
-        return [b for b in blocks if ledger_key(point.digest, b) not in self._rows] if self._rows else blocks
+        if self._whole is not None or not self._rows:  # what the ledger holds is done, or there is nothing in it
+            return blocks
+        return [b for b in blocks if ledger_key(point.digest, b) not in self._rows]
 
     def missing_points(self) -> NDArray[np.intp]:
         """Return the indices of the points that are neither done nor given up now."""
