@@ -3,6 +3,7 @@
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -256,6 +257,8 @@ def run_block(
     who = "samples" if kept else "evaluate"
     shapes = {name: (len(points), *shape) for name, shape in experiment.sums.items()}
     shapes_kept = {o.name: (len(points), block.n_sim, *experiment.shape_of(o)) for o in kept}
+    if not kept and (together := _together_if_alike(experiment, points, stream, block, seed)) is not None:
+        return together, np.empty((len(points), 0, experiment.samples_width))
     total = np.zeros((len(points), experiment.sums_width))
     samples: list[NDArray[np.float64]] = []
     for rng, catalogue_rng in _streams(stream, block, seed):
@@ -269,6 +272,27 @@ def run_block(
             flat = [array.reshape(len(points), block.n_sim, -1) for array in realisations.values()]
             samples.append(np.concatenate(flat, axis=2))
     return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))
+
+
+def _together_if_alike(
+    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
+) -> NDArray[np.float64] | None:
+    """Return the sums of a block whose catalogues are evaluated together, None where the experiment does not do that;
+    what it raises is raised again by the catalogue that is to blame.
+    """
+    if experiment.evaluate_catalogues is None or block.n_cat == 1:
+        return None
+    shapes = {name: (block.n_cat, len(points), *shape) for name, shape in experiment.sums.items()}
+    with suppress(Exception):
+        drawn = experiment.evaluate_catalogues(points, block.n_sim, list(_streams(stream, block, seed)))
+        sums = checked("evaluate_catalogues", drawn, "sum", shapes)
+        check_finite(sums, experiment.nan_sums)
+        flat = np.concatenate([array.reshape(block.n_cat, len(points), -1) for array in sums.values()], axis=2)
+        total = np.zeros(flat.shape[1:])
+        for catalogue in flat:
+            total += catalogue  # in their order, as they are added one by one
+        return total
+    return None
 
 
 def _streams(stream: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:
