@@ -36,7 +36,7 @@ SUMS: Mapping[str, tuple[int, ...]] = {
 
 HARMONICS = 20.0
 
-STACK = 2**15
+STACK = 2**17
 """Objects x realisations of the catalogues that are computed together at most."""
 
 

@@ -12,8 +12,8 @@ from distributed import Client, Future, KilledWorker
 
 from sweep.contract import SweepError
 from sweep.executing.execute import Limits, Results, Say, Take, make_task
+from sweep.executing.task import Failure, TaskResult, failed
 from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker import Failure, TaskResult, failed
 from sweep.executing.worker_plugin import PLUGIN, Answer, SourcesPlugin, TaskPlugin, run_on_worker
 from sweep.load import source_digest, sources_of
 from sweep.planning.plan import Work

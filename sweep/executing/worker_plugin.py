@@ -10,8 +10,9 @@ from threadpoolctl import threadpool_limits
 from sweep.executing.captured import no_standard_output
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.isolated import run_guarded
+from sweep.executing.task import Task, TaskResult
 from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker import Task, TaskResult, run_task
+from sweep.executing.worker import run_task
 from sweep.load import provide
 from sweep.session import SessionFunction
 from sweep.sources import Sources

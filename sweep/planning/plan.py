@@ -258,6 +258,12 @@ def generators(seed: int, name: bytes, catalogue: int, part: int) -> tuple[np.ra
     return stream(catalogue, 1, part), stream(catalogue, 0)
 
 
+def streams(stream: bytes, block: Block, seed: int) -> Iterator[tuple[np.random.Generator, np.random.Generator]]:
+    """Yield the generators of a block's part of each of its catalogues, and of the catalogue."""
+    for catalogue in range(block.first_catalogue, block.first_catalogue + block.n_cat):
+        yield generators(seed, stream, catalogue, block.part)
+
+
 def _doublings(sims: int) -> int:
     """Return in how many steps parts that double reach their whole size."""
     return (sims // FIRST_SIMS).bit_length() - 1 if sims > FIRST_SIMS else 0

@@ -9,7 +9,8 @@ import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from sweep.contract import Experiment, ResultError, SweepError, shown, suggest
-from sweep.executing.worker import TaskResult, function_values, run_block
+from sweep.executing.task import TaskResult
+from sweep.executing.worker import function_values, run_block
 from sweep.formatting import first_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat

@@ -1,0 +1,91 @@
+"""Blocks that are computed in one call: points of a vectorised function, small catalogues of one point."""
+
+import time
+from collections.abc import Iterator
+from itertools import groupby
+
+import numpy as np
+
+from sweep.contract import Experiment, check_finite, checked
+from sweep.executing.captured import captured
+from sweep.executing.deadlines import Deadlines
+from sweep.executing.task import PointBlock, Task, TaskResult, failed, failure_of
+from sweep.functions.adapter import FunctionExperiment
+from sweep.planning.plan import streams
+
+MOST_CATALOGUES = 256
+"""Catalogues in one call."""
+
+
+def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult:
+    """Return the results of all points of a task from one call of a vectorised function."""
+    defaults = experiment.defaults()
+    points = [defaults | unit.points[0] for unit in task.units]
+    result = failed(len(points), experiment.sums_width)
+    begun = time.perf_counter()
+    with captured() as said:
+        try:
+            with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(points)):
+                result.values.update(enumerate(experiment.many(points)))
+        except (KeyboardInterrupt, GeneratorExit):
+            raise
+        except BaseException as error:  # who is to blame is found out one by one
+            result.failures.update(dict.fromkeys(range(len(points)), failure_of(error)))
+        if (told := said.taken()) is not None:
+            result.said[0] = told
+    result.seconds[:] = (time.perf_counter() - begun) / len(points)
+    return result
+
+
+def alike(experiment: Experiment, task: Task) -> Iterator[tuple[PointBlock, ...]]:
+    """Yield the units of a task in groups whose catalogues may be evaluated in one call: small ones of one point, with
+    as many realisations.
+    """
+    if experiment.evaluate_catalogues is None or task.keep_samples or task.time_limit_s is not None:
+        yield task.units
+        return
+    for _, same in groupby(task.units, _kind):
+        group: list[PointBlock] = []
+        for unit in same:
+            if group and sum(u.block.n_cat for u in group) + unit.block.n_cat > MOST_CATALOGUES:
+                yield tuple(group)
+                group = []
+            group.append(unit)
+        yield tuple(group)
+
+
+def _kind(unit: PointBlock) -> tuple[object, ...]:
+    """Return what units that may be evaluated in one call have in common."""
+    several = unit.block.n_cat > 1  # large catalogues have a block each
+    return unit.stream, unit.block.n_sim, several or unit.block.first_catalogue, unit.points
+
+
+def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
+    """Return the sums of blocks of one point whose catalogues are evaluated in one call.
+
+    None where that is not possible, or raises: each by itself says which is to blame.
+    """
+    n_cat = [unit.block.n_cat for unit in units]
+    if experiment.evaluate_catalogues is None or sum(n_cat) == 1:
+        return None
+    points = [experiment.defaults() | point for point in units[0].points]
+    shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}
+    begun = time.perf_counter()
+    try:
+        generators = [pair for unit in units for pair in streams(unit.stream, unit.block, task.seed)]
+        drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, generators)
+        sums = checked("evaluate_catalogues", drawn, "sum", shapes)
+        check_finite(sums, experiment.nan_sums)
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException:
+        return None
+    flat = iter(np.concatenate([array.reshape(sum(n_cat), len(points), -1) for array in sums.values()], axis=2))
+    result = failed(len(units) * len(points), experiment.sums_width)
+    for number, catalogues in enumerate(n_cat):
+        total = np.zeros((len(points), experiment.sums_width))
+        for _ in range(catalogues):
+            total += next(flat)  # in their order, as they are added one by one
+        result.sums[number * len(points) : (number + 1) * len(points)] = total
+    result.seconds[:] = (time.perf_counter() - begun) / len(result.seconds)
+    return result
