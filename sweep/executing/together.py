@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from itertools import groupby
+from itertools import chain, groupby
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from sweep.executing.captured import captured
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.task import PointBlock, Task, TaskResult, failed, failure_of
 from sweep.functions.adapter import FunctionExperiment
-from sweep.planning.plan import streams
+from sweep.planning.streams import block_generators
 
 MOST_CATALOGUES = 256
 """Catalogues in one call."""
@@ -72,8 +72,8 @@ def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBl
     shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}
     begun = time.perf_counter()
     try:
-        generators = [pair for unit in units for pair in streams(unit.stream, unit.block, task.seed)]
-        drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, generators)
+        blocks = block_generators(task.seed, [(unit.stream, unit.block) for unit in units])
+        drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
         sums = checked("evaluate_catalogues", drawn, "sum", shapes)
         check_finite(sums, experiment.nan_sums)
     except (KeyboardInterrupt, GeneratorExit):

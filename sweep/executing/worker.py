@@ -3,6 +3,7 @@
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from sweep.executing.together import alike, catalogues_together, points_together
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat
 from sweep.load import load_experiment
-from sweep.planning.plan import Block, streams
+from sweep.planning.streams import Pair, block_generators, generators_of
 
 ENOUGH_S = 2.0
 """A task that takes longer hands back what it has, so that results are not kept waiting for those of slower points."""
@@ -62,7 +63,9 @@ def _one_by_one(
     """Yield the result of each of these units of a task, with what was ``said`` meanwhile."""
     defaults = experiment.defaults()
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
-    for unit in units:
+    named = [(unit.stream, unit.block) for unit in units]
+    pairs_of = repeat(list[Pair]()) if experiment.deterministic else block_generators(task.seed, named)
+    for unit, pairs in zip(units, pairs_of, strict=False):
         result = failed(len(unit.points), experiment.sums_width)
         for stream, point, reason in given_up:
             known = [row for row, own in enumerate(unit.points) if (stream, point) == (unit.stream, own)]
@@ -70,9 +73,10 @@ def _one_by_one(
         rows = [row for row in range(len(unit.points)) if row not in result.failures]
         begun = time.perf_counter()
         points = [defaults | unit.points[row] for row in rows]
-        if rows and not _try(experiment, points, rows, unit, task, result, deadlines) and len(rows) > 1:
+        if rows and not _try(experiment, points, rows, unit, pairs, task, result, deadlines) and len(rows) > 1:
             for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
-                _try(experiment, [point], [row], unit, task, result, deadlines)
+                afresh = generators_of(task.seed, unit.stream, unit.block)
+                _try(experiment, [point], [row], unit, afresh, task, result, deadlines)
         if (told := said.taken()) is not None:
             result.said[min(rows, default=0)] = told
         result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
@@ -86,6 +90,7 @@ def _try(
     points: Sequence[Point],
     rows: list[int],
     unit: PointBlock,
+    pairs: Sequence[Pair],
     task: Task,
     result: TaskResult,
     deadlines: Deadlines,
@@ -94,10 +99,10 @@ def _try(
     try:
         with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
             if isinstance(experiment, FunctionExperiment):
-                values = function_values(experiment, points, unit.stream, unit.block, task.seed)
+                values = function_values(experiment, points, unit.block.n_sim, pairs)
                 result.values.update(zip(rows, values, strict=True))
                 return True
-            sums, samples = run_block(experiment, points, unit.stream, unit.block, task.seed, task.keep_samples)
+            sums, samples = run_block(experiment, points, unit.block.n_sim, pairs, task.keep_samples)
     except TimeLimitError:
         result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
         return False
@@ -115,23 +120,24 @@ def _try(
 
 
 def function_values(
-    experiment: FunctionExperiment, points: Sequence[Point], stream: bytes, block: Block, seed: int
+    experiment: FunctionExperiment, points: Sequence[Point], n_sim: int, pairs: Sequence[Pair]
 ) -> list[Flat]:
-    """Return the results of a plain function at points: of one evaluation each, or of a block of realisations.
+    """Return the results of a plain function at points: of one evaluation each, or of a block of realisations of the
+    catalogue of each pair of generators.
 
     Raises ResultError for what is no result, and whatever the function raises.
     """
     if experiment.vectorised:
         return experiment.many(points)
-    return experiment.block(points, block.n_sim, (rng for rng, _ in streams(stream, block, seed)))
+    return experiment.block(points, n_sim, (rng for rng, _ in pairs))
 
 
 def run_block(
-    experiment: Experiment, points: Sequence[Point], stream: bytes, block: Block, seed: int, keep_samples: bool = False
+    experiment: Experiment, points: Sequence[Point], n_sim: int, pairs: Sequence[Pair], keep_samples: bool = False
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, where
     they are to be kept, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
-    the outputs.
+    the outputs.  There are ``n_sim`` for each pair of generators, those of a catalogue.
 
     Raises ResultError where these are not what is declared or not finite, and whatever the experiment raises.
     """
@@ -139,17 +145,17 @@ def run_block(
     evaluate = experiment.samples if kept and experiment.samples is not None else experiment.evaluate
     who = "samples" if kept else "evaluate"
     shapes = {name: (len(points), *shape) for name, shape in experiment.sums.items()}
-    shapes_kept = {o.name: (len(points), block.n_sim, *experiment.shape_of(o)) for o in kept}
+    shapes_kept = {o.name: (len(points), n_sim, *experiment.shape_of(o)) for o in kept}
     total = np.zeros((len(points), experiment.sums_width))
     samples: list[NDArray[np.float64]] = []
-    for rng, catalogue_rng in streams(stream, block, seed):
-        drawn = evaluate(points, block.n_sim, rng, catalogue_rng)
+    for rng, catalogue_rng in pairs:
+        drawn = evaluate(points, n_sim, rng, catalogue_rng)
         sums = checked(who, drawn, "sum", shapes, beside=list(shapes_kept))
         check_finite(sums, experiment.nan_sums)
         total += np.concatenate([array.reshape(len(points), -1) for array in sums.values()], axis=1)
         if kept:
             realisations = checked(who, drawn, "sample output", shapes_kept, beside=list(shapes))
             check_finite(realisations, [output.name for output in kept if output.nan])
-            flat = [array.reshape(len(points), block.n_sim, -1) for array in realisations.values()]
+            flat = [array.reshape(len(points), n_sim, -1) for array in realisations.values()]
             samples.append(np.concatenate(flat, axis=2))
     return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
-from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, generators, ledger_key
+from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, ledger_key
+from sweep.planning.streams import generators
 from sweep.planning.work_queue import MAX_BLOCKS, TASK_S, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
