@@ -174,7 +174,8 @@ def child() -> None:
         return
     with threadpool_limits(1):
         experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-        one_by_one = experiment.vectorised or experiment.evaluate_catalogues is not None
+        together = experiment.evaluate_catalogues is not None and task.time_limit_s is None
+        one_by_one = experiment.vectorised or together  # the parent waits for an answer for each unit
         for part in [replace(task, units=(unit,)) for unit in task.units] if one_by_one else [task]:
             for result in run_units(part, Deadlines()):
                 answers.send(result)

@@ -1,7 +1,7 @@
 """Blocks that are computed in one call: points of a vectorised function, small catalogues of one point."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import chain, groupby
 
 import numpy as np
@@ -37,36 +37,26 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
     return result
 
 
-def alike(experiment: Experiment, task: Task) -> Iterator[tuple[PointBlock, ...]]:
-    """Yield the units of a task in groups whose catalogues may be evaluated in one call: small ones of one point, with
-    as many realisations.
+def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
+    """Yield units in groups: those of small catalogues of one point, with as many realisations, and those between them,
+    of large catalogues, which have a block each.
     """
-    if experiment.evaluate_catalogues is None or task.keep_samples or task.time_limit_s is not None:
-        yield task.units
-        return
-    for _, same in groupby(task.units, _kind):
-        group: list[PointBlock] = []
-        for unit in same:
-            if group and sum(u.block.n_cat for u in group) + unit.block.n_cat > MOST_CATALOGUES:
-                yield tuple(group)
-                group = []
-            group.append(unit)
-        yield tuple(group)
-
-
-def _kind(unit: PointBlock) -> tuple[object, ...]:
-    """Return what units that may be evaluated in one call have in common."""
-    several = unit.block.n_cat > 1  # large catalogues have a block each
-    return unit.stream, unit.block.n_sim, several or unit.block.first_catalogue, unit.points
+    for small, group in groupby(units, lambda u: (u.stream, u.block.n_sim, u.points) if u.block.n_cat > 1 else None):
+        if small is None:
+            yield tuple(group)
+        else:
+            whole = tuple(group)
+            most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole))
+            yield from (whole[first : first + most] for first in range(0, len(whole), most))
 
 
 def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
     """Return the sums of blocks of one point whose catalogues are evaluated in one call.
 
-    None where that is not possible, or raises: each by itself says which is to blame.
+    None where they are large, and where that raises: each by itself says which is to blame.
     """
     n_cat = [unit.block.n_cat for unit in units]
-    if experiment.evaluate_catalogues is None or sum(n_cat) == 1:
+    if experiment.evaluate_catalogues is None or n_cat[0] == 1:
         return None
     points = [experiment.defaults() | point for point in units[0].points]
     shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}

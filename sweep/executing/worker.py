@@ -47,8 +47,9 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
             yield together
             return
     with captured() as said:
-        for units in alike(experiment, task):
-            if (known := catalogues_together(experiment, task, units)) is None:
+        one_by_one = experiment.evaluate_catalogues is None or task.keep_samples or task.time_limit_s is not None
+        for units in [task.units] if one_by_one else alike(task.units):
+            if one_by_one or (known := catalogues_together(experiment, task, units)) is None:
                 said.taken()  # it is said again
                 yield from _one_by_one(experiment, task, units, deadlines, said)
                 continue
