@@ -1,7 +1,6 @@
 """Steps A-F of the simulation for a block of realisations, in bounded memory."""
 
-from collections.abc import Hashable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
@@ -104,7 +103,7 @@ def _simulate(
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for rows in chunks(n_sim):
         satellite_rngs, reference_rngs = zip(*(rng.spawn(2) for rng, _ in streams), strict=True)
-        (field_rng,) = satellite_rngs[0].spawn(1) if zonal else [None]
+        field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
         begun = [point.begin(rows, satellite_rngs[0], field_rng) for point in points]
         for satellite, reference in zip_longest(
             tiles(satellite_rngs, stack, rows, satellite_objects), tiles(reference_rngs, stack, rows, reference_objects)
@@ -141,18 +140,19 @@ class _Point:
         )
 
     def begin(
-        self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator | None
+        self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator
     ) -> FixedSums | FullSums | Drawn:
         """Return sums of ``rows`` realisations; what is projected is drawn from the beginning of the satellite's
         stream, zonal errors from that of their own, and both are left there for others.
         """
+        states = [stream.bit_generator.state for stream in (rng, field_rng)]
         if isinstance(self.path, Projected):
-            with _state_kept(rng):
-                return self.path.draw(rows, rng)
-        if field_rng is None:
-            return self.path.begin(rows)
-        with _state_kept(field_rng):
-            return self.path.begin(rows, self.setup.satellite.draw_field(rows, field_rng))
+            begun: FixedSums | FullSums | Drawn = self.path.draw(rows, rng)
+        else:
+            begun = self.path.begin(rows, self.setup.satellite.draw_field(rows, field_rng))
+        for stream, state in zip((rng, field_rng), states, strict=True):
+            stream.bit_generator.state = state
+        return begun
 
     def add(self, error: Array, chi2: Array) -> None:
         """Add realisations: their estimate - truth (..., K, rows), and the sum of their chi2."""
@@ -184,14 +184,6 @@ class _Point:
             n_obj=np.full(self.setup.stack, float(self.n_sim * self.setup.n_obj)),
             estimates=estimates,
         )
-
-
-@contextmanager
-def _state_kept(rng: np.random.Generator) -> Iterator[None]:
-    """Leave a generator in the state in which it was."""
-    state = rng.bit_generator.state
-    yield
-    rng.bit_generator.state = state
 
 
 def _path(design: FixedDesign) -> FixedDesign | FullPath | Projected:
