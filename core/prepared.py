@@ -132,13 +132,15 @@ class Draw:
 
 def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
     """Return the errors and differences of the objects; raises LinkError where these cannot be weighed, UnlikeError
-    for a stack of which some catalogues have errors that others have not.
+    for a stack of which some catalogues have errors that others have not, or of correlated errors.
     """
     catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
     reference = Noise.of(scenario.reference_errors, catalogue)
     satellite = Noise.of(scenario.satellite_errors, catalogue)
     both = reference.sigma.T, satellite.sigma.T
     for side in (reference, satellite) if drawn.stack else ():
+        if side.factor is not None:
+            raise UnlikeError("the errors of an object are correlated")
         any_errors = side.sigma.reshape(*drawn.stack, -1).any(axis=-1)
         if any_errors.any() and not any_errors.all():
             raise UnlikeError("some of the catalogues have no errors")

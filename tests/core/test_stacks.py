@@ -117,6 +117,17 @@ def test_catalogues_of_which_some_have_no_errors_are_not_computed_together():
         simulate_stack(physics, 5, streams(8))
 
 
+def test_nor_are_those_with_correlated_errors():
+    def draw(rng):
+        found = objects(rng)
+        sigma = np.full((4, *found.ra.shape), MAS)
+        return replace(found, sigma=sigma, correlation=np.broadcast_to(np.eye(4), (*found.ra.shape, 4, 4)))
+
+    physics = of_file(draw, satellite_errors=CatalogueErrors())
+    with pytest.raises(UnlikeError, match="correlated"):
+        simulate_stack(physics, 5, streams(12))
+
+
 def test_nor_are_those_of_which_some_have_objects_near_a_pole():
     """Where sines and cosines of noisy positions are computed in another way."""
 
