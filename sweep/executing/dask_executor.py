@@ -10,13 +10,13 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from distributed import Client, Future, KilledWorker
+from distributed import Client, Future, KilledWorker, WorkerPlugin
 
 from sweep.contract import SweepError
 from sweep.executing.execute import Limits, Results, Say, Take, make_task
 from sweep.executing.task import Failure, TaskResult, failed
 from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker_plugin import PLUGIN, Answer, SourcesPlugin, TaskPlugin, run_on_worker
+from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin, run_on_worker
 from sweep.load import source_digest, sources_of
 from sweep.planning.plan import Work
 from sweep.studies.study import Study
@@ -87,11 +87,11 @@ class DaskExecutor:
         """
         reference = self._study.experiment_reference
         try:
-            self._client.register_plugin(TaskPlugin(), name=PLUGIN)
+            self._register(TaskPlugin())
             in_this_process = str(self._client.scheduler_info()["address"]).startswith("inproc://")
             if (sources := sources_of(reference)) is not None and not in_this_process:
                 pickle.dumps(sources)  # raises for a function that cannot leave this process
-                self._client.register_plugin(SourcesPlugin(sources))
+                self._register(SourcesPlugin(sources))
             # Where there is no worker yet, an adaptive cluster starts one for this.
             probe = self._client.submit(identity, reference, source_digest(reference), pure=False)
             probe.add_done_callback(self._finished.put)
@@ -107,11 +107,22 @@ class DaskExecutor:
             if isinstance(what, Identity):
                 self._warn(worker, differences(self._expected.others, what.others))
                 problems += [f"{worker}: {text}" for text in differences(self._expected.deciding, what.deciding)]
-            else:
+            elif not isinstance(what, OSError):  # one that has gone meanwhile is asked again with its first task
                 problems.append(f"{worker}: {type(what).__name__}: {what}")
         if problems:
             raise SweepError(problems, "workers that would not compute what this process would")
         self._look()
+
+    def _register(self, plugin: WorkerPlugin) -> None:
+        """Bring a plugin to all workers, of which some may go meanwhile."""
+        for attempt in range(MAX_TROUBLES):
+            try:
+                self._client.register_plugin(plugin)
+                return
+            except OSError:
+                if self._client.status != "running" or attempt == MAX_TROUBLES - 1:
+                    raise
+                time.sleep(FIRST_PAUSE_S)
 
     def __call__(self, take: Take) -> Results:
         """Run everything that ``take`` gives, from now on and not only from the first result that is asked for."""

@@ -27,6 +27,8 @@ class TaskPlugin(WorkerPlugin):
     products would then depend on the number of cores, and workers would fight for them.
     """
 
+    name = PLUGIN
+
     idempotent = True  # a second client of the same workers must not reset their alarm
 
     def setup(self, worker: Any) -> None:
