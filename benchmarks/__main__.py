@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import (
+    cluster,
     core_speed,
     functions,
     main_job,
@@ -39,6 +40,7 @@ BENCHMARKS = {
     "memory": memory.measure,
     "scaling": scaling.measure,
     "start-up": start_up.measure,
+    "cluster": cluster.measure,
     "scale": scale.measure,
     "tie": tie.measure,
 }

@@ -16,6 +16,7 @@ COUNTS = {
     "small-catalogues": 4,
     "memory": 3,
     "scaling": 8,
+    "cluster": 8,
     "scale": 15,
     "tie": 8,
 }
