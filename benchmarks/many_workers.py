@@ -1,7 +1,7 @@
 """A Dask scheduler and many worker processes on this machine, forked from one that has imported what they need.
 
-``python -m benchmarks.many_workers WORKERS THREADS LIFETIME`` prints the scheduler's address and runs until its input is
-closed.  With a LIFETIME above 0 a worker is killed every so many seconds, and another one starts.
+``python -m benchmarks.many_workers WORKERS THREADS LIFETIME`` prints the scheduler's address and runs until its input
+is closed.  With a LIFETIME above 0 a worker is killed every so many seconds, and another one starts.
 """
 
 import asyncio
