@@ -22,6 +22,7 @@ from benchmarks import (
     functions,
     main_job,
     memory,
+    million,
     overhead,
     scale,
     scaling,
@@ -42,6 +43,7 @@ BENCHMARKS = {
     "start-up": start_up.measure,
     "cluster": cluster.measure,
     "scale": scale.measure,
+    "million": million.measure,
     "tie": tie.measure,
 }
 

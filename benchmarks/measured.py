@@ -67,18 +67,26 @@ class Watched:
     output: str = ""
 
 
-def watch(command: Sequence[str], folder: Path, environment: Mapping[str, str] | None = None) -> Watched:
-    """Run a command to its end and watch its process tree; raises RuntimeError with its last words if it fails."""
+def environment() -> dict[str, str]:
+    """Return the environment in which commands find the benchmarks and this checkout."""
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    return {**os.environ, "PYTHONPATH": path}
+
+
+def watch(command: Sequence[str], folder: Path, further: Mapping[str, str] | None = None) -> Watched:
+    """Run a command to its end, with ``further`` variables in its environment, and watch its process tree.
+
+    Raises RuntimeError with its last words if it fails.
+    """
     found, cpu = Watched(), {}
     begun = time.perf_counter()
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     process = subprocess.Popen(
         command,
         cwd=folder,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONPATH": path, **(environment or {})},
+        env={**environment(), **(further or {})},
     )
     over = threading.Event()
 

@@ -50,6 +50,7 @@ def run(
     scheduler: str | None = None,
     cluster: str | Path | None = None,
     limits: Limits = NO_LIMITS,
+    dashboard: bool = False,
     progress: Progress | None = None,
     accept_code: bool = False,
     fresh: bool = False,
@@ -77,6 +78,7 @@ def run(
         scheduler: the address of a Dask scheduler to run on instead.
         cluster: a file that describes a Dask cluster to start and run on instead.
         limits: the time and memory that one block may take.
+        dashboard: give local workers Dask's dashboard, whose address is logged; it needs bokeh.
         accept_code: continue a store that other code made, and record for each point which code made it; otherwise
             such a store is refused.
         fresh: replace the store.
@@ -106,7 +108,8 @@ def run(
     leave_a_worker_that_runs_its_script()
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})
     place = located(store or default_store(loaded.name))
-    resources = Resources(workers, pool, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits)
+    file = None if cluster is None else Path(cluster)
+    resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard)
     with _watching(loaded, progress) as watching:
         dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
     if failures:

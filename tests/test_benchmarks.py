@@ -18,6 +18,7 @@ COUNTS = {
     "scaling": 8,
     "cluster": 8,
     "scale": 15,
+    "million": 10,
     "tie": 8,
 }
 

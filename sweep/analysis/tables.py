@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error
 from sweep.analysis.readable_units import in_readable_units
@@ -68,21 +69,23 @@ MOST_ROWS = 200
 """Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
 
 
-def long_table(dataset: xr.Dataset) -> dict[str, tuple[str, list[Any]]]:
-    """Return columns {name: (unit, values)} with one row a point: the axes, then every variable without further
-    dimensions; of a plain function also those with some, each value a list.
+def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> dict[str, tuple[str, list[Any]]]:
+    """Return columns {name: (unit, values)} with one row a point, of all or of those at ``places``, counted in C order:
+    the axes, then every variable without further dimensions; of a plain function also those with some, each value a
+    list.
     """
+    rows = slice(None) if places is None else places
     dimensions = axes_of(dataset)
     flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
     columns: dict[str, tuple[str, list[Any]]] = {}
+    template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
     for name in [*_axis_coordinates(dataset, dimensions), *flat.data_vars]:
         variable = dataset[name]
-        template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
-        values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)
+        values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)[rows]
         columns[str(name)] = (variable.attrs.get("units", ""), _listed(values))
     for name in array_outputs(dataset):
         variable = dataset[name].transpose(*dimensions, ...)
-        values = variable.values.reshape(-1, *variable.shape[len(dimensions) :])
+        values = variable.values.reshape(-1, *variable.shape[len(dimensions) :])[rows]
         columns[name] = (variable.attrs.get("units", ""), _listed(values))
     status = columns["status"][1]
     words = [code.word for code in Status]
@@ -232,9 +235,9 @@ def warnings_of(dataset: xr.Dataset) -> list[str]:
     return list(json.loads(dataset.attrs.get("warnings", "[]")))
 
 
-def rows_left_out(dataset: xr.Dataset) -> int:
-    """Return how many points `as_text` leaves out."""
-    return max(0, int((dataset["status"] != Status.EXCLUDED).sum()) - MOST_ROWS)
+def rows_left_out(dataset: xr.Dataset, most: int = MOST_ROWS) -> int:
+    """Return how many points a table of the first ``most``, as `as_text` makes one, leaves out."""
+    return max(0, int((dataset["status"] != Status.EXCLUDED).sum()) - most)
 
 
 def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:
@@ -244,9 +247,10 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     dataset = in_readable_units(dataset)
     names = [name for name in _headline(dataset) if name not in array_outputs(dataset)]
     known = {name: error for name in names if (error := standard_error(dataset, name)) is not None}
-    whole = _without_excluded(long_table(dataset.assign({ERROR.format(name): e for name, e in known.items()})))
-    finished = set(whole["status"][1]) == {"done"}
-    long = {name: (unit, values[:most]) for name, (unit, values) in whole.items()}
+    status = dataset["status"].values.reshape(-1)
+    finished = bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED)))
+    places = np.flatnonzero(status != Status.EXCLUDED)[:most]
+    long = long_table(dataset.assign({ERROR.format(name): e for name, e in known.items()}), places)
     columns = [
         Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
         for name in _axis_coordinates(dataset, axes_of(dataset))
@@ -274,8 +278,8 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
             pairs = list(zip(values, published[1], strict=True))
             cells = [_difference(*p) for p in pairs]
             columns.append(Column("difference", "", cells, [_relative(*p) for p in pairs], name, rank))
-    status = long["status"][1]
-    return columns if finished else [*columns, Column("status", "", status, status)]
+    words = long["status"][1]
+    return columns if finished else [*columns, Column("status", "", words, words)]
 
 
 def arrays_in_words(dataset: xr.Dataset) -> list[str]:
@@ -309,11 +313,6 @@ def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float
         Column(heading, whole[0], [rounded(v, e) for v, e in zip(values, errors, strict=True)], values)
         for heading, values in (("of errors", part[1]), ("of bias", bias))
     ]
-
-
-def _without_excluded(columns: dict[str, tuple[str, list[Any]]]) -> dict[str, tuple[str, list[Any]]]:
-    kept = [i for i, status in enumerate(columns["status"][1]) if status != "excluded"]
-    return {name: (unit, [values[i] for i in kept]) for name, (unit, values) in columns.items()}
 
 
 def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:

@@ -20,7 +20,18 @@ if TYPE_CHECKING:
 Command = Callable[..., Any]
 
 RESOURCES = (
-    *("workers", "pool", "scheduler", "tls_ca", "tls_cert", "tls_key", "cluster", "time_limit", "memory_limit"),
+    *(
+        "workers",
+        "pool",
+        "scheduler",
+        "tls_ca",
+        "tls_cert",
+        "tls_key",
+        "cluster",
+        "time_limit",
+        "memory_limit",
+        "dashboard",
+    ),
 )
 OVERRIDES = ("settings", "axes", "points", "design", "ranges")
 """Arguments of `load_study` that options give."""
@@ -171,6 +182,7 @@ def resource_options(command: Command) -> Command:
             callback=_bytes,
             help="A block whose local worker needs more fails, e.g. 2GB.  [default: an equal share each]",
         ),
+        click.option("--dashboard", is_flag=True, help="Give local workers Dask's dashboard; print its address."),
     )
 
     @functools.wraps(command)
@@ -208,6 +220,7 @@ def _resources(
     cluster: Path | None,
     time_limit: float | None,
     memory_limit: int | None,
+    dashboard: bool,
 ) -> "Resources":
     """Return the resources that the options name; raises click.UsageError for options that contradict each other."""
     from sweep.executing.choose import Resources
@@ -226,7 +239,7 @@ def _resources(
     if any(files) and (scheduler is None or not scheduler.startswith("tls://") or None in files):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
-    return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit))
+    return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit), dashboard)
 
 
 def load(study: str, overrides: Mapping[str, Any], store: "Location | None", trust: bool) -> "tuple[Study, Location]":

@@ -2,6 +2,7 @@
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from sweep.contract import SweepError, shown, suggest
@@ -25,7 +26,8 @@ CERTAINLY_LONG = 5e7
 class Resources:
     """What to run on; never part of a study, because it cannot change a number.
 
-    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.
+    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  With ``dashboard`` local
+    workers have Dask's, which needs bokeh.
     """
 
     workers: int | None = None
@@ -34,16 +36,26 @@ class Resources:
     tls: tuple[Path, Path, Path] | None = None
     cluster: Path | None = None
     limits: Limits = NO_LIMITS
+    dashboard: bool = False
 
     def __post_init__(self) -> None:
-        """Raise SweepError for a pool that is not known."""
+        """Raise SweepError for a pool that is not known, and for a dashboard where there can be none."""
         if self.pool is not None and self.pool not in POOLS:
             raise SweepError(f"no pool {shown(self.pool)}{suggest(self.pool, list(POOLS))}")
+        if not self.dashboard:
+            return
+        if self.scheduler is not None or self.cluster is not None:
+            raise SweepError("a dashboard is made for local workers; a scheduler and a cluster have their own")
+        if not POOLS[self.pool or DEFAULT_POOL].has_workers:
+            raise SweepError(f"pool {shown(self.pool)} has no workers and no dashboard")
+        if find_spec("bokeh") is None:
+            raise SweepError("a dashboard needs bokeh: `pip install 'linksweep[report]'`")
 
     @property
     def none_requested(self) -> bool:
         """Whether the user has left the choice of where to run to linksweep."""
-        return not (self.workers or self.pool or self.scheduler or self.cluster or self.limits)
+        wishes = (self.workers, self.pool, self.scheduler, self.cluster, self.limits, self.dashboard)
+        return not any(wishes)
 
 
 ANY_RESOURCES = Resources()
@@ -62,7 +74,7 @@ def choose_executor(
         pool = POOLS[resources.pool or DEFAULT_POOL]
         if resources.none_requested and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
             return measured_first(study, cost, workers, lambda: pool.open(study, workers, say, limits), say)
-        return pool.open(study, workers, say, limits)
+        return pool.open(study, workers, say, limits, resources.dashboard)
     from sweep.executing.clusters import dask_from_file, dask_scheduler, tls
 
     if resources.scheduler is not None:

@@ -4,9 +4,7 @@ import importlib.metadata
 import warnings
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from importlib import import_module
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from distributed import Client
@@ -28,37 +26,43 @@ ADAPT_WITHIN = "500ms"
 
 
 def worker_processes(
-    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS
+    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False
 ) -> AbstractContextManager[tuple[Place, Executor]]:
     """Give an executor on a Dask cluster of worker processes of one thread each."""
     options: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     if limits.memory is not None:
         options["memory_limit"] = limits.memory
     noun = "worker process" if workers == 1 else "worker processes"
-    return _local(study, workers, options, f"{workers} local {noun}", say, limits)
+    return _local(study, workers, options, f"{workers} local {noun}", say, limits, dashboard)
 
 
 def worker_threads(
-    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS
+    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False
 ) -> AbstractContextManager[tuple[Place, Executor]]:
     """Give an executor on threads of this process; with limits each task runs in a child process."""
     options = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
     noun = "thread" if workers == 1 else "threads"
-    return _local(study, workers, options, f"{workers} local {noun}", say, limits, guarded=bool(limits))
+    return _local(study, workers, options, f"{workers} local {noun}", say, limits, dashboard, guarded=bool(limits))
 
 
 @contextmanager
 def _local(
-    study: Study, workers: int, options: dict[str, Any], words: str, say: Say, limits: Limits, guarded: bool = False
+    study: Study,
+    workers: int,
+    options: dict[str, Any],
+    words: str,
+    say: Say,
+    limits: Limits,
+    dashboard: bool,
+    guarded: bool = False,
 ) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on a Dask cluster of this machine."""
-    # xarray takes a third of a second to look at its first array, workers to start nearly as long: both at once
-    Thread(target=import_module, args=["dask.array"], daemon=True).start()
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
-        cluster = stack.enter_context(local_cluster(options))
+        cluster = stack.enter_context(local_cluster(options, dashboard))
         client = stack.enter_context(cluster.get_client())
-        yield _place(client, words, workers), _executor(client, study, words, say, limits, guarded)
+        place = Place(words, workers, _dashboard(client) if dashboard else "")
+        yield place, _executor(client, study, words, say, limits, guarded)
 
 
 @contextmanager
@@ -138,13 +142,13 @@ def _executor(client: Client, study: Study, words: str, say: Say, limits: Limits
     return executor
 
 
-def _place(client: Client, words: str, workers: int | None = None) -> Place:
+def _place(client: Client, words: str) -> Place:
     """Return the place of a client, with the dashboard if its scheduler can show one: this needs bokeh."""
     try:
         client.run_on_scheduler(importlib.metadata.version, "bokeh")
     except Exception:  # a missing package there, or a scheduler that runs nothing for clients
-        return Place(words, workers)
-    return Place(words, workers, _dashboard(client))
+        return Place(words)
+    return Place(words, dashboard=_dashboard(client))
 
 
 def _dashboard(client: Client) -> str:

@@ -46,12 +46,17 @@ class NoWorkersError(SweepError, SystemExit):
 
 
 @contextmanager
-def local_cluster(options: Mapping[str, Any]) -> Iterator[Any]:
-    """Start a Dask cluster of this machine as `own_cluster` does; raises NoWorkersError."""
+def local_cluster(options: Mapping[str, Any], dashboard: bool = False) -> Iterator[Any]:
+    """Start a Dask cluster of this machine as `own_cluster` does; raises NoWorkersError.
+
+    Its scheduler is in this process: a ``dashboard`` takes a second there, for importing bokeh.
+    """
     leave_a_worker_that_runs_its_script()
     with ExitStack() as stack:
         try:
-            cluster = stack.enter_context(own_cluster(LocalCluster, options))
+            cluster = stack.enter_context(
+                own_cluster(LocalCluster, {**options, "scheduler_kwargs": {"dashboard": dashboard}})
+            )
         except RuntimeError as error:
             raise NoWorkersError(error) from None  # Dask's own traceback is of sixty lines, none of them the script's
         yield cluster

@@ -1,8 +1,8 @@
 """The pools: what a study can run on in this machine.  A further one is an entry of `POOLS`, and its name."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
     from sweep.executing.execute import Executor, Limits, Place, Say
@@ -13,27 +13,37 @@ PoolName = Literal["processes", "threads", "serial"]
 Opened = AbstractContextManager["tuple[Place, Executor]"]
 
 
+class OpenPool(Protocol):
+    """How a pool is opened."""
+
+    def __call__(
+        self, study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False, /
+    ) -> Opened:
+        """Open it for a study with so many workers, with Dask's ``dashboard`` where it can have one."""
+        ...
+
+
 class Pool(NamedTuple):
-    """A pool in words, how it is opened for a study with so many workers, and whether it has any."""
+    """A pool in words, how it is opened, and whether it has workers."""
 
     words: str
-    open: Callable[["Study", int, "Say", "Limits"], Opened]
+    open: OpenPool
     has_workers: bool = True
 
 
-def _processes(study: "Study", workers: int, say: "Say", limits: "Limits") -> Opened:
+def _processes(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False) -> Opened:
     from sweep.executing.clusters import worker_processes
 
-    return worker_processes(study, workers, say, limits)
+    return worker_processes(study, workers, say, limits, dashboard)
 
 
-def _threads(study: "Study", workers: int, say: "Say", limits: "Limits") -> Opened:
+def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False) -> Opened:
     from sweep.executing.clusters import worker_threads
 
-    return worker_threads(study, workers, say, limits)
+    return worker_threads(study, workers, say, limits, dashboard)
 
 
-def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits") -> Opened:
+def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits", _dashboard: bool = False) -> Opened:
     from sweep.executing.execute import serial
 
     return serial(study, limits)

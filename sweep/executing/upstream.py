@@ -3,11 +3,38 @@
 import atexit
 import multiprocessing
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 REPLACE_EVERY_S = 5
+
+
+def dask_arrays_only_where_imported() -> None:
+    """Keep xarray from importing dask.array to see that an array is none of Dask's, which takes a quarter of the time
+    of `sweep show`: there is none where nobody has imported it.  Other imports of xarray wait until they are needed
+    since pydata/xarray#7179.
+    """
+    from xarray.namedarray import pycompat
+
+    known: Any = getattr(pycompat, "_cached_duck_array_modules", {})  # a version without it does this in another way
+    known.setdefault("dask", _DaskArrays(partial(pycompat.DuckArrayModule, "dask")))
+
+
+class _DaskArrays:
+    """What xarray keeps of a module of arrays: here its class, if it was imported, the rest when it is asked for."""
+
+    def __init__(self, imported: Callable[[], Any]) -> None:
+        self._imported = imported
+
+    @property
+    def type(self) -> tuple[type, ...]:
+        module = sys.modules.get("dask.array")
+        return () if module is None or not hasattr(module, "Array") else (module.Array,)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._imported(), name)
 
 
 @contextmanager

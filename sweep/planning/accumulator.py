@@ -6,9 +6,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sweep.contract import Array, Value, check_finite
-from sweep.planning.grid import GridPoint
+from sweep.planning.block_rows import BlockRows
+from sweep.planning.grid import AT_ONCE, GridPoint
 from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, Work, ledger_key
 from sweep.planning.point_status import Status
 
@@ -60,19 +62,21 @@ class Accumulator:
         only: Collection[bytes] | None = None,
         samples: Callable[[bytes], Array] | None = None,
     ) -> None:
-        """Start with the ``rows`` of a ledger and their ``sums``, and the points (by digest) that ``failed``.
+        """Start with the ``rows`` of a ledger (`BlockRows`, or any mapping) and their ``sums``, and the points (by
+        digest) that ``failed``.
 
         With ``only`` nothing is missing but these points; ``samples`` gives the kept realisations of a row.  Raises
         SweepError for a plan of too many blocks.
         """
         grid = plan.grid
         self._samples = samples if grid.study.experiment.further_width else None
-        self.plan, self._rows, self._failed, self._only = plan, rows, failed, only
+        self.plan, self._rows, self._failed, self._only = plan, BlockRows.of(rows), failed, only
         experiment = grid.study.experiment
         self.total = np.zeros((len(grid), experiment.sums_width + experiment.further_width))
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self._rounds: dict[int, _Round] = {}
+        self._whole = self._only_block()
         self.survey = self._survey(sums)
 
     def _survey(self, sums: Array) -> Survey:
@@ -97,6 +101,8 @@ class Accumulator:
                 total += self.plan.size(cost, points)
             self.plan.check_size(total.blocks)
             return Survey(total, all_held, replace(total, cost=_cost_together(groups)) if common else total)
+        if self._whole is not None:
+            return self._survey_of_whole_points(self._whole, sums)
         for point in self.plan.grid.points():
             self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
             held, left = self._resume(point, sums)
@@ -109,31 +115,71 @@ class Accumulator:
                     groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
         return Survey(total, all_held, replace(pending, cost=_cost_together(groups)) if common else pending)
 
+    def _only_block(self) -> Block | None:
+        """Return the block that is all of every point, None where there are more or they differ from point to point."""
+        sampling = self.plan.grid.study.sampling
+        alike = self.plan.costs_nothing_special and not sampling.common_random_numbers and sampling.precision is None
+        blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
+        return blocks[0] if len(blocks) == 1 else None
+
+    def _survey_of_whole_points(self, block: Block, sums: Array) -> Survey:
+        """Add what the ledger holds of points that have one block each, many at a time: a million take seconds."""
+        grid, experiment = self.plan.grid, self.plan.grid.study.experiment
+        indices = grid.indices()
+        self.plan.check_size(len(indices))
+        held = pending = 0
+        of_block = ledger_key(b"", block)
+        for start in range(0, len(indices), AT_ONCE):
+            some = indices[start : start + AT_ONCE]
+            digests = grid.digests(some)
+            rows = self._rows.find([digest + of_block for digest in digests])
+            missing = ~_among(digests, self._failed)
+            done = missing & (rows >= 0)
+            self.status[some] = np.where(missing, np.where(done, DONE, MISSING), int(Status.FAILED))
+            self.realisations[some] = np.where(rows >= 0, block.realisations, 0)
+            self.total[some[done], : experiment.sums_width] = experiment.alone(sums[rows[done]])
+            held += int(np.count_nonzero(rows >= 0))
+            missing &= ~done
+            if self._only is not None:
+                missing &= _among(digests, self._only)
+            pending += int(np.count_nonzero(missing))
+        return Survey(*(self.plan.size(1.0, count) for count in (len(indices), held, pending)))
+
     def _resume(self, point: GridPoint, sums: Array) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
-        held = left = PlanSize(0, 0, 0, 0.0)
+        held, left = [0, 0], [0, 0]  # blocks and their realisations
+        cost_held = cost_left = 0.0
         blocks = list(self._blocks(point))
         while blocks:
             more: list[Block] = []
             for block in blocks:
-                work = self.plan.work((point,), block)
-                size = PlanSize(0, 1, block.realisations, work.cost)
-                if (row := self._rows.get(work.ledger_keys()[0])) is None:
-                    left += size
+                key = ledger_key(point.digest, block)
+                row = self._rows.get(key)
+                counts = left if row is None else held
+                counts[0] += 1
+                counts[1] += block.realisations
+                cost = self.plan.work((point,), block).cost
+                if row is None:
+                    cost_left += cost
                 else:
-                    held += size
-                    kept = None if self._samples is None else self._samples(work.ledger_keys()[0])
-                    more += self.add(point, block, sums[row], kept)
+                    cost_held += cost
+                    more += self.add(point, block, sums[row], None if self._samples is None else self._samples(key))
             blocks = more
-        one = PlanSize(1, 0, 0, 0.0)
-        return (held, left + one) if left.blocks else (held + one, left)
+        whole = int(not left[0])
+        return PlanSize(whole, held[0], held[1], cost_held), PlanSize(1 - whole, left[0], left[1], cost_left)
 
     def missing(self, point: GridPoint) -> Sequence[Block]:
         """Return the blocks of a point that the ledger did not hold at the start, as far as they are known now."""
         if not self._is_wanted(point):
             return ()
         blocks = self._blocks(point)
-        return [b for b in blocks if ledger_key(point.digest, b) not in self._rows] if self._rows else blocks
+        if self._whole is not None or not self._rows:  # what the ledger holds is done, or there is nothing in it
+            return blocks
+        return [b for b in blocks if ledger_key(point.digest, b) not in self._rows]
+
+    def missing_points(self) -> NDArray[np.intp]:
+        """Return the indices of the points that are neither done nor given up now."""
+        return np.flatnonzero(self.status == MISSING)
 
     def is_missing(self, index: int) -> bool:
         """Return whether a point is neither done nor given up."""
@@ -237,6 +283,11 @@ class Accumulator:
             return parts
         needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
         return min(max(parts + 1, self.plan.parts(cost, needed)), self.plan.parts(cost, sampling.most))
+
+
+def _among(digests: Sequence[bytes], some: Collection[bytes]) -> NDArray[np.bool_]:
+    """Return which of the digests are among some."""
+    return np.array([digest in some for digest in digests], dtype=bool) if some else np.zeros(len(digests), dtype=bool)
 
 
 def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Exception]:

@@ -4,7 +4,7 @@ import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from hashlib import blake2b
@@ -23,6 +23,9 @@ from sweep.tablefile import as_json
 
 MAX_POINTS = 10_000_000
 MAX_PROBLEMS = 20
+
+AT_ONCE = 2**16
+"""Points of which the places are in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,16 +99,53 @@ class Grid:
             return np.arange(len(self))
         return np.fromiter((index for index, _ in self.parameters()), dtype=np.intp)
 
-    def points(self) -> Iterator[GridPoint]:
-        """Yield the points that are not excluded, in C order."""
-        return itertools.starmap(self._point, self.parameters())
+    def points(self, indices: NDArray[np.intp] | None = None) -> Iterator[GridPoint]:
+        """Yield the points that are not excluded, in C order, or those at ``indices``, excluded or not."""
+        if indices is None:
+            yield from itertools.starmap(self._point, self.parameters())
+            return
+        for start in range(0, len(indices), AT_ONCE):
+            some = indices[start : start + AT_ONCE]
+            for index, digest, *combination in zip(some.tolist(), self.digests(some), *self._along(some), strict=True):
+                parameters = self._fixed.copy()
+                parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
+                stream = self._digest(parameters, shared=True) if self._shared else digest
+                yield GridPoint(index, parameters, digest, stream)
 
     def point(self, index: int) -> GridPoint:
         """Return the point at an index, excluded or not."""
-        places = np.unravel_index(index, self.shape)
-        values = (column[place] for column, place in zip(self._columns, places, strict=True))
-        flat = itertools.chain.from_iterable(values)
-        return self._point(index, self._fixed | dict(zip(self._names, flat, strict=True)))
+        return next(self.points(np.array([index])))
+
+    def digests(self, indices: NDArray[np.intp]) -> list[bytes]:
+        """Return the digests of the points at ``indices``, as `points` has them, in a fraction of the time."""
+        places = dict(zip(self.dimensions, self._places(indices), strict=True))
+        texts = [
+            itertools.repeat(own[0], len(indices)) if dimension is None else map(own.__getitem__, places[dimension])
+            for dimension, own in self._texts_along
+        ]
+        rows: Iterable[Iterable[Any]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
+        if any(None in own for _, own in self._texts_along):  # a parameter at its default
+            rows = (filter(None, row) for row in rows)
+        return list(map(_digest, rows))
+
+    @cached_property
+    def _texts_along(self) -> list[tuple[str | None, list[str | None]]]:
+        """The texts of `_texts` at each place of the dimension of a parameter, or its only one where it is fixed."""
+        dimension_of = {axis: dimension for dimension, axes in self.dimensions.items() for axis in axes}
+        return [
+            (dimension_of.get(name), [text.get(value) for value in self.study.axes.get(name, [self._fixed[name]])])
+            for name, text in self._texts
+        ]
+
+    def _along(self, indices: NDArray[np.intp]) -> list[Iterator[tuple[Value, ...]]]:
+        """Return the values on the axes of each dimension, point by point."""
+        return [
+            map(column.__getitem__, places) for column, places in zip(self._columns, self._places(indices), strict=True)
+        ]
+
+    def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:
+        """Return where along each dimension the points at ``indices`` are."""
+        return [along.tolist() for along in np.unravel_index(indices, self.shape)] if self.shape else []
 
     def _point(self, index: int, parameters: dict[str, Any]) -> GridPoint:
         digest = self._digest(parameters)
@@ -161,10 +201,14 @@ class Grid:
             for name, texts in self._texts
             if name not in left_out and (text := texts.get(parameters[name])) is not None
         ]
-        return blake2b(f"{{{', '.join(own)}}}".encode(), digest_size=16).digest()
+        return _digest(own)
 
     def _excluded(self, parameters: dict[str, Any]) -> bool:
         return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
+
+
+def _digest(texts: Iterable[str]) -> bytes:
+    return blake2b(f"{{{', '.join(texts)}}}".encode(), digest_size=16).digest()
 
 
 def make_grid(study: Study) -> Grid:
@@ -176,7 +220,10 @@ def make_grid(study: Study) -> Grid:
     grid = Grid(study)
     if len(grid) > MAX_POINTS:
         sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
-        message = f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed"
+        message = (
+            f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed: cut it into studies "
+            "with a store each, or take a design of points (--design)"
+        )
         raise SweepError(message, study.source)
     sentences = _repeated(grid)
     reasons: dict[str, int] = {}

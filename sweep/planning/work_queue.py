@@ -120,7 +120,7 @@ class Pending:
 
     def _alone(self) -> Iterator[Work]:
         """Yield the work of every point by itself; no more of one that has failed meanwhile."""
-        for point in self._plan.grid.points():
+        for point in self._plan.grid.points(self._accumulator.missing_points()):
             for block in self._accumulator.missing(point):
                 if not self._accumulator.is_missing(point.index):
                     break
@@ -130,9 +130,8 @@ class Pending:
         """Yield the work of points that draw the same random numbers together."""
         grid = self._plan.grid
         groups: dict[bytes, list[int]] = {}
-        for point in grid.points():
-            if self._accumulator.is_missing(point.index):
-                groups.setdefault(point.stream, []).append(point.index)
+        for point in grid.points(self._accumulator.missing_points()):
+            groups.setdefault(point.stream, []).append(point.index)
         for indices in groups.values():
             for start in range(0, len(indices), MOST_SHARING):
                 points = [grid.point(index) for index in indices[start : start + MOST_SHARING]]

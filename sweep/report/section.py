@@ -19,7 +19,7 @@ from sweep.analysis.quantity import varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.sensitivity import sensitivity
-from sweep.analysis.tables import Column, headline_columns, warnings_of
+from sweep.analysis.tables import Column, headline_columns, rows_left_out, warnings_of
 from sweep.analysis.verdicts import Comparison, in_readable_unit
 from sweep.contract import SweepError
 from sweep.readable import with_micro_signs, written
@@ -129,7 +129,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         explorer=explored | {"title": title},
         not_explored=left_out,
         numbers=numbers,
-        results=_results(headline_columns(dataset)),
+        results=_results(headline_columns(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
         caption="Headline results, ± their one-sigma errors",
         tables={f"Sensitivity of {name}: {tables.notes(one)[0]}": _sensitivity(one) for name, one in indices.items()},
         comparison=_comparison(comparisons) if comparisons else None,
@@ -179,13 +179,12 @@ def _document(attributes: Mapping[Any, Any]) -> str:
     return json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1)
 
 
-def _results(columns: list[Column]) -> Table:
+def _results(columns: list[Column], left_out: int) -> Table:
     repeated = Counter(c.name for c in columns)
     names = [f"{c.of} {c.name}" if repeated[c.name] > 1 and c.of != c.name else c.name for c in columns]
     headings = [f"{name} [{written(c.unit)}]" if c.unit else name for name, c in zip(names, columns, strict=True)]
     cells = (list(zip(c.cells, c.values, strict=True)) for c in columns)
-    rows = [list(row) for row in zip(*cells, strict=True)]
-    return Table(headings, rows[:MOST_ROWS], max(0, len(rows) - MOST_ROWS))
+    return Table(headings, [list(row) for row in zip(*cells, strict=True)], left_out)
 
 
 def _in_allowances(c: Comparison) -> float:

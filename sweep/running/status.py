@@ -21,6 +21,7 @@ from sweep.stores.location import Where
 from sweep.stores.lock import holder
 from sweep.stores.opened import UNFINISHED, OpenLedger, OpenStore
 from sweep.stores.root import is_new
+from sweep.stores.store import BLOCKS
 from sweep.studies.record import recorded_study
 from sweep.studies.study import Study
 
@@ -33,11 +34,14 @@ def status_report(store: Where) -> dict[str, Any]:
     """
     opened = OpenStore(store)
     attributes = opened.attributes
-    ledger = opened.ledger()
+    ledger = opened.ledger(compared=not attributes.get("complete"))
+    whole = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(ledger.ledger.rows)
+    if attributes.get("complete") and not whole:
+        ledger = opened.ledger()
     dataset = None if is_new(opened.root) else opened.dataset()
     note: dict[str, str] = {} if dataset is not None else {"note": UNFINISHED}
     try:
-        axes, units, status, realisations = _of_ledger(opened, ledger)
+        axes, units, status, realisations = _of_ledger(opened, ledger, dataset if whole else None)
     except SweepError as error:
         if dataset is None:
             raise SweepError(f"{UNFINISHED} ({'; '.join(error.problems)})", str(opened.location)) from error
@@ -78,16 +82,13 @@ Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int
 """The values along each dimension, the units of the axes, and the status and the realisations of each point."""
 
 
-def _of_ledger(opened: OpenStore, ledger: OpenLedger) -> Progress:
-    """Return the progress that the ledger knows; raises SweepError where the store has not recorded what that takes."""
+def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -> Progress:
+    """Return the progress that the ledger knows, or a dataset that says the ``same``, which takes less time.
+
+    Raises SweepError where the store has not recorded what that takes.
+    """
     study = recorded_study(opened.attributes, str(opened.location))
-    if study.sampling.precision is not None:
-        raise SweepError("only the experiment can say how many realisations reach a precision")
     grid = Grid(study)
-    try:
-        accumulator = Accumulator(Plan(grid), ledger.ledger.rows, ledger.ledger.sums(), ledger.failures)
-    except (KeyError, TypeError, ValueError) as error:
-        raise SweepError(f"the record of its experiment does not fit its points ({error})") from error
     axes = {
         dimension: [
             dict(zip(names, map(_plain, values), strict=True))
@@ -96,8 +97,22 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger) -> Progress:
         for dimension, names in grid.dimensions.items()
     }
     units = {name: study.experiment.parameter(name).unit for name in study.axes}
+    if same is not None:
+        return axes, units, *_points_of(same.transpose(*grid.dimensions, ...))
+    if study.sampling.precision is not None:
+        raise SweepError("only the experiment can say how many realisations reach a precision")
+    try:
+        accumulator = Accumulator(Plan(grid), ledger.ledger.rows, ledger.ledger.sums(), ledger.failures)
+    except (KeyError, TypeError, ValueError) as error:
+        raise SweepError(f"the record of its experiment does not fit its points ({error})") from error
     status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
     return axes, units, status.reshape(grid.shape), realisations.reshape(grid.shape)
+
+
+def _points_of(dataset: xr.Dataset) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
+    """Return the status and the realisations of each point of a dataset."""
+    status = dataset["status"].values
+    return status, dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int)
 
 
 def _plain(value: Any) -> Any:
@@ -108,13 +123,7 @@ def _of_dataset(dataset: xr.Dataset) -> Progress:
     dimensions = [str(dimension) for dimension in dataset["status"].dims]
     axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
     units = {d: str(dataset[d].attrs.get("units", "")) for d in dimensions}
-    status = dataset["status"].values
-    return (
-        axes,
-        units,
-        status,
-        dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int),
-    )
+    return axes, units, *_points_of(dataset)
 
 
 def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:

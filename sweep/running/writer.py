@@ -16,7 +16,7 @@ import xarray as xr
 
 from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator, failing
-from sweep.planning.grid import GridPoint, describe
+from sweep.planning.grid import AT_ONCE, GridPoint, describe
 from sweep.planning.plan import Block, Plan, PlanSize, Work
 from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
@@ -83,7 +83,9 @@ class Writer:
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
         self._long_write = False
-        self._refuse_results(np.flatnonzero(accumulator.status == Status.DONE).tolist())
+        done = np.flatnonzero(accumulator.status == Status.DONE)
+        for start in range(0, len(done), AT_ONCE):
+            self._refuse_results(done[start : start + AT_ONCE].tolist())
         self._lock = RLock()  # of the store
         self._unflushed = False
         self._problem: Exception | None = None

@@ -8,7 +8,8 @@ A chunk that is lost costs the rows in it and no other.
 """
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from array import array
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from hashlib import blake2b
 from typing import Any
 
@@ -16,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Array, Experiment
+from sweep.planning.block_rows import KEY_BYTES, BlockRows
 from sweep.stores.chunked_rows import Column, DamagedError, Layout
 from sweep.stores.location import Location
 
-KEY_BYTES = 32
 START_BYTES = 8
 DIGEST_BYTES = 16
 FEWEST_ROWS = 64
@@ -33,6 +34,9 @@ KINDS: dict[str, tuple[str, float]] = {
     "index": ("uint8", 0),
 }
 """Kind and fill value of each array, in the order of writing."""
+
+AT_ONCE = 2**16
+"""Rows that are compared with their digests at a time."""
 
 ELSEWHERE = "it holds rows that blocks/index and blocks/digests do not speak of there"
 
@@ -86,8 +90,10 @@ def damaged_descriptions(columns: Iterable[Column], documents: Mapping[str, byte
 class Ledger:
     """Knows the row of every finished block, and appends others."""
 
-    def __init__(self, columns: dict[str, Column]) -> None:
-        """Read all but the samples; raises DamagedError, OSError."""
+    def __init__(self, columns: dict[str, Column], compared: bool = True) -> None:
+        """Read all but the samples, and unless ``compared`` is False compare each row with its digest, which takes most
+        of the time; raises DamagedError, OSError.
+        """
         self._columns = columns
         damaged: dict[str, str] = {}
         read: dict[str, NDArray[Any]] = {}
@@ -104,15 +110,15 @@ class Ledger:
         index = index[: self._next]
         self._sums: Array | None = _as_long_as(read["sums"], self._next)
         keys, starts, counts = rows_of(index)
-        self._starts = starts.tolist()
+        self._starts = array("q", starts.tobytes())
         whole = index.any(axis=1) & self._sampled(starts, counts)
         if "digests" in columns:
             digests = _as_long_as(read["digests"], self._next)
             columns["digests"].resume(self._next, digests)
-            whole &= self._bound(index, digests)
+            whole &= self._bound(index, digests) if compared else ~np.isnan(self._sums).all(axis=1)
         else:
             whole &= ~np.isnan(self._sums).all(axis=1)
-        self.rows = {keys[row].tobytes(): int(row) for row in np.flatnonzero(whole)}
+        self.rows = BlockRows(keys, whole)
         self._samples_end = int((starts + counts).max(initial=0)) if "samples" in columns else 0
         columns["index"].resume(self._next, index)
         columns["sums"].resume(self._next, self._sums)
@@ -188,8 +194,8 @@ class Ledger:
             bound = [_digests(index, sums), *([_digests(index, samples)] if samples else [])]
             self._columns["digests"].append(np.concatenate(bound, axis=1))
         self._columns["index"].append(index)
-        self._starts += starts
-        self.rows.update(zip(keys, range(self._next, self._next + len(keys)), strict=True))
+        self._starts.extend(starts)
+        self.rows.extend(keys)
         self._next += len(keys)
 
     def bind(self, digests: Column) -> None:
@@ -242,17 +248,32 @@ def _index_rows(keys: Sequence[bytes], starts: Sequence[int]) -> NDArray[np.uint
     return np.frombuffer(index, dtype=np.uint8).reshape(len(keys), KEY_BYTES + START_BYTES)
 
 
-def _digests(index: NDArray[np.uint8], values: Iterable[Array]) -> NDArray[np.uint8]:
+def _digests(index: NDArray[np.uint8], values: Sequence[Array] | Array) -> NDArray[np.uint8]:
     """Return the digest of each row of the index together with its sums or samples, (rows, `DIGEST_BYTES`)."""
-    digests = (
-        blake2b(row.tobytes() + np.asarray(own, dtype="<f8").tobytes(), digest_size=DIGEST_BYTES).digest()
-        for row, own in zip(index, values, strict=True)
-    )
-    return np.frombuffer(b"".join(digests), dtype=np.uint8).reshape(-1, DIGEST_BYTES)
+    found = np.empty((len(index), DIGEST_BYTES), dtype=np.uint8)
+    for start in range(0, len(index), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        rows, width = index[part].tobytes(), index.shape[1]
+        digests = (
+            blake2b(rows[width * row : width * (row + 1)] + own, digest_size=DIGEST_BYTES).digest()
+            for row, own in enumerate(_contents(values[part]))
+        )
+        found[part] = np.frombuffer(b"".join(digests), dtype=np.uint8).reshape(-1, DIGEST_BYTES)
+    return found
+
+
+def _contents(values: Sequence[Array] | Array) -> Iterator[bytes]:
+    """Yield the bytes of each row, or of each array of a list."""
+    if not isinstance(values, np.ndarray):
+        yield from (np.asarray(own, dtype="<f8").tobytes() for own in values)
+        return
+    size, content = 8 * values.shape[1], np.asarray(values, dtype="<f8").tobytes()
+    yield from (content[size * row : size * (row + 1)] for row in range(len(values)))
 
 
 def _as_long_as(rows: NDArray[Any], count: int) -> NDArray[Any]:
     """Return the first rows; those of chunks that are not there are NaN, or 0 if they cannot be."""
     fill = np.nan if rows.dtype.kind == "f" else 0
-    missing = np.full((max(0, count - len(rows)), rows.shape[1]), fill, dtype=rows.dtype)
-    return np.concatenate([rows[:count], missing])
+    if len(rows) >= count:
+        return rows[:count]
+    return np.concatenate([rows, np.full((count - len(rows), rows.shape[1]), fill, dtype=rows.dtype)])

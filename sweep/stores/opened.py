@@ -79,8 +79,11 @@ class OpenStore:
             raise SweepError(words, str(self.location))
         return dataset
 
-    def ledger(self) -> OpenLedger:
-        """Return the ledger; raises SweepError that names the files of it which are damaged."""
+    def ledger(self, compared: bool = True) -> OpenLedger:
+        """Return the ledger, its rows ``compared`` with their digests.
+
+        Raises SweepError that names the files of it which are damaged.
+        """
         damaged: dict[str, str] = {}
         ledger: Ledger | None = None
         found: dict[bytes, failures.Record] = {}
@@ -96,7 +99,7 @@ class OpenStore:
             except ValueError as error:
                 damaged[failures.FILE] = str(error)
             try:
-                ledger = Ledger(columns)
+                ledger = Ledger(columns, compared)
             except DamagedError as error:
                 damaged |= error.files
         if damaged or ledger is None:

@@ -23,8 +23,11 @@ from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
+from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.stores.checksums import SEAL, content_checksum, unsealed
 from sweep.stores.root import is_bound
+
+dask_arrays_only_where_imported()  # before the first dataset: all of them come from here or end here
 
 CHECKSUMS = "chunk_checksums"
 """The attribute of the root document by which it means certain chunks and no others."""

@@ -24,6 +24,9 @@ from sweep.stores.root import COPY, ROOT, find_root, is_bound
 from sweep.stores.texts import Texts
 from sweep.studies.study import Study
 
+BLOCKS = "blocks"
+"""The attribute that tells how many blocks the ledger had when the dataset was written."""
+
 RESERVED = {"blocks", "failures"}
 CODE = "code"
 """The attribute that tells which code made the rows of the ledger."""
@@ -75,10 +78,12 @@ class Store:
         if not (places := self.study.experiment.text_places()):
             return
         sums = self._ledger.sums()
-        for key, row in list(self.rows.items()):
+        without = []
+        for key, row in self.rows.items():
             content = sums[row].tobytes()
             if any(content[start : start + TEXT_BYTES] not in self.texts for start in places):
-                del self.rows[key]
+                without.append(key)
+        self.rows.remove(without)
 
     def sums(self) -> Array:
         """Return all rows of the ledger, (rows, width); `rows` says which is whose."""
@@ -152,6 +157,7 @@ class Store:
             "ledger": self._bound_shapes(),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
             "generation": self.attributes.get("generation", 0) + 1,
+            BLOCKS: len(self.rows),
             snapshot.CHECKSUMS: json.dumps({name: array.checksums() for name, array in named.items()}),
         }
         documents = {name: array.document for name, array in named.items()}
@@ -231,7 +237,7 @@ class Store:
         """Keep a copy if the study has changed since the last one."""
         decisive = ("study_digest", "linksweep_format", "ledger")
         if self._copied is None or any(self._copied.get(key) != attributes.get(key) for key in decisive):
-            left_out = ("failures", "generation", snapshot.CHECKSUMS)
+            left_out = ("failures", "generation", BLOCKS, snapshot.CHECKSUMS)
             copied = {key: value for key, value in attributes.items() if key not in left_out}
             self.location.put(COPY, sealed(group_document(copied), COPY))
             self._copied = copied

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -121,9 +122,14 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
+@cache  # of the code that this process has imported
 def git_commit() -> str | None:
-    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside one."""
-    folder = Path(__file__).parent.parent
+    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside one,
+    where no process is started to find that out.
+    """
+    folder = Path(__file__).parent.parent.parent
+    if not (folder / ".git").exists():
+        return None
 
     def git(*arguments: str) -> str:
         # without optional locks: an interruption kills it, and it would leave its lock in the checkout
@@ -131,8 +137,6 @@ def git_commit() -> str | None:
         return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
 
     try:
-        if Path(git("rev-parse", "--show-toplevel")).resolve() != folder.resolve():
-            return None
         return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--untracked-files=no") else "")
     except (OSError, subprocess.SubprocessError):
         return None

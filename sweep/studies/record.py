@@ -71,7 +71,8 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
         parameters = tuple(_made(Parameter, parameter) for parameter in record["parameters"])
         return experiment_of_record(record, parameters)
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
-    return Experiment(
+    cost = _cost(record)
+    experiment = Experiment(
         name=record["name"],
         version=record["version"],
         parameters=tuple(_made(Parameter, parameter) for parameter in record["parameters"]),
@@ -83,16 +84,19 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
         component_units={name: tuple(units) for name, units in record["component_units"].items()},
         samples=_computes_nothing if samples else None,
         sample_outputs=samples,
-        cost=_cost(record),
         shared=tuple(record["shared"]),
         nan_sums=tuple(record.get("nan_sums", ())),
     )
+    return experiment if cost is None else replace(experiment, cost=cost)
 
 
-def _cost(record: Mapping[str, Any]) -> Callable[[Point], float]:
+def _cost(record: Mapping[str, Any]) -> Callable[[Point], float] | None:
+    """Return the cost of a point, None where all points cost 1, as where an experiment says nothing."""
     if "costs" not in record:
         return _computes_nothing
     names, costs = record["cost_axes"], record["costs"]
+    if costs == {_key(()): 1.0}:
+        return None
     return lambda point: float(costs[_key(tuple(point[name] for name in names))])
 
 

@@ -122,7 +122,7 @@ def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
 @pytest.mark.parametrize("pool", [name for name, pool in POOLS.items() if pool.has_workers])
 def test_the_address_of_the_dashboard_opens(study, pool):
     pytest.importorskip("bokeh")
-    with POOLS[pool].open(study, 1, print, NO_LIMITS) as (place, _):
+    with POOLS[pool].open(study, 1, print, NO_LIMITS, True) as (place, _):
         assert place.dashboard.startswith("http://127.0.0.1:")
         with urlopen(place.dashboard) as page:
             assert page.status == 200

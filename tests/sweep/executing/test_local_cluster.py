@@ -5,6 +5,10 @@ import sys
 
 import pytest
 
+from sweep.contract import SweepError
+from sweep.executing import choose
+from sweep.executing.choose import Resources
+
 SCRIPT = """
 import linksweep
 
@@ -45,3 +49,40 @@ def test_one_with_a_guard_computes(tmp_path):
 def test_it_can_be_caught_as_any_other_error(tmp_path):
     done = run_script(tmp_path, SCRIPT.format(guard="if False:") + CATCHES)
     assert (done.returncode, done.stdout) == (0, "worker\n"), done.stderr
+
+
+NO_DASHBOARD = """
+import sys
+import linksweep
+
+def double(x: float = 1.0):
+    return 2.0 * x
+
+if __name__ == "__main__":
+    linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", workers=1)
+    print([name for name in ("bokeh", "dask.array") if name in sys.modules])
+"""
+
+
+def test_a_dashboard_that_nobody_asked_for_is_not_imported(tmp_path):
+    done = run_script(tmp_path, NO_DASHBOARD)
+    assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("wished", "expected"),
+    [
+        ({"pool": "serial"}, "pool 'serial' has no workers and no dashboard"),
+        ({"scheduler": "tcp://a:1"}, "a scheduler and a cluster have their own"),
+    ],
+)
+def test_a_dashboard_without_local_workers_is_refused(wished, expected):
+    with pytest.raises(SweepError, match=expected):
+        Resources(**wished, dashboard=True)
+
+
+def test_one_without_bokeh_is_refused(monkeypatch):
+    monkeypatch.setattr(choose, "find_spec", lambda name: None)
+    with pytest.raises(SweepError, match=r"needs bokeh: `pip install 'linksweep\[report\]'`"):
+        Resources(dashboard=True)
+    assert Resources(workers=2).dashboard is False

@@ -145,3 +145,44 @@ def test_digests_of_points_are_long_and_do_not_depend_on_the_order_of_axes():
     reversed_ = replace(study.experiment, parameters=study.experiment.parameters[::-1])  # nor on that of a declaration
     grid = make_grid(replace(study, experiment=reversed_))
     assert {tuple(sorted(point.parameters.items())): point.digest for point in grid.points()} == found[0]
+
+
+GRIDS = {
+    "plain": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5, 3]}},
+    "excluded": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5]}, "exclude": [{"metal": "tin", "coins": 5}]},
+    "zipped": {"axes": {"coins": [1, 5, 3], "chance": [0.2, 0.5, 0.4]}, "grid": {"zip": [["coins", "chance"]]}},
+    "repeated rows": {"points": {"columns": {"coins": [1, 5, 1]}}, "axes": {"chance": [0.5, 0.25]}},
+    "one point": {"fixed": {"coins": 4}},
+}
+
+
+@pytest.mark.parametrize("name", GRIDS)
+def test_digests_many_at_a_time_are_those_of_the_points(name, monkeypatch):
+    monkeypatch.setattr("sweep.planning.grid.AT_ONCE", 2)
+    grid = make_grid(study_from_dict({"title": "", "experiment": COINS} | GRIDS[name]))
+    points = list(grid.points())
+    assert grid.indices().tolist() == [point.index for point in points]
+    assert grid.digests(grid.indices()) == [point.digest for point in points]
+    assert list(grid.points(grid.indices())) == points
+    assert [grid.point(point.index) for point in points] == points
+
+
+@pytest.mark.parametrize("name", GRIDS)
+@pytest.mark.parametrize("only_failed", [False, True])
+def test_a_survey_of_many_points_is_that_of_one_after_the_other(name, only_failed, monkeypatch):
+    monkeypatch.setattr("sweep.planning.accumulator.AT_ONCE", 2)
+    document = {"title": "", "experiment": COINS, "sampling": {"n_sim": 10, "n_cat": 1}} | GRIDS[name]
+    plan = Plan(make_grid(study_from_dict(document)))
+    digests = [point.digest for point in plan.grid.points()]
+    [block] = plan.blocks(1.0)
+    held, failed = digests[::2], digests[1:3]
+    rows = {ledger_key(digest, block): row for row, digest in enumerate(held)}
+    width = plan.grid.study.experiment.sums_width
+    sums = np.random.default_rng(1).normal(size=(len(rows), width))
+    given = (plan, rows, sums, failed, frozenset(failed) if only_failed else None)
+    fast = Accumulator(*given)
+    monkeypatch.setattr(Accumulator, "_only_block", lambda self: None)
+    slow = Accumulator(*given)
+    assert fast.survey == slow.survey
+    for array in ("status", "realisations", "total"):
+        assert getattr(fast, array).tobytes() == getattr(slow, array).tobytes(), array

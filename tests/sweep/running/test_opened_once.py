@@ -1,18 +1,23 @@
 """A run reads a store's root document once and builds its grid once, and starts no workers where nothing is left."""
 
 import json
+import subprocess
+import sys
 from collections import Counter
 
 import pytest
 
 from sweep.executing import choose
 from sweep.executing.choose import Resources
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
+from sweep.running import status
 from sweep.running.reproduce import reproduce
 from sweep.running.run import Silent, plan_study, run_study
 from sweep.running.status import status_report
 from sweep.stores.folder import Folder
-from sweep.studies.reader import study_from_dict
+from sweep.studies.reader import load_study, study_from_dict
+from tests.conftest import COINS
 
 SERIAL = Resources(pool="serial")
 
@@ -116,3 +121,93 @@ def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_pa
     part, _ = run_study(smaller(coins), store, SERIAL, says)
     assert part["status"].size < whole["status"].size
     assert any("holds more than this study asks for" in text for text in says.said)
+
+
+WATCHED = """
+import json, sys
+started = []
+sys.addaudithook(lambda event, arguments: started.append(str(arguments[0])) if event in EVENTS else None)
+EVENTS = {"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"}
+sys.argv = ["sweep", *sys.argv[1:]]
+try:
+    import runpy
+    runpy.run_module("sweep", run_name="__main__")
+finally:
+    print(json.dumps([started, [name for name in NAMES if name in sys.modules]]), file=sys.stderr)
+"""
+
+
+TOML = """
+title = "Coins"
+experiment = "{}"
+[axes]
+coins = [1, 5, 20]
+[sampling]
+n_sim = 10
+"""
+
+
+def test_a_finished_store_starts_no_process_and_imports_no_executor(tmp_path):
+    (tmp_path / "s.toml").write_text(TOML.format(COINS))
+    run_study(load_study(str(tmp_path / "s.toml")), tmp_path / "s.zarr", SERIAL)
+    script = WATCHED.replace("NAMES", repr(("distributed", "dask.array", "bokeh", "matplotlib", "scipy")))
+    command = [sys.executable, "-c", script, "run", "s.toml", "-o", "s.zarr", "--workers", "2", "--quiet"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    started, imported = json.loads(done.stderr.splitlines()[-1])
+    assert set(started) <= {"git"}  # which a checkout of linksweep is asked for its commit by
+    assert imported == []
+
+
+def test_a_resumed_run_reads_each_file_of_the_ledger_once_and_each_point_that_is_done_never(
+    tmp_path, coins, monkeypatch
+):
+    read, asked = Counter(), Counter()
+    get_all, points = Folder.get_all, Grid.points
+
+    def counted(place, keys):
+        read.update(key for key in keys if key.startswith("blocks/"))
+        return get_all(place, keys)
+
+    def given(grid, indices=None):
+        for point in points(grid, indices):
+            asked[point.digest] += 1
+            yield point
+
+    monkeypatch.setattr(Folder, "get_all", counted)
+    monkeypatch.setattr(Grid, "points", given)
+    one_block = {"sampling": {"n_sim": 10, "n_cat": 1, "seed": 7}}
+    for document in (
+        coins | one_block,
+        coins | one_block | {"axes": {"metal": ["gold", "tin"], "coins": [1, 5, 20, 7]}},
+    ):
+        whole, half = study_from_dict(document), smaller(document)
+        store = tmp_path / f"{len(whole.axes['coins'])}.zarr"
+        run_study(half, store, SERIAL)
+        read.clear()
+        asked.clear()
+        dataset, _ = run_study(whole, store, SERIAL)
+        assert dataset.attrs["complete"] == 1
+        assert {key: n for key, n in read.items() if n > 1} == {}
+        assert any(key.startswith("blocks/sums/") for key in read)
+        assert set(asked.values()) == {1}
+        assert len(asked) == len(dataset["status"].values.reshape(-1)) // 2
+
+
+def test_the_status_of_a_complete_store_asks_no_point_unless_its_ledger_has_lost_some(tmp_path, study, monkeypatch):
+    run_study(study, tmp_path / "s.zarr", SERIAL)
+    asked = Counter()
+    monkeypatch.setattr(status, "Accumulator", lambda *given: asked.update(all=1) or Accumulator(*given))
+    whole = status_report(tmp_path / "s.zarr")
+    assert whole["complete"]
+    assert not asked
+    monkeypatch.setattr(status, "BLOCKS", "no attribute")  # as stores of before have none
+    assert status_report(tmp_path / "s.zarr") == whole
+    assert asked
+    monkeypatch.undo()
+    for chunk in (tmp_path / "s.zarr" / "blocks" / "index" / "c").rglob("0"):
+        if chunk.is_file():
+            chunk.unlink()
+    lost = status_report(tmp_path / "s.zarr")
+    assert not lost["complete"]
+    assert lost["points"]["done"] == 0
