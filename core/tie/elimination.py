@@ -75,7 +75,7 @@ class Eliminated:
             self.parameters,
         )
 
-    def scaled(self, factors: Array) -> "Eliminated":
+    def scaled(self, factors: Array | NDArray[np.bool_]) -> "Eliminated":
         """Return the same with the weight of each source multiplied by a factor (S,)."""
         each = factors[:, None, None]
         return Eliminated(

@@ -48,7 +48,7 @@ class NormalSums:
             self.normal[part], self.right[part], self.squares[part], self.count[part], self.expected[part], spread
         )
 
-    def weighted(self, factors: Array) -> "NormalSums":
+    def weighted(self, factors: Array | NDArray[np.bool_]) -> "NormalSums":
         """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
         used = factors > 0.0
         one, f = self.taken(used), factors[used]
@@ -114,7 +114,7 @@ def source_sums(problem: Problem) -> NormalSums:
 
 
 def group_sums(
-    problem: Problem, group: NDArray[np.integer[Any]], n_groups: int, factors: Array | None = None
+    problem: Problem, group: NDArray[np.integer[Any]], n_groups: int, factors: Array | NDArray[np.bool_] | None = None
 ) -> NormalSums:
     """Return the sums of each group of sources; ``group`` (S,) counts from 0.  Memory is that of a block.
 
@@ -132,7 +132,11 @@ def group_sums(
 
 
 def _add_block(
-    sums: NormalSums, problem: Problem, chosen: Indices, group: NDArray[np.integer[Any]], factors: Array | None
+    sums: NormalSums,
+    problem: Problem,
+    chosen: Indices,
+    group: NDArray[np.integer[Any]],
+    factors: Array | NDArray[np.bool_] | None,
 ) -> None:
     """Add sources to the sums of their groups (n,)."""
     unknowns, objects, years, left = problem.sources(chosen)

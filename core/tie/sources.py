@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.tie.astrometry import Indices
-from core.tie.clips import Sources, separation
+from core.tie.clips import Flags, Sources, separation
 from core.tie.influence import discrepancies
 from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
 from core.tie.problem import Problem
@@ -47,7 +47,7 @@ def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
     )
 
 
-def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array) -> Solution:
+def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array | Flags) -> Solution:
     kept = factors > 0.0
     equal = np.all(factors[kept] == 1.0)
     return solve(sums.taken(kept), labels, None if equal else factors[kept])
@@ -59,7 +59,7 @@ class SourceTable:
 
     problem: Problem
     divisions: int = DIVISIONS
-    _last: list[tuple[Array, NormalSums]] = field(default_factory=list, repr=False, compare=False)
+    _last: list[tuple[Array | Flags, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def single(self) -> bool:
@@ -79,7 +79,7 @@ class SourceTable:
         number = np.cumsum(np.bincount(cells) > 0) - 1
         return number.astype(np.int16)[cells]
 
-    def cell_sums(self, factors: Array) -> NormalSums:
+    def cell_sums(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells, each source with a factor of its weight."""
         if not self.single:
             return self._streamed(factors)
@@ -98,14 +98,14 @@ class SourceTable:
             spread=None if optimal else np.tensordot(member * factors**2, sums.right_covariance, axes=1),
         )
 
-    def _streamed(self, factors: Array) -> NormalSums:
+    def _streamed(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells by a pass over the tables, or those of the last pass where it was the same."""
         if not self._last or not np.array_equal(self._last[0][0], factors):
             sums = group_sums(self.problem, self.cells, int(self.cells.max()) + 1, factors)
             self._last[:] = [(factors.copy(), sums)]
         return self._last[0][1]
 
-    def solve(self, factors: Array) -> Solution:
+    def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor of the weight of each source."""
         labels = self.problem.unknowns.labels
         if not self.single:

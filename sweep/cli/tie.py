@@ -138,6 +138,11 @@ def _table_options(command: Callable[..., None]) -> Callable[..., None]:
 )
 @click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for millions of quasars in Parquet.")
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler for them, e.g. tcp://host:8786.")
+@click.option(
+    "--no-sources",
+    is_flag=True,
+    help="Leave what belongs to single sources and rows out of STORE.zarr and of JSON: for millions of them.",
+)
 @_table_options
 def tie(
     satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
@@ -167,6 +172,7 @@ def tie(
         seed=given.pop("seed"),
         workers=given.pop("workers"),
         scheduler=given.pop("scheduler"),
+        per_source=not given.pop("no_sources") and (as_json or output is not None or figures is not None),
         degree=given.pop("degree"),
         sign=given.pop("sign"),
         bins=None if bins is None else parse_bins(bins),
