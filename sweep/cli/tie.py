@@ -74,7 +74,9 @@ _TABLE_OPTIONS = [
         show_default=True,
         help="Of the differences.",
     ),
-    click.option("--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind."),
+    click.option(
+        "--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind, or of all."
+    ),
     click.option("--epoch", type=float, metavar="YEAR", help="Epoch of the orientation.  [default: the satellite's]"),
     click.option(
         "--aberration",

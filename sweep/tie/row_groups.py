@@ -41,12 +41,19 @@ FROM_ROWS = 100_000
 """Smaller tables are solved as a whole."""
 
 
-def in_row_groups(satellite: str | Path, reference: str | Path, options: Options) -> bool:
-    """Return whether tables are solved by row groups: quasars alone, in Parquet, and many."""
+def why_whole(satellite: str | Path, reference: str | Path, options: Options) -> str | None:
+    """Return why tables are solved as a whole; None for those that are read by row groups: quasars alone, in Parquet,
+    and many.
+    """
     path = Path(satellite)
-    if str(reference) != ZERO_MOTION or options.missions or not path.is_file() or not is_parquet(path):
-        return False
-    return sum(row_groups(path)[0]) >= FROM_ROWS
+    if options.missions:
+        return f"rows of missions are matched with the whole of {path}"
+    if str(reference) != ZERO_MOTION:
+        return f"rows of a reference are matched with the whole of {path}; only quasars ({ZERO_MOTION}) need no match"
+    if not path.is_file() or not is_parquet(path):
+        return f"{path} is no Parquet table, whose row groups can be read one by one: write it as one"
+    n = sum(row_groups(path)[0])
+    return None if n >= FROM_ROWS else f"{path} has {n:,} rows, and tables of fewer than {FROM_ROWS:,} are read at once"
 
 
 @dataclass(frozen=True)

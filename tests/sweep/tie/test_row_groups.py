@@ -177,10 +177,15 @@ def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
 def test_workers_for_tables_that_are_solved_at_once_are_refused(tmp_path):
     found = CliRunner().invoke(main, ["tie", "psrpi", "psrpi", "--workers", "2"])
     assert found.exit_code == 2
-    assert "workers are for quasars" in found.output
+    assert "rows of a reference are matched with the whole of psrpi" in " ".join(found.output.split())
     path = quasars(tmp_path / "quasars.parquet")
-    with pytest.raises(SweepError, match="100,000 rows"):
-        tie(path, "zero-motion", workers=2)
+    for arguments, options, words in (
+        ((path, "zero-motion"), {}, "has 3,000 rows, and tables of fewer than 100,000 are read at once"),
+        ((path, "zero-motion"), {"missions": {"other": path}}, "rows of missions are matched"),
+        (("icrf3", "zero-motion"), {}, "icrf3 is no Parquet table"),
+    ):
+        with pytest.raises(SweepError, match=words):
+            tie(*arguments, workers=2, **options)
 
 
 def test_the_command_takes_workers(tmp_path, by_groups):
