@@ -144,7 +144,7 @@ def _row_groups(n: int, folder: Path, repetitions: int) -> list[Measured]:
     name = f"sweep tie of {n:,} sources in Parquet, row group by row group"
     found = [Measured(name, [run.cpu_s for run in runs], "s CPU", Target("<=", 40.0), note)]
     if n >= N_SOURCES:
-        found.append(Measured("memory of it", slope, "bytes a source", Target("<=", 300.0)))
+        found.append(Measured("memory of it", slope, "bytes a source", Target("<=", 50.0)))
     return found
 
 
