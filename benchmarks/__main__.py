@@ -16,7 +16,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import core_speed, functions, main_job, memory, overhead, scale, scaling, start_up, tie
+from benchmarks import (
+    cluster,
+    core_speed,
+    functions,
+    main_job,
+    memory,
+    overhead,
+    scale,
+    scaling,
+    small_catalogues,
+    start_up,
+    tie,
+)
 from benchmarks.measured import Measured, host_load
 
 BENCHMARKS = {
@@ -24,9 +36,11 @@ BENCHMARKS = {
     "overhead": overhead.measure,
     "functions": functions.measure,
     "main-job": main_job.measure,
+    "small-catalogues": small_catalogues.measure,
     "memory": memory.measure,
     "scaling": scaling.measure,
     "start-up": start_up.measure,
+    "cluster": cluster.measure,
     "scale": scale.measure,
     "tie": tie.measure,
 }

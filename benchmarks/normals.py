@@ -1,5 +1,5 @@
-"""Nothing but the unique random numbers of `sweep run quasars`, on some processes: ``python -m benchmarks.normals
-SHARE WORKERS`` prints the seconds, for all of them scaled by 1/SHARE.
+"""Nothing but random numbers, on some processes: ``python -m benchmarks.normals COUNT WORKERS`` prints the seconds of
+so many normals.
 """
 
 import sys
@@ -9,10 +9,6 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 from core.noise import TILE
-from core.quasars import V_MAX, quasar_count
-
-UNIQUE = 4 * quasar_count(float(V_MAX[-1]), completed=False) * 10_000
-"""Four a quasar and realisation: each limit sees the brightest of the same quasars, both missions the same errors."""
 
 
 def fill(count):
@@ -22,14 +18,14 @@ def fill(count):
         rng.standard_normal(out=buffer)
 
 
-def main(share: float, workers: int) -> None:
-    """Do the share, print the seconds of the whole."""
+def main(count: int, workers: int) -> None:
+    """Draw them, print the seconds."""
     with ProcessPoolExecutor(workers) as pool:
         list(pool.map(fill, [TILE] * 8 * workers))
         begun = time.perf_counter()
-        list(pool.map(fill, [share * UNIQUE / (8 * workers)] * 8 * workers))
-        print((time.perf_counter() - begun) / share)
+        list(pool.map(fill, [count / (8 * workers)] * 8 * workers))
+        print(time.perf_counter() - begun)
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]), int(sys.argv[2]))
+    main(int(sys.argv[1]), int(sys.argv[2]))

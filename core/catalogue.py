@@ -31,10 +31,16 @@ class OwnErrors:
         """Return those of the objects at these indices."""
         return OwnErrors(self.sigma[:, index], None if self.correlation is None else self.correlation[index])
 
+    def flattened(self) -> "OwnErrors":
+        """Return those of all catalogues that are drawn together, one after the other."""
+        correlation = None if self.correlation is None else self.correlation.reshape(-1, 4, 4)
+        return OwnErrors(self.sigma.reshape(4, -1), correlation)
+
 
 @dataclass(frozen=True)
 class Catalogue:
-    """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.
+    """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.  While
+    several catalogues are drawn together it is (catalogues, N).
 
     ``sigma`` (4, N), where the catalogue has its own errors, are those of (ra*, dec, pmra, pmdec) in rad and rad/yr,
     ``correlation`` (N, 4, 4) the correlations of an object's four errors.  They are those of the satellite where the
@@ -51,7 +57,7 @@ class Catalogue:
     reference: OwnErrors | None = None
 
     def __len__(self) -> int:
-        return len(self.ra)
+        return int(self.ra.shape[-1])
 
     def take(self, index: NDArray[np.intp] | slice) -> "Catalogue":
         """Return the objects at these indices."""
@@ -70,7 +76,28 @@ class Catalogue:
         """Return ``n_obj`` objects at random, in their order, or all of as many; nothing is drawn for those."""
         if n_obj >= len(self):
             return self
-        return self.take(np.sort(rng.choice(len(self), n_obj, replace=False)))
+        chosen = np.sort(rng.choice(len(self), n_obj, replace=False))
+        if self.ra.ndim == 1:
+            return self.take(chosen)
+        return self.flattened().take(chosen + len(self) * np.arange(len(self.ra))[:, None])
+
+    def repeated(self, catalogues: int) -> "Catalogue":
+        """Return the same objects for each of several catalogues; shape (catalogues, N)."""
+        return self.take(np.tile(np.arange(len(self)), (catalogues, 1)))
+
+    def flattened(self) -> "Catalogue":
+        """Return the objects of all catalogues that are drawn together, one after the other."""
+        own = None if self.sigma is None else OwnErrors(self.sigma, self.correlation).flattened()
+        return Catalogue(
+            ra=self.ra.reshape(-1),
+            dec=self.dec.reshape(-1),
+            pmra=self.pmra.reshape(-1),
+            pmdec=self.pmdec.reshape(-1),
+            v_mag=self.v_mag.reshape(-1),
+            sigma=None if own is None else own.sigma,
+            correlation=None if own is None else own.correlation,
+            reference=None if self.reference is None else self.reference.flattened(),
+        )
 
     def own_errors(self, side: str) -> OwnErrors | None:
         """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
@@ -80,16 +107,21 @@ class Catalogue:
 
     def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
         """Return the same objects, with their proper motions along the local triad, at other positions."""
-        return replace(self, ra=ra, dec=dec)
+        objects = self if ra.ndim == self.ra.ndim else self.repeated(len(ra))
+        return replace(objects, ra=ra, dec=dec)
 
 
 @dataclass(frozen=True)
 class NestedDraw:
-    """Draws a catalogue of ``n_obj`` objects, of equal generators the beginning of every larger one of its family."""
+    """Draws a catalogue of ``n_obj`` objects, of equal generators the beginning of every larger one of its family.
+
+    With ``takes_several`` it also draws several together, see `CatalogueKind.draws_several`.
+    """
 
     family: Hashable
     n_obj: int
     draw: Callable[[np.random.Generator], Catalogue]
+    takes_several: bool = False
 
     def __call__(self, rng: np.random.Generator) -> Catalogue:
         """Draw it."""
@@ -108,7 +140,7 @@ class Sky:
     contrast: float = 0.0
 
     def positions(self, rng: np.random.Generator, n_obj: int) -> tuple[Array, Array]:
-        """Return ra, dec (rad) of shape (n_obj,)."""
+        """Return ra, dec (rad) of shape (n_obj,), or (catalogues, n_obj) of several that are drawn together."""
         longitude = rng.uniform(0.0, 2.0 * np.pi, n_obj)
         height = rng.uniform(-1.0, 1.0, n_obj) + self.contrast  # of its sign: uniform on each side, more on one
         north = height > 0.0
@@ -116,8 +148,8 @@ class Sky:
         floor = np.sin(self.zone_of_avoidance)
         sin_b = np.where(north, floor, -floor) + (1.0 - floor) * fraction
         cos_b = np.sqrt(1.0 - sin_b**2)
-        galactic = np.stack([cos_b * np.cos(longitude), cos_b * np.sin(longitude), sin_b])
-        return position(GALACTIC_AXES.T @ galactic)
+        galactic = np.stack([cos_b * np.cos(longitude), cos_b * np.sin(longitude), sin_b], axis=-2)
+        return position(np.moveaxis(GALACTIC_AXES.T @ galactic, -2, 0))
 
 
 def synthetic(
@@ -163,7 +195,7 @@ def galaxies(
     bright = -np.inf if bright_limit_mag is None else bright_limit_mag
     low, high = ndtr((np.array([bright, faint_limit_mag]) - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
     v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(low + (high - low) * (1.0 - rng.random(n_obj)))
-    return Catalogue(ra, dec, np.zeros(n_obj), np.zeros(n_obj), v_mag)
+    return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
 
 
 def radio_stars() -> Catalogue:

@@ -10,7 +10,7 @@ from core.design import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, 
 from core.expected_errors import has_errors
 from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from core.scenario import catalogue_size, scenario, zonal_errors
-from core.simulate import BlockSums, simulate
+from core.simulate import BlockSums, Streams, can_stack, simulate, simulate_stack
 from core.unused import unused
 from core.warn import warn
 from sweep.contract import Experiment, Point, small_sample_factor
@@ -36,6 +36,9 @@ SUMS: Mapping[str, tuple[int, ...]] = {
 
 HARMONICS = 20.0
 
+STACK = 2**17
+"""Objects x realisations of the catalogues that are computed together at most."""
+
 
 def evaluate(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
@@ -44,6 +47,21 @@ def evaluate(
     point.
     """
     return _by_name(simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng), n_sim)
+
+
+def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[Streams]) -> dict[str, Array]:
+    """Return what `evaluate` returns for a catalogue from each pair of generators, one row a catalogue.
+
+    Small catalogues of one point are computed together: one by one they would cost many times their random numbers.
+    """
+    physics = [scenario(point) for point in points]
+    together = max(1, STACK // (catalogue_size(points[0]) * n_sim))
+    if len(physics) > 1 or together == 1 or not can_stack(physics[0], n_sim):
+        found = [_by_name(simulate(physics, n_sim, *one), n_sim) for one in streams]
+        return {name: np.stack([sums[name] for sums in found]) for name in SUMS}
+    parts = [streams[first : first + together] for first in range(0, len(streams), together)]
+    rows = [_sums(simulate_stack(physics[0], n_sim, part), n_sim) for part in parts]
+    return {name: np.concatenate([row[name] for row in rows])[:, None] for name in SUMS}
 
 
 def samples(
@@ -128,28 +146,30 @@ def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:
 
 
 def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
-    """Return the sums of one block in the shapes of `SUMS`; errors of a glide that was not solved for, and of what
-    nothing measured determines, are NaN.
+    """Return the sums of one block, or a stack of them, in the shapes of `SUMS`; errors of a glide that was not solved
+    for, and of what nothing measured determines, are NaN.
     """
-    glide = squares = np.full(len(GLIDE_LABELS), np.nan)
-    if len(block.error) > len(LABELS):
-        glide = block.error[GLIDE]
-        squares = np.where(np.isnan(glide), np.nan, np.diag(block.error_products)[GLIDE])
+    stack = block.error.shape[:-1]
+    glide = squares = np.full((*stack, len(GLIDE_LABELS)), np.nan)
+    if block.error.shape[-1] > len(LABELS):
+        glide = block.error[..., GLIDE]
+        diagonal = np.einsum("...ii->...i", block.error_products)
+        squares = np.where(np.isnan(glide), np.nan, diagonal[..., GLIDE])
     squared = block.predicted_variance_squared
     return {
-        "error": block.error[ALWAYS],
-        "error_products": block.error_products[ALWAYS, ALWAYS],
-        "chi2": np.array(block.chi2),
-        "predicted_variance": block.predicted_variance[ALWAYS],
-        "predicted_variance_squared": np.concatenate([squared[ALWAYS], squared[-len(MEANS) :]]),
-        "predicted_bias": block.predicted_bias[ALWAYS],
-        "predicted_bias_squares": block.predicted_bias_squares[ALWAYS],
-        "condition_number": np.array(block.condition_number),
+        "error": block.error[..., ALWAYS],
+        "error_products": block.error_products[..., ALWAYS, ALWAYS],
+        "chi2": block.chi2,
+        "predicted_variance": block.predicted_variance[..., ALWAYS],
+        "predicted_variance_squared": np.concatenate([squared[..., ALWAYS], squared[..., -len(MEANS) :]], axis=-1),
+        "predicted_bias": block.predicted_bias[..., ALWAYS],
+        "predicted_bias_squares": block.predicted_bias_squares[..., ALWAYS],
+        "condition_number": block.condition_number,
         "glide_error": glide,
         "glide_squares": squares,
-        "n_obj": np.array(block.n_obj),
-        "batch_mean_squares": np.square(block.error[ALWAYS]) / n_sim,
-        "batches": np.array(1.0),
+        "n_obj": block.n_obj,
+        "batch_mean_squares": np.square(block.error[..., ALWAYS]) / n_sim,
+        "batches": np.ones(stack),
     }
 
 
@@ -201,6 +221,7 @@ link = Experiment(
     coordinates={"component": LABELS, "component_other": LABELS, "glide_component": GLIDE_LABELS},
     component_units={"component": UNITS, "component_other": UNITS},
     evaluate=evaluate,
+    evaluate_catalogues=evaluate_catalogues,
     summarise=summarise,
     samples=samples,
     sample_outputs=SAMPLE_OUTPUTS,

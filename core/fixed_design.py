@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array
+from core.arrays import Array, product_sum, transposed_product
 from core.design import design_matrix
 from core.link import condition_number, hold, normal_inverse, require_off_poles
 from core.noise import Tile
@@ -22,28 +22,30 @@ from core.zonal import DrawnField
 
 @dataclass(frozen=True)
 class FixedDesign:
-    """The columns (N, 4, C) that turn unit normals into estimates, and the small matrices of their products."""
+    """The columns (N, 4, C) that turn unit normals into estimates, and the small matrices of their products; of a stack
+    of catalogues these have a leading axis.
+    """
 
     setup: Setup
     columns: Array
     solving: slice  # which columns make the gain when multiplied by the inverse
-    normal: Array  # a^T a, (K, K)
+    normal: Array  # a^T a, (..., K, K)
     inverse: Array  # of A^T W A, W the weights of the solution
-    bias: Array  # (K,)
-    design_residual: Array  # a^T r, (K,): zero for inverse-variance weights
-    residual_squares: float
-    gain_squares: Array  # the variance of g^T z, (K,)
-    condition_number: float  # of A^T W A
+    bias: Array  # (..., K)
+    design_residual: Array  # a^T r, (..., K): zero for inverse-variance weights
+    residual_squares: Array  # (...)
+    gain_squares: Array  # the variance of g^T z, (..., K)
+    condition_number: Array  # of A^T W A, (...)
 
     def begin(self, rows: int, field: DrawnField | None = None) -> "FixedSums":
         """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
-        return FixedSums(self, np.zeros((self.columns.shape[2], rows)), field)
+        return FixedSums(self, np.zeros((*self.setup.stack, self.columns.shape[2], rows)), field)
 
     def predicted_variance(self) -> Array:
-        """Return the variance of each unknown; shape (K,)."""
+        """Return the variance of each unknown; shape (..., K)."""
         sides = self.setup.reference, self.setup.satellite
         if not any(sides):
-            return np.zeros(len(self.bias))
+            return np.zeros_like(self.bias)
         if all(side.as_weighed for side in sides):
             return self.gain_squares
         gain = self.columns[..., self.solving] @ self.inverse / self.setup.sigma[..., None]
@@ -58,16 +60,16 @@ class FixedDesign:
         """Return r of some objects; shape (n, 4)."""
         return np.asarray(self.columns[part, :, -1] - self.columns[part, :, : len(self.bias)] @ self.bias)
 
-    def solved(self, products: Array, squares: float) -> tuple[Array, float]:
-        """Return estimate - truth (K, rows) and the sum of chi2 from ``products`` = columns^T z (C, rows) and the sum
-        of z^2.
+    def solved(self, products: Array, squares: Array | float) -> tuple[Array, Array]:
+        """Return estimate - truth (..., K, rows) and the sum of chi2 (...) from ``products`` = columns^T z
+        (..., C, rows) and the sum of z^2.
         """
-        a_z = products[: len(self.bias)]
-        g_z = self.inverse @ products[self.solving]
-        r_z = products[-1] - self.bias @ a_z
-        chi2 = products.shape[1] * self.residual_squares + squares - 2.0 * np.sum(r_z)
-        chi2 += np.sum(g_z * (self.normal @ g_z - 2.0 * a_z + 2.0 * self.design_residual[:, None]))
-        return self.bias[:, None] - g_z, float(chi2)
+        a_z = products[..., : self.bias.shape[-1], :]
+        g_z = self.inverse @ products[..., self.solving, :]
+        r_z = products[..., -1, :] - (self.bias[..., None, :] @ a_z)[..., 0, :]
+        chi2 = products.shape[-1] * self.residual_squares + squares - 2.0 * np.sum(r_z, axis=-1)
+        terms = g_z * (self.normal @ g_z - 2.0 * a_z + 2.0 * self.design_residual[..., None])
+        return self.bias[..., None] - g_z, chi2 + terms.reshape(*self.setup.stack, -1).sum(axis=-1)
 
 
 @dataclass
@@ -77,20 +79,21 @@ class FixedSums:
     design: FixedDesign
     products: Array
     field: DrawnField | None = None
-    squares: float = 0.0
+    squares: Array | float = 0.0
 
     def __post_init__(self) -> None:
         """Note what each tile asks for."""
-        self._noise, self._columns = self.design.setup.satellite, self.design.columns
-        self._n_obj = len(self._columns) if self._noise else 0
-        self._whose, self._measured = origin(self._columns), self.design.setup.observables
+        setup, columns = self.design.setup, self.design.columns
+        self._noise, self._columns = setup.satellite, setup.stacked(columns)
+        self._n_obj = setup.n_obj if self._noise else 0
+        self._whose, self._measured = origin(columns), setup.observables
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
         """Add the objects of a tile; the reference has no errors here."""
         if satellite is None or satellite.start >= self._n_obj:
             return
-        place = slice(satellite.start, satellite.start + len(satellite.normals))
-        part, ratio = self._columns[place], self._noise.ratio
+        place = slice(satellite.start, satellite.start + satellite.normals.shape[-3])
+        part, ratio = self._columns[..., place, :, :], self._noise.ratio
         if self._noise.factor is None and self.field is None:
             self.products += ratio * satellite.product(part, self._whose)
             self.squares += ratio**2 * satellite.squares(self._n_obj, self._measured)
@@ -98,12 +101,12 @@ class FixedSums:
             errors = ratio * self._noise.standardised(satellite.head(self._n_obj), satellite.start)
             if self.field is not None:
                 errors += self.field.values(place) / self.design.setup.sigma[place, :, None]
-            self.products += part.reshape(-1, part.shape[2]).T @ errors.reshape(-1, errors.shape[2])
-            measured = errors[:, self._measured]
-            self.squares += float(np.vdot(measured, measured))
+            self.products += transposed_product(part, errors)
+            measured = errors[..., self._measured, :]
+            self.squares += product_sum(measured, measured)
 
-    def solved(self) -> tuple[Array, float]:
-        """Return estimate - truth of each realisation, (K, rows), and the sum of chi2."""
+    def solved(self) -> tuple[Array, Array]:
+        """Return estimate - truth of each realisation, (..., K, rows), and the sum of chi2, (...)."""
         return self.design.solved(self.products, self.squares)
 
 
@@ -112,14 +115,15 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
     unknowns = len(setup.truth)
     optimal = setup.scenario.weighting == "inverse-variance"
     columns = _columns(setup, 1 if optimal else 2, shared)
-    products = shared.products(columns)
+    products = _products(columns, setup, shared)
     design, solving = slice(0, unknowns), slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
-    normal, design_misclosure = products[design, design], products[design, -1]
+    normal, design_misclosure = products[..., design, design], products[..., design, -1]
     # of equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
-    solved = hold(products[design, solving].copy(), setup.held)
+    solved = products[..., design, solving].copy()
+    hold(np.moveaxis(solved, (-2, -1), (0, 1)), setup.held)
     inverse = normal_inverse(solved)
-    bias = inverse @ products[solving, -1]
-    design_residual = design_misclosure - normal @ bias
+    bias = _times(inverse, products[..., solving, -1])
+    design_residual = design_misclosure - _times(normal, bias)
     return FixedDesign(
         setup=setup,
         columns=columns,
@@ -127,11 +131,28 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
         normal=normal,
         inverse=inverse,
         bias=bias,
-        design_residual=np.zeros(unknowns) if optimal else design_residual,
-        residual_squares=max(0.0, float(products[-1, -1] - bias @ (design_misclosure + design_residual))),
-        gain_squares=np.einsum("ki,ij,jk->k", inverse, products[solving, solving], inverse),
+        design_residual=np.zeros_like(bias) if optimal else design_residual,
+        residual_squares=np.maximum(0.0, products[..., -1, -1] - np.vecdot(bias, design_misclosure + design_residual)),
+        gain_squares=np.einsum("...ki,...ij,...jk->...k", inverse, products[..., solving, solving], inverse),
         condition_number=condition_number(solved),
     )
+
+
+def _products(columns: Array, setup: Setup, shared: Prefixes) -> Array:
+    """Return the products of the columns, summed over the objects and observables of each catalogue; (..., C, C)."""
+    if not setup.stack:
+        return shared.products(columns)
+    stacked, number = setup.stacked(columns), columns.shape[2]
+    total = np.zeros((*setup.stack, number, number))
+    for part in parts(setup.n_obj):
+        flat = stacked[:, part].reshape(*setup.stack, -1, number)
+        total += flat.swapaxes(1, 2) @ flat
+    return total
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    """Return the products of matrices (..., K, K) and vectors (..., K)."""
+    return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
 def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:

@@ -28,6 +28,10 @@ class LinkError(ValueError):
     """The link cannot be solved; the message names the object or the cause."""
 
 
+class UnlikeError(LinkError):
+    """Catalogues cannot be computed together."""
+
+
 def require_off_poles(dec: Array, cos_dec: Array) -> None:
     """Raise LinkError for the first object (last axis of ``dec``, rad) at a pole, where ra is undefined."""
     at_pole = cos_dec < POLE_LIMIT
@@ -168,15 +172,15 @@ def normal_inverse(normal: Array) -> Array:
 
 
 def solve_normal(normal: Array, right: Array) -> Array:
-    """Return x of ``normal`` x = ``right``, shapes (K, K, rows) and (K, rows), as `normal_inverse` would give it.
+    """Return x of ``normal`` x = ``right``, shapes (K, K, ...) and (K, ...), as `normal_inverse` would give it.
 
-    All rows together, elimination without pivots on matrices scaled to a diagonal of 1, which is Cholesky's and as
+    All together, elimination without pivots on matrices scaled to a diagonal of 1, which is Cholesky's and as
     stable.  Raises LinkError as `normal_inverse`.  The pivots give the determinant, and since the other eigenvalues
     cannot multiply to more than (K/(K-1))^(K-1), it bounds the smallest one from below: eigenvalues themselves are
     only computed where that bound does not decide.
     """
     unknowns = len(normal)
-    diagonal = np.einsum("kkr->kr", normal)
+    diagonal = np.einsum("kk...->k...", normal)
     if not np.all(diagonal > 0.0):
         raise LinkError("the link is rank deficient: an unknown has no weight at all")
     scale = 1.0 / np.sqrt(diagonal)
@@ -188,24 +192,24 @@ def solve_normal(normal: Array, right: Array) -> Array:
             factor = upper[k, k + 1 :] / upper[k, k]
             upper[k + 1 :, k + 1 :] -= factor[:, None] * upper[k, k + 1 :]
             solved[k + 1 :] -= factor * solved[k]
-        pivots = np.einsum("kkr->kr", upper)
+        pivots = np.einsum("kk...->k...", upper)
         bound = np.prod(pivots, axis=0) / (unknowns / (unknowns - 1.0)) ** (unknowns - 1)
         unclear = ~(np.all(pivots > 0.0, axis=0) & (bound > SMALLEST_EIGENVALUE))
     if np.any(unclear):
-        require_rank(np.moveaxis(scaled[..., unclear], -1, 0))
+        require_rank(np.moveaxis(scaled[:, :, unclear], -1, 0))
     for k in reversed(range(unknowns)):
         solved[k] /= upper[k, k]
         solved[:k] -= upper[:k, k] * solved[k]
     return np.asarray(solved * scale)
 
 
-def condition_number(normal: Array) -> float:
-    """Return the ratio of the largest to the smallest eigenvalue of a normal matrix (K, K), scaled to a diagonal of 1
-    so that units do not matter: 1 where the unknowns are independent.
+def condition_number(normal: Array) -> Array:
+    """Return the ratio of the largest to the smallest eigenvalue of normal matrices (..., K, K), scaled to a diagonal
+    of 1 so that units do not matter: 1 where the unknowns are independent.
     """
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    eigenvalues = np.linalg.eigvalsh(normal * scale[:, None] * scale)
-    return float(eigenvalues[-1] / eigenvalues[0])
+    scale = 1.0 / np.sqrt(np.einsum("...ii->...i", normal))
+    eigenvalues = np.linalg.eigvalsh(normal * scale[..., :, None] * scale[..., None, :])
+    return np.asarray(eigenvalues[..., -1] / eigenvalues[..., 0])
 
 
 def require_rank(scaled: Array) -> None:

@@ -5,13 +5,13 @@ stream runs through the objects: 4 observables of object 0 in all realisations o
 object i gets depends neither on how many objects follow nor on what the other side or another point needs.
 """
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from core.arrays import Array
+from core.arrays import Array, Stack, product_sum, transposed_product
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
 from core.zonal import DrawnField, Field, ZonalErrors
@@ -36,46 +36,50 @@ def tile_objects(rows: int) -> int:
 
 @dataclass(frozen=True)
 class Tile:
-    """Unit normals (objects, 4, rows) of the objects from ``start`` on, one side's."""
+    """Unit normals (..., objects, 4, rows) of the objects from ``start`` on, one side's; of a stack of catalogues the
+    first axis is that of these.
+    """
 
     start: int
     normals: Array
-    _squares: dict[Hashable, float] = field(default_factory=dict)
+    _squares: dict[Hashable, Array] = field(default_factory=dict)
     _products: dict[Hashable, Array] = field(default_factory=dict)
 
     def head(self, n_obj: int) -> Array:
         """Return the part that belongs to a catalogue of ``n_obj`` objects."""
-        return self.normals[: max(0, n_obj - self.start)]
+        return self.normals[..., : max(0, n_obj - self.start), :, :]
 
-    def squares(self, n_obj: int, observables: slice) -> float:
-        """Return the sum of squares of some observables in that part, computed once for all points that have as many
-        objects in it.
+    def squares(self, n_obj: int, observables: slice) -> Array:
+        """Return the sum of squares of some observables in that part, shape (...), computed once for all points that
+        have as many objects in it.
         """
-        count = max(0, min(n_obj - self.start, len(self.normals)))
-        key = count, observables.start, observables.stop
+        part = self.head(n_obj)[..., observables, :]
+        key = part.shape[-3], observables.start, observables.stop
         if key not in self._squares:
-            part = self.normals[:count, observables]
-            self._squares[key] = float(np.vdot(part, part))
+            self._squares[key] = product_sum(part, part)
         return self._squares[key]
 
     def product(self, columns: Array, whose: Hashable) -> Array:
-        """Return columns^T normals, (C, rows), of the columns (n, 4, C) of the tile's first n objects, computed once
-        for all points that have the same columns: as many of those that ``whose`` names.
+        """Return columns^T normals, (..., C, rows), of the columns (..., n, 4, C) of the tile's first n objects,
+        computed once for all points that have the same columns: as many of those that ``whose`` names.
         """
-        key = whose, len(columns)
+        key = whose, columns.shape[-3]
         if key not in self._products:
-            flat = columns.reshape(-1, columns.shape[2])
-            self._products[key] = flat.T @ self.normals[: len(columns)].reshape(len(flat), -1)
+            self._products[key] = transposed_product(columns, self.normals[..., : columns.shape[-3], :, :])
         return self._products[key]
 
 
-def tiles(rng: np.random.Generator, rows: int, n_obj: int) -> Iterator[Tile]:
-    """Yield the unit normals of ``n_obj`` objects; a tile is valid until the next one."""
+def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: int) -> Iterator[Tile]:
+    """Yield the unit normals of ``n_obj`` objects of the catalogues of a stack, from a generator of each; a tile is
+    valid until the next one.
+    """
+    objects = tile_objects(rows)
     # of the full size even for few objects: where an array begins must not depend on who shares it
-    buffer = np.empty((tile_objects(rows), 4, rows))
-    for start in range(0, n_obj, len(buffer)):
-        part = buffer[: n_obj - start]
-        rng.standard_normal(out=part)
+    buffer = np.empty((*stack, min(objects, n_obj) if stack else objects, 4, rows))
+    for start in range(0, n_obj, objects):
+        part = buffer[..., : n_obj - start, :, :]
+        for rng, own in zip(rngs, part if stack else [part], strict=True):
+            rng.standard_normal(out=own)
         yield Tile(start, part)
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from core.arrays import Array
+from core.arrays import Array, product_sum
 from core.design import GLIDE, ORIENTATION, SPIN
-from core.link import POLE_LIMIT, hold, pole_error, solve_normal
+from core.link import POLE_LIMIT, UnlikeError, hold, pole_error, solve_normal
 from core.noise import Tile
 from core.normal_equations import NormalSums, Seen
 from core.prepared import Setup
@@ -23,19 +23,25 @@ FARTHEST = 10.0
 
 
 class FullPath:
-    """The link of a catalogue whose reference has errors; arrays (N, 1) and (N, 4, 1) stand beside (N, 4, rows)."""
+    """The link of a catalogue, or a stack of them, whose reference has errors; arrays (..., N, 1) and (..., N, 4, 1)
+    stand beside (..., N, 4, rows).
+    """
 
     def __init__(self, setup: Setup) -> None:
-        catalogue = setup.catalogue
-        ra, dec = catalogue.ra[:, None], catalogue.dec[:, None]
+        catalogue, stacked = setup.catalogue, setup.stacked
+        ra, dec = stacked(catalogue.ra)[..., None], stacked(catalogue.dec)[..., None]
         self.setup = setup
         self.ra, self.dec = ra, dec
         self.sin_ra, self.cos_ra, self.sin_dec, self.cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
-        self.pmra, self.pmdec = catalogue.pmra[:, None], catalogue.pmdec[:, None]
-        self.differences = setup.differences[..., None]
-        self.reference_sigma, self.satellite_sigma = setup.reference.sigma[..., None], setup.satellite.sigma[..., None]
-        self.small = FARTHEST * setup.reference.sigma[:, :2].max(axis=1) < SMALL_ANGLE * self.cos_dec[:, 0]
-        inverse_variance = setup.sigma[..., None] ** -2.0
+        self.pmra, self.pmdec = stacked(catalogue.pmra)[..., None], stacked(catalogue.pmdec)[..., None]
+        self.differences = stacked(setup.differences)[..., None]
+        reference_sigma = stacked(setup.reference.sigma)
+        self.reference_sigma = reference_sigma[..., None]
+        self.satellite_sigma = stacked(setup.satellite.sigma)[..., None]
+        self.small = FARTHEST * reference_sigma[..., :2].max(axis=-1) < SMALL_ANGLE * self.cos_dec[..., 0]
+        if setup.stack and not self.small.all():
+            raise UnlikeError("some of the catalogues have objects whose errors are no small angles")
+        inverse_variance = stacked(setup.sigma)[..., None] ** -2.0
         counted = setup.counted[:, None]
         inverse_variance *= counted
         equal = setup.scenario.weighting == "equal"
@@ -51,73 +57,84 @@ class FullSums:
     """Normal equations of the objects met so far, for the realisations of one chunk."""
 
     def __init__(self, path: FullPath, rows: int, field: DrawnField | None = None) -> None:
-        scenario, n_obj = path.setup.scenario, len(path.ra)
+        scenario, n_obj, stack = path.setup.scenario, path.setup.n_obj, path.setup.stack
         self.path, self.field = path, field
         self.objects = min(max(1, ELEMENTS // rows), n_obj)
-        self.squares = 0.0
+        self.squares = np.zeros(stack)
         # written to again and again: temporary arrays would cost more than the arithmetic
-        self.errors = np.empty((3, self.objects, 4, rows))
-        self.seen = np.empty((len(Seen._fields), self.objects, rows))
-        self.scratch = np.empty((3, self.objects, rows))
+        self.errors = np.empty((3, *stack, self.objects, 4, rows))
+        self.seen = np.empty((len(Seen._fields), *stack, self.objects, rows))
+        self.scratch = np.empty((3, *stack, self.objects, rows))
         # an orientation that is held at its true value has no derivatives
         turns = scenario.corrections and path.setup.measured[0]
-        self.sums = [NormalSums(self.objects, rows, turns, scenario.solve_glide) for _ in path.weights]
+        self.sums = [NormalSums(self.objects, rows, turns, scenario.solve_glide, stack) for _ in path.weights]
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
         """Add the objects of a tile, the same on both sides; a side without errors may have none."""
-        n_obj = len(self.path.ra)
+        n_obj = self.path.setup.n_obj
         if reference is None:
             return
-        for first in range(0, len(reference.head(n_obj)), self.objects):
+        for first in range(0, reference.head(n_obj).shape[-3], self.objects):
             inside = slice(first, first + self.objects)
             self._add(
                 reference.start + first,
-                reference.head(n_obj)[inside],
-                satellite.head(n_obj)[inside] if satellite is not None and self.path.setup.satellite else None,
+                reference.head(n_obj)[..., inside, :, :],
+                satellite.head(n_obj)[..., inside, :, :]
+                if satellite is not None and self.path.setup.satellite
+                else None,
             )
 
-    def solved(self) -> tuple[Array, float]:
-        """Return estimate - truth of each realisation, (K, rows), and the sum of chi2."""
+    def solved(self) -> tuple[Array, Array]:
+        """Return estimate - truth of each realisation, (..., K, rows), and the sum of chi2, (...)."""
         normal, right = self.sums[0].equations()
         error = solve_normal(hold(normal, self.path.setup.held), right)
         normal, right = self.sums[-1].equations()
-        chi2 = self.squares + np.sum(error * (np.einsum("klr,lr->kr", normal, error) - 2.0 * right))
-        return error, float(chi2)
+        terms = error * (np.einsum("kl...,l...->k...", normal, error) - 2.0 * right)
+        error, terms = (np.ascontiguousarray(np.moveaxis(array, 0, -2)) for array in (error, terms))
+        return error, self.squares + terms.reshape(*self.path.setup.stack, -1).sum(axis=-1)
 
     def _add(self, start: int, reference: Array, satellite: Array | None) -> None:
-        path, setup = self.path, self.path.setup
-        part = slice(start, start + len(reference))
-        shift, misclosure, weighted = self.errors[:, : len(reference)]
-        np.multiply(setup.reference.standardised(reference, start), path.reference_sigma[part], out=shift)
-        np.add(shift, path.differences[part], out=misclosure)
+        path, setup, n_obj = self.path, self.path.setup, reference.shape[-3]
+        part = slice(start, start + n_obj)
+        shift, misclosure, weighted = self.errors[..., :n_obj, :, :]
+        standardised = setup.reference.standardised(reference, start)
+        np.multiply(standardised, path.reference_sigma[..., part, :, :], out=shift)
+        np.add(shift, path.differences[..., part, :, :], out=misclosure)
         if satellite is not None:
             noise = setup.satellite.standardised(satellite, start)
-            misclosure -= np.multiply(noise, path.satellite_sigma[part], out=weighted)
+            misclosure -= np.multiply(noise, path.satellite_sigma[..., part, :, :], out=weighted)
         if self.field is not None:
             misclosure -= self.field.values(part)
         seen = self._seen(part, shift)
         self._subtract_truth(seen, misclosure)
-        for sums, weights in zip(self.sums, path.weights, strict=True):
-            sums.add(seen, weights[part], np.multiply(misclosure, weights[part], out=weighted))
-        self.squares += float(np.vdot(weighted, misclosure))  # the last weights are those of chi2
+        for sums, all_weights in zip(self.sums, path.weights, strict=True):
+            weights = all_weights[..., part, :, :]
+            sums.add(seen, weights, np.multiply(misclosure, weights, out=weighted))
+        self.squares += product_sum(weighted, misclosure)  # the last weights are those of chi2
 
     def _seen(self, part: slice, shift: Array) -> Seen:
-        path, seen, scratch = self.path, Seen(*self.seen[:, : len(shift)]), self.scratch[:, : len(shift)]
-        d_ra, d_dec = np.divide(shift[:, 0], path.cos_dec[part], out=scratch[0]), shift[:, 1]
-        if path.small[part].all():
-            _turn(path.sin_ra[part], path.cos_ra[part], d_ra, scratch[1:], seen.s, seen.c)
-            _turn(path.sin_dec[part], path.cos_dec[part], d_dec, scratch[1:], seen.sin_dec, seen.cos_dec)
+        path, n_obj = self.path, shift.shape[-3]
+        seen, scratch = Seen(*self.seen[..., :n_obj, :]), self.scratch[..., :n_obj, :]
+        sin_ra, cos_ra, sin_dec, cos_dec, pmra, pmdec = (
+            array[..., part, :]
+            for array in (path.sin_ra, path.cos_ra, path.sin_dec, path.cos_dec, path.pmra, path.pmdec)
+        )
+        d_ra, d_dec = np.divide(shift[..., 0, :], cos_dec, out=scratch[0]), shift[..., 1, :]
+        if path.small[..., part].all():
+            _turn(sin_ra, cos_ra, d_ra, scratch[1:], seen.s, seen.c)
+            _turn(sin_dec, cos_dec, d_dec, scratch[1:], seen.sin_dec, seen.cos_dec)
         else:
-            ra, dec = path.ra[part] + d_ra, path.dec[part] + d_dec
+            ra, dec = path.ra[..., part, :] + d_ra, path.dec[..., part, :] + d_dec
             np.sin(ra, out=seen.s)
             np.cos(ra, out=seen.c)
             np.sin(dec, out=seen.sin_dec)
             np.cos(dec, out=seen.cos_dec)
         if seen.cos_dec.min() < POLE_LIMIT:
             at = tuple(np.argwhere(seen.cos_dec < POLE_LIMIT)[0])
-            raise pole_error(part.start + int(at[0]), float(path.dec[part][at[0], 0] + d_dec[at]))
-        np.add(path.pmra[part], shift[:, 2], out=seen.pmra)
-        np.add(path.pmdec[part], shift[:, 3], out=seen.pmdec)
+            item = part.start + int(at[-2])
+            raise pole_error(item, float(path.dec[(*at[:-2], item, 0)] + d_dec[at]))
+        np.add(pmra, shift[..., 2, :], out=seen.pmra)
+        np.add(pmdec, shift[..., 3, :], out=seen.pmdec)
         np.divide(seen.pmra, seen.cos_dec, out=seen.pmra_turn)
         np.divide(seen.pmdec, seen.cos_dec, out=seen.pmdec_turn)
         return seen
@@ -125,8 +142,8 @@ class FullSums:
     def _subtract_truth(self, seen: Seen, misclosure: Array) -> None:
         """Subtract A truth, A the noisy design, so that the solution is estimate - truth."""
         scenario, truth = self.path.setup.scenario, self.path.setup.truth
-        turn, work = self.scratch[:2, : len(misclosure)]
-        ra, dec, pmra, pmdec = (misclosure[:, k] for k in range(4))
+        turn, work = self.scratch[:2, ..., : misclosure.shape[-3], :]
+        ra, dec, pmra, pmdec = (misclosure[..., k, :] for k in range(4))
         if scenario.corrections:
             np.multiply(seen.c, truth[0], out=turn)
             turn += np.multiply(seen.s, truth[1], out=work)  # eta.epsilon cos dec
@@ -142,7 +159,7 @@ class FullSums:
     def _add_field(self, along_q: Array, along_p: Array, seen: Seen, vector: Array) -> None:
         """Add q.vector to the one and -p.vector to the other, in place."""
         x, y, z = vector
-        field, work = self.scratch[:2, : len(along_q)]
+        field, work = self.scratch[:2, ..., : along_q.shape[-2], :]
         np.multiply(seen.c, -x, out=field)
         field -= np.multiply(seen.s, y, out=work)
         field *= seen.sin_dec

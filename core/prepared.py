@@ -1,17 +1,18 @@
 """One point's physics, and what all realisations of one catalogue share."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from core.arrays import Array
+from core.arrays import Array, Stack
 from core.catalogue import Catalogue
 from core.design import ORIENTATION, SPIN
 from core.errors import ErrorModel
 from core.frames import along, exact_differences, stored_differences, triad
-from core.link import KINDS, Weighting, combined_error, measured
+from core.link import KINDS, UnlikeError, Weighting, combined_error, measured
 from core.noise import Noise
 from core.shared_arrays import Prefixes, parts
 from core.systematics import Systematics
@@ -64,10 +65,18 @@ class Scenario:
     zonal: ZonalErrors | None = None
     systematics: Systematics = field(default_factory=Systematics)
 
+    @property
+    def random_directions(self) -> bool:
+        """Whether each catalogue has a truth of its own."""
+        return self.epsilon.random_direction or self.omega.random_direction
+
 
 @dataclass(frozen=True)
 class Setup:
-    """What all realisations of one catalogue share, in rad and rad/yr; K unknowns, N objects."""
+    """What all realisations of one catalogue share, in rad and rad/yr; K unknowns, N objects.
+
+    Of a ``stack`` of catalogues the objects of one stand after those of the other, and the truth is the same for all.
+    """
 
     scenario: Scenario
     catalogue: Catalogue
@@ -77,6 +86,16 @@ class Setup:
     satellite: Noise
     sigma: Array  # (N, 4), as the link weighs the differences
     measured: tuple[bool, bool] = (True, True)  # positions, proper motions
+    stack: Stack = ()
+
+    @property
+    def n_obj(self) -> int:
+        """The objects of one catalogue."""
+        return len(self.catalogue) // math.prod(self.stack)
+
+    def stacked(self, rows: Array) -> Array:
+        """Return an array whose first axis is that of all objects with that of the catalogues before it."""
+        return rows.reshape(*self.stack, self.n_obj, *rows.shape[1:])
 
     @property
     def observables(self) -> slice:
@@ -103,19 +122,28 @@ class Draw:
     catalogue: Catalogue
     epsilon: Array
     omega: Array
+    stack: Stack = ()
 
     @staticmethod
-    def of(scenario: Scenario, catalogue: Catalogue, direction_rng: np.random.Generator) -> "Draw":
-        """Draw the vectors that go with a catalogue."""
-        return Draw(catalogue, scenario.epsilon.draw(direction_rng), scenario.omega.draw(direction_rng))
+    def of(scenario: Scenario, catalogue: Catalogue, direction_rng: np.random.Generator, stack: Stack = ()) -> "Draw":
+        """Draw the vectors that go with a catalogue, or with all of a stack, for which they are not random."""
+        return Draw(catalogue, scenario.epsilon.draw(direction_rng), scenario.omega.draw(direction_rng), stack)
 
 
 def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
-    """Return the errors and differences of the objects; raises LinkError where these cannot be weighed."""
+    """Return the errors and differences of the objects; raises LinkError where these cannot be weighed, UnlikeError
+    for a stack of which some catalogues have errors that others have not, or of correlated errors.
+    """
     catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
     reference = Noise.of(scenario.reference_errors, catalogue)
     satellite = Noise.of(scenario.satellite_errors, catalogue)
     both = reference.sigma.T, satellite.sigma.T
+    for side in (reference, satellite) if drawn.stack else ():
+        if side.factor is not None:
+            raise UnlikeError("the errors of an object are correlated")
+        any_errors = side.sigma.reshape(*drawn.stack, -1).any(axis=-1)
+        if any_errors.any() and not any_errors.all():
+            raise UnlikeError("some of the catalogues have no errors")
     return Setup(
         scenario=scenario,
         catalogue=catalogue,
@@ -125,6 +153,7 @@ def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
         satellite=satellite.inflated(scenario.satellite_error_ratio).with_zonal(scenario.zonal, catalogue),
         sigma=np.ascontiguousarray(combined_error(*both).T),
         measured=measured(np.add(*both)),
+        stack=drawn.stack,
     )
 
 

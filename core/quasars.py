@@ -67,8 +67,8 @@ def quasars(
         _bin(rng, sky, *magnitudes, *numbers)
         for magnitudes, numbers in zip(itertools.pairwise(edges), itertools.pairwise(counts), strict=True)
     ]
-    ra, dec, v_mag = (np.concatenate(column) for column in zip(*bins, strict=True))
-    return Catalogue(ra, dec, np.zeros(len(ra)), np.zeros(len(ra)), v_mag)
+    ra, dec, v_mag = (np.concatenate(column, axis=-1) for column in zip(*bins, strict=True))
+    return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
 
 
 def _bin(
@@ -77,7 +77,7 @@ def _bin(
     ra, dec = sky.positions(rng, high - low)
     rank = high - (high - low) * rng.random(high - low)  # in (low, high]: never log 0
     if low == 0:
-        return ra, dec, np.full(high, faint)
+        return ra, dec, np.full_like(rank, faint)
     return ra, dec, bright + (faint - bright) * np.log(rank / low) / np.log(high / low)
 
 

@@ -6,17 +6,21 @@ from itertools import zip_longest
 
 import numpy as np
 
-from core.arrays import Array
+from core.arrays import Array, Stack
 from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
 from core.design import ORIENTATION, SPIN
 from core.fixed_design import FixedDesign, FixedSums, fixed_design
 from core.link import LinkError
-from core.noise import chunks, tiles
+from core.noise import ROWS, chunks, tiles
 from core.noisy_design import FullPath, FullSums
 from core.prepared import Draw, Scenario, Setup, prepare
 from core.projected import Drawn, Projected
 from core.shared_arrays import Prefixes
+from core.stacks import stacked_catalogue
+
+Streams = tuple[np.random.Generator, np.random.Generator]
+"""The generators of the errors of a catalogue and of the catalogue itself."""
 
 
 @dataclass(frozen=True)
@@ -27,18 +31,19 @@ class BlockSums:
     form's ``predicted_variance`` (K,), the squares of its elements and of its mean over orientation and over spin, its
     ``predicted_bias`` (K,) and the squares of that, the condition number of the normal matrix and the number of
     objects.  ``estimates`` (n_sim, K) are the realisations themselves, where they are kept.  ``error`` and
-    ``estimates`` are NaN for unknowns that nothing measured determines, the rest of those is zero.
+    ``estimates`` are NaN for unknowns that nothing measured determines, the rest of those is zero.  Of a stack of
+    catalogues all have a leading axis.
     """
 
     error: Array
     error_products: Array
-    chi2: float
+    chi2: Array
     predicted_variance: Array
     predicted_variance_squared: Array
     predicted_bias: Array
     predicted_bias_squares: Array
-    condition_number: float
-    n_obj: float
+    condition_number: Array
+    n_obj: Array
     estimates: Array | None = None
 
 
@@ -57,14 +62,51 @@ def simulate(
     others are there.  Memory does not grow with ``n_sim`` but for estimates that are kept.  Raises LinkError where a
     catalogue does not determine the link.
     """
-    points = _points(scenarios, n_sim, catalogue_rng, keep_estimates)
+    return _simulate(scenarios, n_sim, [(rng, catalogue_rng)], (), keep_estimates)
+
+
+def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -> BlockSums:
+    """Return what `simulate` returns for a catalogue from each pair of generators ``streams``, to the last bit, from
+    operations on all of them at once.
+
+    Raises UnlikeError for catalogues that cannot be computed together (see `can_stack`), and LinkError as `simulate`;
+    the generators are of no use then.
+    """
+    (sums,) = _simulate([scenario], n_sim, streams, (len(streams),), False)
+    return sums
+
+
+def can_stack(scenario: Scenario, n_sim: int) -> bool:
+    """Return whether catalogues of a scenario may be computed together.
+
+    Not where each has a truth of its own or draws more than normals, nor where there is a single realisation: sums
+    over objects add up in another order then.
+    """
+    draw = scenario.draw_catalogue
+    return (
+        isinstance(draw, NestedDraw)
+        and draw.takes_several
+        and scenario.method == "catalogue"
+        and scenario.zonal is None
+        and not scenario.random_directions
+        and 1 < n_sim <= ROWS
+        and scenario.reference_error_ratio == scenario.satellite_error_ratio == 1.0
+    )
+
+
+def _simulate(
+    scenarios: Sequence[Scenario], n_sim: int, streams: Sequence[Streams], stack: Stack, keep_estimates: bool
+) -> list[BlockSums]:
+    """Return the sums of each scenario, for a catalogue from the only streams or for a stack from several."""
+    points = _points(scenarios, n_sim, [catalogue_rng for _, catalogue_rng in streams], stack, keep_estimates)
+    zonal = any(scenario.zonal is not None for scenario in scenarios)
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for rows in chunks(n_sim):
-        satellite_rng, reference_rng = rng.spawn(2)
-        (field_rng,) = satellite_rng.spawn(1)
-        begun = [point.begin(rows, satellite_rng, field_rng) for point in points]
+        satellite_rngs, reference_rngs = zip(*(rng.spawn(2) for rng, _ in streams), strict=True)
+        field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
+        begun = [point.begin(rows, satellite_rngs[0], field_rng) for point in points]
         for satellite, reference in zip_longest(
-            tiles(satellite_rng, rows, satellite_objects), tiles(reference_rng, rows, reference_objects)
+            tiles(satellite_rngs, stack, rows, satellite_objects), tiles(reference_rngs, stack, rows, reference_objects)
         ):
             for sums in begun:
                 sums.add(satellite, reference)
@@ -83,13 +125,14 @@ class _Point:
         self.predicted, self.bias = design.predicted_variance() / MAS**2, design.bias / MAS
         self.condition_number = design.condition_number
         self.path = _path(design)
-        self.error, self.products, self.chi2 = np.zeros(unknowns), np.zeros((unknowns, unknowns)), 0.0
+        self.error, self.chi2 = np.zeros((*setup.stack, unknowns)), np.zeros(setup.stack)
+        self.products = np.zeros((*setup.stack, unknowns, unknowns))
         self.kept: list[Array] | None = [] if keep_estimates else None
 
     @property
     def drawn(self) -> tuple[int, int]:
         """Objects for which normals of the satellite and of the reference are drawn."""
-        n_obj, setup = len(self.setup.catalogue), self.setup
+        n_obj, setup = self.setup.n_obj, self.setup
         projected = isinstance(self.path, Projected)
         return (
             n_obj if setup.satellite and not projected else 0,
@@ -102,18 +145,19 @@ class _Point:
         """Return sums of ``rows`` realisations; what is projected is drawn from the beginning of the satellite's
         stream, zonal errors from that of their own, and both are left there for others.
         """
-        states = rng.bit_generator.state, field_rng.bit_generator.state
+        states = [stream.bit_generator.state for stream in (rng, field_rng)]
         if isinstance(self.path, Projected):
             begun: FixedSums | FullSums | Drawn = self.path.draw(rows, rng)
         else:
             begun = self.path.begin(rows, self.setup.satellite.draw_field(rows, field_rng))
-        rng.bit_generator.state, field_rng.bit_generator.state = states
+        for stream, state in zip((rng, field_rng), states, strict=True):
+            stream.bit_generator.state = state
         return begun
 
-    def add(self, error: Array, chi2: float) -> None:
-        """Add realisations: their estimate - truth (K, rows), and the sum of their chi2."""
-        self.error += error.sum(axis=1)
-        self.products += error @ error.T
+    def add(self, error: Array, chi2: Array) -> None:
+        """Add realisations: their estimate - truth (..., K, rows), and the sum of their chi2."""
+        self.error += error.sum(axis=-1)
+        self.products += error @ error.swapaxes(-1, -2)
         self.chi2 += chi2
         if self.kept is not None:
             self.kept.append((error.T + self.setup.truth) / MAS)
@@ -124,20 +168,20 @@ class _Point:
         if not np.all(np.isfinite(self.error)):  # NaN is only for what is held
             raise LinkError("the solution is not finite")
         error, estimates = self.error / MAS, None if self.kept is None else np.concatenate(self.kept)
-        error[held] = np.nan
+        error[..., held] = np.nan
         if estimates is not None:
             estimates[:, held] = np.nan
-        means = [self.predicted[block].mean() for block in (ORIENTATION, SPIN)]
+        means = np.stack([self.predicted[..., block].mean(axis=-1) for block in (ORIENTATION, SPIN)], axis=-1)
         return BlockSums(
             error=error,
             error_products=self.products / MAS**2,
             chi2=self.chi2,
             predicted_variance=self.n_sim * self.predicted,
-            predicted_variance_squared=self.n_sim * np.square([*self.predicted, *means]),
+            predicted_variance_squared=self.n_sim * np.square(np.concatenate([self.predicted, means], axis=-1)),
             predicted_bias=self.n_sim * self.bias,
             predicted_bias_squares=self.n_sim * np.square(self.bias),
             condition_number=self.n_sim * self.condition_number,
-            n_obj=float(self.n_sim * len(self.setup.catalogue)),
+            n_obj=np.full(self.setup.stack, float(self.n_sim * self.setup.n_obj)),
             estimates=estimates,
         )
 
@@ -149,10 +193,14 @@ def _path(design: FixedDesign) -> FixedDesign | FullPath | Projected:
 
 
 def _points(
-    scenarios: Sequence[Scenario], n_sim: int, catalogue_rng: np.random.Generator, keep_estimates: bool
+    scenarios: Sequence[Scenario],
+    n_sim: int,
+    catalogue_rngs: Sequence[np.random.Generator],
+    stack: Stack,
+    keep_estimates: bool,
 ) -> list[_Point]:
     """Return each scenario ready, the largest catalogue made so first, since the others may be the beginning of it."""
-    drawn, shared = _draws(scenarios, catalogue_rng), Prefixes()
+    drawn, shared = _draws(scenarios, catalogue_rngs, stack), Prefixes()
     points = {
         k: _Point(prepare(scenarios[k], drawn[k], shared), shared, n_sim, keep_estimates)
         for k in sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))
@@ -160,10 +208,15 @@ def _points(
     return [points[k] for k in range(len(drawn))]
 
 
-def _draws(scenarios: Sequence[Scenario], catalogue_rng: np.random.Generator) -> list[Draw]:
+def _draws(scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Generator], stack: Stack) -> list[Draw]:
     """Return what each scenario draws, all from the same state: directions have a stream of their own, so that they are
     the same for catalogues of any size.
     """
+    if stack:
+        (scenario,) = scenarios
+        catalogue = stacked_catalogue(scenario.draw_catalogue, catalogue_rngs)
+        return [Draw.of(scenario, catalogue, catalogue_rngs[0], stack)]  # fixed directions: nothing is drawn
+    (catalogue_rng,) = catalogue_rngs
     objects, (directions,) = catalogue_rng.bit_generator.state, catalogue_rng.spawn(1)
     start = directions.bit_generator.state
     draws = [scenario.draw_catalogue for scenario in scenarios]

@@ -29,6 +29,11 @@ NEVER = ("d", "h", "min", "deg", "arcmin", "hourangle", "dex", "dB", "t", "ct", 
 
 SPELLED = {"narcsec": "nas", "uarcsec": "uas", "marcsec": "mas"}
 
+ANGLES = {"uas": -6, "mas": -3, "arcsec": 0}
+"""Angles by their powers of ten, as link results have them: told without astropy, whose import takes longer than all
+else that the end of a run prints.
+"""
+
 SMALLEST_ANGLE = -6
 """Nothing below a microarcsecond has a name that everyone reads."""
 
@@ -112,6 +117,10 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
     token = _TOKEN.match(unit)
     if token is None or token[0] in NEVER:
         return ()
+    rest = unit[token.end() :]
+    if (own_power := ANGLES.get(token[0])) is not None and re.fullmatch("( ?/ ?yr| yr-1)?", rest):
+        others = ((name, power) for name, power in ANGLES.items() if power != own_power)
+        return tuple(Prefixed(name + rest, 10.0 ** (own_power - power)) for name, power in others)
     from astropy import units
 
     try:
@@ -130,7 +139,7 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
             ):
                 continue
             name = SPELLED.get(prefix + base, prefix + base)
-            new = name + unit[token.end() :]
+            new = name + rest
             factor = 10.0 ** (power - exponent)
             if abs(float(whole.to(units.Unit(new))) / factor - 1.0) < 1e-9:
                 found.append(Prefixed(new, factor))
@@ -163,6 +172,8 @@ def _base(name: str) -> tuple[str, int] | None:
 def _with_micro_sign(token: str) -> str:
     if not re.fullmatch(r"u[A-Za-z]+", token):
         return token
+    if token in ANGLES:
+        return "µ" + token[1:]
     from astropy import units
 
     try:

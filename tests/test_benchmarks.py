@@ -9,7 +9,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-COUNTS = {"core-speed": 4 * 4 + 2 + 3, "overhead": 3, "main-job": 6, "memory": 3, "scaling": 8, "scale": 15, "tie": 8}
+COUNTS = {
+    "core-speed": 4 * 4 + 2 + 3,
+    "overhead": 3,
+    "main-job": 6,
+    "small-catalogues": 4,
+    "memory": 3,
+    "scaling": 8,
+    "cluster": 8,
+    "scale": 15,
+    "tie": 8,
+}
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ class File(CatalogueKind):
     """`"file"`: the rows between the limits, or n_obj of them at random."""
 
     parameters = RANDOM_SKY | {"file", "columns", "units", "pmra_cos_dec", "positions", "v_min", "v_max"}
+    draws_several = True
 
     def has_random_positions(self, point: Point) -> bool:
         """Return whether the rows are moved to other positions."""

@@ -19,6 +19,7 @@ class Galaxies(CatalogueKind):
     """`"galaxies"`: 116 of them, whatever the limits between which their magnitudes are drawn."""
 
     parameters = RANDOM_SKY | {"v_min", "v_max"}
+    draws_several = True
 
     def available(self, point: Point) -> int:
         """Return the number of certain galaxies."""

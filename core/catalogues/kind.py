@@ -27,6 +27,12 @@ class CatalogueKind:
 
     extragalactic = True
 
+    draws_several = False
+    """Whether `draw` also takes several generators as one, whose methods return arrays with a first axis of catalogues,
+    and then returns a `Catalogue` of shape (catalogues, N), or (N,) where all are the same: many small catalogues are
+    computed faster so.
+    """
+
     def has_random_positions(self, point: Point) -> bool:
         """Return whether positions are drawn, so that `RANDOM_SKY` matters."""
         return True
@@ -75,7 +81,7 @@ class CatalogueKind:
         nested = self.is_nested(point)
         decides = sorted({*self.uses(point), "catalogue", "n_obj"} - ({"v_max"} if nested else set()))
         family: Hashable = (nested, *((name, point[name]) for name in decides))
-        return NestedDraw(family, self.size(point), partial(self.draw, point))
+        return NestedDraw(family, self.size(point), partial(self.draw, point), self.draws_several)
 
     def why_not(self, point: Point) -> str | None:
         """Return `problem`, or what it or reading a table raises, as a sentence."""

@@ -12,6 +12,7 @@ class Quasars(CatalogueKind):
     """`"quasars"`: as many as the counts have between the limits."""
 
     parameters = RANDOM_SKY | {"v_min", "v_max", "counts"}
+    draws_several = True
 
     def available(self, point: Point) -> int:
         """Return the count between the limits; raises ValueError outside of the counts."""

@@ -13,6 +13,7 @@ class RadioStars(CatalogueKind):
 
     parameters = RANDOM_SKY | {"positions"}
     extragalactic = False
+    draws_several = True
 
     def has_random_positions(self, point: Point) -> bool:
         """Return whether they are not those of the stars."""

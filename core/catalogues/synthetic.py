@@ -15,6 +15,7 @@ class Synthetic(CatalogueKind):
     """`"synthetic"`: uniform magnitudes, isotropic proper motions."""
 
     parameters = RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
+    draws_several = True
 
     def available(self, point: Point) -> int:
         """Return none: there are as many as a study says."""

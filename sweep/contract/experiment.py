@@ -35,6 +35,20 @@ class Evaluate(Protocol):
         ...
 
 
+class EvaluateCatalogues(Protocol):
+    """The function that does the work of one block for several catalogues."""
+
+    def __call__(
+        self, points: Sequence[Point], n_sim: int, streams: Sequence[tuple[np.random.Generator, np.random.Generator]]
+    ) -> Mapping[str, Any]:
+        """Return what `Evaluate` returns for each (rng, catalogue_rng) of ``streams``, to the last bit; each of shape
+        (len(streams), len(points), *shape).
+
+        Where it raises an Exception, the catalogues are evaluated one by one.
+        """
+        ...
+
+
 class Summarise(Protocol):
     """The function that turns merged sums into results."""
 
@@ -81,6 +95,8 @@ class Experiment:
         samples: for studies that keep realisations, returns what ``evaluate`` does and the realisations that it adds
             up, each of ``sample_outputs`` with the shape (points, n_sim, dims ...).
         sample_outputs: the quantities of a realisation that are kept.
+        evaluate_catalogues: for experiments that compute many small catalogues faster together, see
+            `EvaluateCatalogues`; without it ``evaluate`` is called for one after the other.
         check: returns a sentence about a point that cannot be computed, None if it can.
         unused: returns the parameters that change nothing at a point, each with the reason.  It is called only for
             points that can be computed; a study that sets such a parameter is refused.
@@ -109,6 +125,7 @@ class Experiment:
     component_units: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     samples: Evaluate | None = None
     sample_outputs: tuple[Output, ...] = ()
+    evaluate_catalogues: EvaluateCatalogues | None = None
     check: Callable[[Point], str | None] = _no_problem
     unused: Callable[[Point], Mapping[str, str]] = _all_matter
     warn: Callable[[Point], Sequence[str]] = _no_warning

@@ -3,24 +3,29 @@
 import pickle
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from distributed import Client, Future, KilledWorker
+from distributed import Client, Future, KilledWorker, WorkerPlugin
 
 from sweep.contract import SweepError
 from sweep.executing.execute import Limits, Results, Say, Take, make_task
+from sweep.executing.task import Failure, TaskResult, failed
 from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker import Failure, TaskResult, failed
-from sweep.executing.worker_plugin import PLUGIN, Answer, SourcesPlugin, TaskPlugin, run_on_worker
+from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin, run_on_worker
 from sweep.load import source_digest, sources_of
 from sweep.planning.plan import Work
 from sweep.studies.study import Study
 
 TASKS_IN_FLIGHT = 4
 """For each worker thread: enough that none waits, few enough that a grid of any size makes no large graph."""
+
+MOST_SENT, MOST_FETCHED = 32, 256
+"""Tasks that are sent in one message, and results that are fetched."""
 
 LOOK_EVERY_S = 1.0
 """At the number of workers."""
@@ -67,6 +72,7 @@ class DaskExecutor:
         self._expected = identity(study.experiment_reference)
         self._in_flight: dict[Future[Any], _Submission] = {}
         self._finished: SimpleQueue[Future[Any]] = SimpleQueue()
+        self._arrived: deque[tuple[Future[Any], Answer | None]] = deque()
         self._given_up: dict[bytes, Failure] = {}
         self._warned: set[str] = set()
         self._threads = 1
@@ -81,11 +87,11 @@ class DaskExecutor:
         """
         reference = self._study.experiment_reference
         try:
-            self._client.register_plugin(TaskPlugin(), name=PLUGIN)
+            self._register(TaskPlugin())
             in_this_process = str(self._client.scheduler_info()["address"]).startswith("inproc://")
             if (sources := sources_of(reference)) is not None and not in_this_process:
                 pickle.dumps(sources)  # raises for a function that cannot leave this process
-                self._client.register_plugin(SourcesPlugin(sources))
+                self._register(SourcesPlugin(sources))
             # Where there is no worker yet, an adaptive cluster starts one for this.
             probe = self._client.submit(identity, reference, source_digest(reference), pure=False)
             probe.add_done_callback(self._finished.put)
@@ -101,11 +107,22 @@ class DaskExecutor:
             if isinstance(what, Identity):
                 self._warn(worker, differences(self._expected.others, what.others))
                 problems += [f"{worker}: {text}" for text in differences(self._expected.deciding, what.deciding)]
-            else:
+            elif not isinstance(what, OSError):  # one that has gone meanwhile is asked again with its first task
                 problems.append(f"{worker}: {type(what).__name__}: {what}")
         if problems:
             raise SweepError(problems, "workers that would not compute what this process would")
         self._look()
+
+    def _register(self, plugin: WorkerPlugin) -> None:
+        """Bring a plugin to all workers, of which some may go meanwhile."""
+        for attempt in range(MAX_TROUBLES):
+            try:
+                self._client.register_plugin(plugin)
+                return
+            except OSError:
+                if self._client.status != "running" or attempt == MAX_TROUBLES - 1:
+                    raise
+                time.sleep(FIRST_PAUSE_S)
 
     def __call__(self, take: Take) -> Results:
         """Run everything that ``take`` gives, from now on and not only from the first result that is asked for."""
@@ -113,8 +130,9 @@ class DaskExecutor:
         return self._results(take)
 
     def _send_what_is_new(self, take: Take) -> None:
-        while self._room() and (tasks := take(1)):  # one by one: workers need not wait for the rest
-            self._send(_Submission(tasks[0]))
+        # not all at once: workers need not wait for the rest
+        while (room := min(self._room(), MOST_SENT)) and (tasks := take(room)):
+            self._send([_Submission(works) for works in tasks])
 
     def _results(self, take: Take) -> Results:
         retries: deque[_Submission] = deque()
@@ -124,13 +142,17 @@ class DaskExecutor:
             for submission in due:
                 retries.remove(submission)
                 yield from self._retry(submission)
-            self._send_what_is_new(take)
+            if not self._arrived or self._room() >= self._threads:
+                self._send_what_is_new(take)
             if not retries and not self._in_flight:
                 return
-            if not (future := self._next(LOOK_EVERY_S if not retries else FIRST_PAUSE_S)):
+            if not self._arrived and (first := self._next(LOOK_EVERY_S if not retries else FIRST_PAUSE_S)):
+                self._arrived.extend(self._fetch_all(first))
+            if not self._arrived:
                 continue
+            future, fetched = self._arrived.popleft()
             submission = self._in_flight.pop(future)
-            answer = self._receive(future)
+            answer = self._receive(future, fetched)
             if isinstance(answer, TaskResult):
                 self._succeeded += 1
                 self._remember(submission.works, answer)
@@ -162,7 +184,7 @@ class DaskExecutor:
             if left:
                 rest.append(work._replace(points=left, cost=work.cost * len(left) / len(work.points)))
         if rest:
-            self._send(replace(submission, works=rest))
+            self._send([replace(submission, works=rest)])
 
     def _remember(self, works: list[Work], result: TaskResult) -> None:
         points = [point for work in works for point in work.points]
@@ -170,17 +192,19 @@ class DaskExecutor:
             if failure.kind in ("killed", "time limit"):
                 self._given_up.setdefault(points[row].digest, failure)
 
-    def _send(self, submission: _Submission) -> None:
-        future = self._client.submit(
+    def _send(self, submissions: Sequence[_Submission]) -> None:
+        """Send work that was as often with a worker that died, in one message."""
+        futures = self._client.map(
             run_on_worker,
-            make_task(self._study, submission.works, self._limits),
-            self._expected,
-            self._guarded or submission.losses > 0,
-            self._limits.memory,
+            [make_task(self._study, submission.works, self._limits) for submission in submissions],
+            expected=self._expected,
+            guarded=self._guarded or submissions[0].losses > 0,
+            memory_limit=self._limits.memory,
             pure=False,
         )
-        self._in_flight[future] = submission
-        future.add_done_callback(self._finished.put)
+        for future, submission in zip(futures, submissions, strict=True):
+            self._in_flight[future] = submission
+            future.add_done_callback(self._finished.put)
 
     def _after_loss(self, submission: _Submission) -> Iterator[_Submission]:
         """Yield what is to be tried after the death of a worker: the same work in a child process, then each block in
@@ -242,10 +266,26 @@ class DaskExecutor:
             self._waiting = True
         self._threads = max(1, self._threads)
 
-    def _receive(self, future: Future[Any]) -> TaskResult | BaseException:
+    def _fetch_all(self, first: Future[Any]) -> Iterator[tuple[Future[Any], Answer | None]]:
+        """Yield all futures that have ended with their results, which come in one message: one by one each would cost
+        its way to the worker and back.  None for what is to be fetched by itself, since it or another is in trouble.
+        """
+        futures = [first]
+        while len(futures) < MOST_FETCHED and not self._finished.empty():
+            futures.append(self._finished.get())
+        good = [future for future in futures if future.status == "finished"]
+        answers: list[Answer] = []
+        if len(good) > 1:
+            with suppress(Exception):
+                gather = partial(self._client.gather, good, asynchronous=True)
+                answers = self._client.sync(gather, callback_timeout=LOOK_EVERY_S)
+        known = dict(zip(good, answers, strict=False))
+        yield from ((future, known.get(future)) for future in futures)
+
+    def _receive(self, future: Future[Any], fetched: Answer | None) -> TaskResult | BaseException:
         """Return a task's result, or the error by which Dask lost it: what the experiment raises is in the result."""
         try:
-            answer = self._fetch(future)
+            answer = fetched or self._fetch(future)
         except SweepError:
             raise
         except ImportError as error:

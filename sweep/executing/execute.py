@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from threadpoolctl import threadpool_limits
 
 from sweep.executing.isolated import run_guarded
+from sweep.executing.task import PointBlock, Task, TaskResult
 from sweep.executing.versions import identity
-from sweep.executing.worker import PointBlock, Task, TaskResult, run_task
+from sweep.executing.worker import run_task
 from sweep.load import source_digest
 from sweep.planning.plan import Work
 from sweep.studies.study import Study

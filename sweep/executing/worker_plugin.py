@@ -10,8 +10,9 @@ from threadpoolctl import threadpool_limits
 from sweep.executing.captured import no_standard_output
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.isolated import run_guarded
+from sweep.executing.task import Task, TaskResult
 from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker import Task, TaskResult, run_task
+from sweep.executing.worker import run_task
 from sweep.load import provide
 from sweep.session import SessionFunction
 from sweep.sources import Sources
@@ -25,6 +26,8 @@ class TaskPlugin(WorkerPlugin):
     Dask's nanny does the first for the workers that it starts, but not in other processes (distributed#9075); sums of
     products would then depend on the number of cores, and workers would fight for them.
     """
+
+    name = PLUGIN
 
     idempotent = True  # a second client of the same workers must not reset their alarm
 

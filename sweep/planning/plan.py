@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from sweep.contract import SweepError
 from sweep.planning.grid import Grid, GridPoint
 from sweep.planning.point_cache import PointCache
@@ -240,22 +238,6 @@ def ledger_key(digest: bytes, block: Block) -> bytes:
     each.
     """
     return digest + struct.pack("<4I", block.group, block.part, block.n_cat, block.n_sim)
-
-
-def generators(seed: int, name: bytes, catalogue: int, part: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Return the generators of a catalogue's realisations ``part`` and of the catalogue itself.
-
-    Streams are children of the study's seed by NumPy's SeedSequence, named by the point's stream, the catalogue and
-    the part: they do not depend on the grid, the order or the machine.  SFC64 is the fastest sound bit generator of
-    NumPy.
-    """
-
-    def stream(*place: int) -> np.random.Generator:
-        # The words that SeedSequence(seed, spawn_key=...) makes of these: its own way to them takes twice as long.
-        words = struct.pack("<2Q", seed, 0) + name + struct.pack(f"<{len(place)}I", *place)
-        return np.random.Generator(np.random.SFC64(np.random.SeedSequence(np.frombuffer(words, dtype="<u4"))))
-
-    return stream(catalogue, 1, part), stream(catalogue, 0)
 
 
 def _doublings(sims: int) -> int:

@@ -18,7 +18,7 @@ from core.user_mission import mission_of
 from sweep.contract import Named, SweepError, shown, suggest
 from sweep.paper.calibrate import published_numbers
 from sweep.planning.grid import Grid
-from sweep.planning.plan import generators
+from sweep.planning.streams import generators
 from sweep.running.reproduce import place_of, study_to_look_at
 from sweep.stores.location import Where
 from sweep.studies.study import Study

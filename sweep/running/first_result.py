@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from sweep.executing.execute import Executor
-from sweep.executing.worker import Failure, TaskResult
+from sweep.executing.task import Failure, TaskResult
 from sweep.functions.adapter import COUNT, FunctionExperiment
 from sweep.functions.layout import differences, held
 from sweep.functions.results import Flat

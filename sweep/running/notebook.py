@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from sweep.executing.worker import TaskResult
+from sweep.executing.task import TaskResult
 from sweep.planning.accumulator import Survey
 from sweep.planning.plan import Work
 from sweep.running.eta import Eta, in_words

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
-from sweep.executing.worker import TaskResult
+from sweep.executing.task import TaskResult
 from sweep.formatting import counted
 from sweep.interrupt import how_ended
 from sweep.planning.accumulator import Survey

@@ -9,7 +9,8 @@ import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from sweep.contract import Experiment, ResultError, SweepError, shown, suggest
-from sweep.executing.worker import TaskResult, function_values, run_block
+from sweep.executing.task import TaskResult
+from sweep.executing.worker import function_values, run_block
 from sweep.formatting import first_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat
@@ -17,6 +18,7 @@ from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan, Work
 from sweep.planning.point_status import Status
+from sweep.planning.streams import Pair, generators_of
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import as_rows
 from sweep.running.results import assemble
@@ -141,7 +143,7 @@ def _with_layout(plan: Plan) -> Plan:
 def _result(study: Study, work: Work) -> TaskResult:
     if not isinstance(study.experiment, FunctionExperiment):
         points = [point.parameters for point in work.points]
-        rows, _ = run_block(study.experiment, points, work.points[0].stream, work.block, study.sampling.seed)
+        rows, _ = run_block(study.experiment, points, work.block.n_sim, _generators(study, work))
         return TaskResult(rows, np.zeros(len(rows)))
     flats = _values(study, study.experiment, work)
     values = TaskResult(np.empty((0, 0)), np.zeros(len(flats)), values=dict(enumerate(flats)))
@@ -153,7 +155,11 @@ def _result(study: Study, work: Work) -> TaskResult:
 
 def _values(study: Study, experiment: FunctionExperiment, work: Work) -> list[Flat]:
     points = [point.parameters for point in work.points]
-    return function_values(experiment, points, work.points[0].stream, work.block, study.sampling.seed)
+    return function_values(experiment, points, work.block.n_sim, _generators(study, work))
+
+
+def _generators(study: Study, work: Work) -> list[Pair]:
+    return generators_of(study.sampling.seed, work.points[0].stream, work.block)
 
 
 def place_of(study: Study, at: str, where: str) -> dict[str, Any]:

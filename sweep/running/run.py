@@ -10,7 +10,7 @@ import xarray as xr
 from sweep.contract import SweepError
 from sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
 from sweep.executing.execute import Executor, Place
-from sweep.executing.worker import TaskResult
+from sweep.executing.task import TaskResult
 from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
 from sweep.planning.accumulator import Accumulator, Survey

@@ -5,7 +5,7 @@ from array import array
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from sweep.executing.worker import TaskResult
+from sweep.executing.task import TaskResult
 from sweep.formatting import counted
 from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import PlanSize, Work

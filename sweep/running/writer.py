@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.executing.worker import Failure, TaskResult, failure_of
+from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import Block, Plan, PlanSize, Work

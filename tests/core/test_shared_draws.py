@@ -1,5 +1,6 @@
 """Common random numbers: points that share a draw get, to the last bit, what each gets alone."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -168,18 +169,28 @@ def test_chunks_add_up(n_sim):
 
 
 @settings(deadline=None)
-@given(rows=st.integers(1, ROWS), n_obj=st.integers(0, 300), fewer=st.integers(0, 300))
-def test_tiles_are_the_stream_object_by_object(rows, n_obj, fewer):
-    plain = np.random.default_rng(3).standard_normal((n_obj, 4, rows))
-    found = [(tile.start, tile.normals.copy()) for tile in tiles(np.random.default_rng(3), rows, n_obj)]
+@given(
+    rows=st.integers(1, ROWS),
+    n_obj=st.integers(0, 300),
+    fewer=st.integers(0, 300),
+    stack=st.sampled_from([(), (1,), (3,)]),
+)
+def test_tiles_are_the_streams_object_by_object(rows, n_obj, fewer, stack):
+    def drawn():
+        rngs = [np.random.default_rng(seed) for seed in range(math.prod(stack))]
+        return tiles(rngs, stack, rows, n_obj)
+
+    plain = np.array([np.random.default_rng(k).standard_normal((n_obj, 4, rows)) for k in range(math.prod(stack))])
+    plain = plain.reshape(*stack, n_obj, 4, rows)
+    found = [(tile.start, tile.normals.copy()) for tile in drawn()]
     for start, normals in found:
-        np.testing.assert_array_equal(normals, plain[start : start + len(normals)])
-    assert sum(len(normals) for _, normals in found) == n_obj
+        np.testing.assert_array_equal(normals, plain[..., start : start + normals.shape[-3], :, :])
+    assert sum(normals.shape[-3] for _, normals in found) == n_obj
     few = min(fewer, n_obj)
-    parts = [tile.head(few).copy() for tile in tiles(np.random.default_rng(3), rows, n_obj)]
-    squares = [tile.squares(few, slice(0, 4)) for tile in tiles(np.random.default_rng(3), rows, n_obj)]
-    assert sum(len(part) for part in parts) == few
-    np.testing.assert_allclose(np.sum(squares), np.sum(plain[:few] ** 2), rtol=1e-12)
+    assert sum(tile.head(few).shape[-3] for tile in drawn()) == few
+    squares = [tile.squares(few, slice(0, 4)) for tile in drawn()]
+    expected = np.sum(plain[..., :few, :, :] ** 2, axis=(-3, -2, -1))
+    np.testing.assert_allclose(np.sum(squares, axis=0), expected if squares else 0.0, rtol=1e-12)
 
 
 def test_a_tile_stays_in_cache_whatever_the_rows():

@@ -7,6 +7,7 @@ from sweep.executing.worker import run_block
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.streams import generators_of
 from sweep.running.covariance import covariances
 from sweep.running.results import assemble
 from sweep.studies.provenance import provenance
@@ -26,7 +27,8 @@ def results_of(document) -> xr.Dataset:
         full = [defaults | point.parameters for point in points]
         for block in plan.blocks(max(plan.cost(p.parameters) for p in points)):
             rows |= {ledger_key(p.digest, block): len(sums) + k for k, p in enumerate(points)}
-            sums.extend(run_block(study.experiment, full, stream, block, seed)[0])
+            pairs = generators_of(seed, stream, block)
+            sums.extend(run_block(study.experiment, full, block.n_sim, pairs)[0])
     accumulator = Accumulator(plan, rows, np.array(sums))
     dataset = assemble(plan, accumulator)
     if study.sampling.common_random_numbers:

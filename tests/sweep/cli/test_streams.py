@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sweep.executing.choose import Resources
-from sweep.executing.worker import MAX_MESSAGE
+from sweep.executing.task import MAX_MESSAGE
 from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
-from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, generators, ledger_key
+from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, ledger_key
 from sweep.planning.work_queue import MAX_BLOCKS, TASK_S, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
@@ -75,23 +75,6 @@ def test_a_default_that_is_written_out_is_the_same_point(coins):
 def test_an_integer_and_the_equal_float_are_the_same_point(coins):
     whole = {**coins, "fixed": {"coins": 1, "chance": 0.5}, "axes": {}}
     assert keys_of(whole | {"fixed": {"coins": 1.0}}) == keys_of(whole)
-
-
-def test_streams_of_different_points_catalogues_and_parts_differ():
-    first = [
-        generators(seed, digest, catalogue, part)[which].integers(0, 2**63)
-        for seed in (0, 1)
-        for digest in (bytes(16), b"\1" + bytes(15))
-        for catalogue in (0, 1)
-        for part, which in ((0, 0), (1, 0), (0, 1))
-    ]
-    assert len(set(first)) == len(first)
-
-
-def test_streams_of_neighbours_are_uncorrelated():
-    draws = np.stack([generators(3, bytes(16), c, p)[0].standard_normal(20_000) for c in range(8) for p in range(4)])
-    correlation = np.corrcoef(draws)[np.triu_indices(32, 1)]
-    assert np.abs(correlation).max() < 5 / np.sqrt(20_000)  # 496 pairs: 5 sigma
 
 
 def given_out(pending, seconds_of, workers=1):
@@ -197,13 +180,3 @@ def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held)
         given += sum(work.cost for work in tasks[0])
     assert given > 0
     assert accumulator.survey.pending.cost == pytest.approx(given)
-
-
-@pytest.mark.parametrize("seed", [0, 5, 2**32, 2**64 - 1])
-def test_streams_are_numpys_own_children_of_the_seed(seed):
-    name = bytes(range(100, 116))
-    words = [int.from_bytes(name[i : i + 4], "little") for i in range(0, 16, 4)]
-    for ours, place in zip(generators(seed, name, 70_000, 3), [(70_000, 1, 3), (70_000, 0)], strict=True):
-        child = np.random.SeedSequence(seed, spawn_key=(*words, *place))
-        theirs = np.random.Generator(np.random.SFC64(child))
-        assert ours.integers(0, 2**63, 4).tolist() == theirs.integers(0, 2**63, 4).tolist()

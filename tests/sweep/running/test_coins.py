@@ -10,7 +10,8 @@ import xarray as xr
 from sweep.executing.choose import Resources
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
-from sweep.planning.plan import Plan, generators
+from sweep.planning.plan import Plan
+from sweep.planning.streams import generators
 from sweep.planning.work_queue import Pending
 from sweep.running.run import plan_study, run_study
 from sweep.studies.reader import study_from_dict

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from sweep.cli import main
-from sweep.executing.worker import TaskResult
+from sweep.executing.task import TaskResult
 from sweep.planning.accumulator import Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Block, PlanSize, Work

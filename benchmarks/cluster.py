@@ -1,0 +1,63 @@
+"""A run on 64 worker processes of four threads on this machine, whose tasks sleep, so that cores do not matter; also
+while workers are killed and others start.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.measured import ROOT, SWEEP, Measured, Size, Target, watch
+
+WORKERS, THREADS = 64, 4
+TASK_S = 1.0
+ROUNDS = 30
+"""Tasks for each thread: a run of half a minute."""
+
+LIFETIME_S = 5.0
+"""A worker is killed every so many seconds where they come and go."""
+
+STUDY = """
+title = "Tasks that sleep"
+experiment = "benchmarks.sleeping:experiment"
+[axes]
+number = { start = 1, stop = %d, step = 1 }
+[fixed]
+seconds = %s
+[sampling]
+n_sim = 1
+seed = 1
+"""
+
+
+def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
+    """Return efficiencies: the ideal seconds over those beyond what a run of one task takes."""
+    workers, rounds = (2, 2) if size == "tiny" else (WORKERS, ROUNDS)
+    tasks = workers * THREADS * rounds
+    found = []
+    for words, lifetime_s in (("all stay", 0.0), (f"one is replaced every {LIFETIME_S:g} s", LIFETIME_S)):
+        command = [sys.executable, "-m", "benchmarks.many_workers", *map(str, (workers, THREADS, lifetime_s))]
+        with (
+            tempfile.TemporaryDirectory() as name,
+            subprocess.Popen(
+                command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            ) as cluster,
+        ):
+            assert cluster.stdout is not None
+            address, folder = cluster.stdout.readline().strip(), Path(name)
+            runs = []
+            for number, seconds in ((1, 0.0), (tasks, TASK_S)):
+                (folder / "s.toml").write_text(STUDY % (number, seconds))
+                run = [*SWEEP, "run", "s.toml", "--scheduler", address, "-o", f"{number}.zarr"]
+                runs.append(watch(run, folder))
+            cluster.communicate()  # closes its input, which ends it
+        one, many = runs
+        spent = many.seconds - one.seconds
+        target = Target(">=", 0.9) if size != "tiny" else None
+        found += [
+            Measured(f"{workers} workers, {words}: efficiency", [TASK_S * rounds / spent], "", target),
+            Measured("  seconds", [many.seconds], "s"),
+            Measured("  run of one task", [one.seconds], "s"),
+            Measured("  cores that the client keeps busy", [many.cpu_s / many.seconds], "", Target("<=", 1.0)),
+        ]
+    return found

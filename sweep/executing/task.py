@@ -1,0 +1,120 @@
+"""What goes to a worker and what comes back: a task, its sums and its failures."""
+
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sweep.contract import NotFiniteError, ResultError
+from sweep.executing.captured import Captured
+from sweep.functions.results import Flat
+from sweep.planning.plan import Block
+
+MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
+"""Characters that are kept of what an experiment says when it fails."""
+
+
+@dataclass(frozen=True)
+class PointBlock:
+    """A block of points that share its random numbers: their parameters (those that are not at their default), and the
+    name of the stream.
+    """
+
+    points: tuple[dict[str, Any], ...]
+    stream: bytes
+    block: Block
+
+
+@dataclass(frozen=True)
+class Task:
+    """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too.
+
+    ``source_digest`` names the sources of the experiment, which were provided or are in its file.  With
+    ``time_limit_s``, for a block of one point, the process must be one that may be ended.
+    """
+
+    experiment_reference: str
+    seed: int
+    units: tuple[PointBlock, ...]
+    keep_samples: bool = False
+    time_limit_s: float | None = None
+    source_digest: str | None = None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a block has no sums: in a sentence, with the traceback where Python has one; both bounded, and such that
+    every encoding of Unicode can hold them.
+    """
+
+    kind: Literal["exception", "NaN", "killed", "time limit"]
+    message: str
+    traceback: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "message", _printable(self.message, MAX_MESSAGE))
+        object.__setattr__(self, "traceback", _printable(self.traceback, MAX_TRACEBACK))
+
+
+@dataclass
+class TaskResult:
+    """Sums of a task, (rows, width), one row for each point of each unit in their order, and the seconds that each
+    took, (rows,).  The last units have no rows where the task took longer than `sweep.executing.worker.ENOUGH_S`.
+
+    ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
+    samples are kept to these, (realisations, width), ``said`` the first row of a unit to what was printed in it.
+    Of a plain function ``values`` are the results by row; the client makes sums of them, since only it knows what they
+    are to be like.  ``texts`` are those in them, by their digests.
+    """
+
+    sums: NDArray[np.float64]
+    seconds: NDArray[np.float64]
+    failures: dict[int, Failure] = field(default_factory=dict)
+    samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    said: dict[int, Captured] = field(default_factory=dict)
+    values: dict[int, Flat] = field(default_factory=dict)
+    texts: dict[bytes, str] = field(default_factory=dict)
+
+
+def failure_of(error: BaseException) -> Failure:
+    """Return why a point failed, from what was raised."""
+    if isinstance(error, NotFiniteError):
+        return Failure("NaN", str(error))
+    if isinstance(error, ResultError):
+        return Failure("exception", str(error))
+    text = str(error)
+    return Failure("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
+
+
+def too_long(task: Task, trace: str) -> Failure:
+    """Return the failure of a block that reached its time limit."""
+    return Failure("time limit", f"a block took longer than the time limit of {task.time_limit_s:g} s", trace)
+
+
+def failed(rows: int, width: int, reason: Failure | None = None) -> TaskResult:
+    """Return the result of so many rows without sums, all for one reason."""
+    failures = {} if reason is None else dict.fromkeys(range(rows), reason)
+    return TaskResult(np.full((rows, width), np.nan), np.zeros(rows), failures)
+
+
+def joined(results: Sequence[TaskResult]) -> TaskResult:
+    """Return the result of a task from those of its parts, in their order."""
+    starts = np.cumsum([0, *(len(result.sums) for result in results)]).tolist()
+    return TaskResult(
+        np.concatenate([result.sums for result in results]),
+        np.concatenate([result.seconds for result in results]),
+        {first + row: why for first, r in zip(starts, results, strict=False) for row, why in r.failures.items()},
+        {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
+        {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
+        {first + row: value for first, r in zip(starts, results, strict=False) for row, value in r.values.items()},
+    )
+
+
+def _printable(text: str, most: int) -> str:
+    """Return a text with its middle left out where it is long, and lone surrogates escaped: no file can hold them."""
+    if len(text) > most:
+        text = f"{text[: most // 2]} [...] {text[-most // 2 :]}"
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -1,0 +1,81 @@
+"""Blocks that are computed in one call: points of a vectorised function, small catalogues of one point."""
+
+import time
+from collections.abc import Iterator, Sequence
+from itertools import chain, groupby
+
+import numpy as np
+
+from sweep.contract import Experiment, check_finite, checked
+from sweep.executing.captured import captured
+from sweep.executing.deadlines import Deadlines
+from sweep.executing.task import PointBlock, Task, TaskResult, failed, failure_of
+from sweep.functions.adapter import FunctionExperiment
+from sweep.planning.streams import block_generators
+
+MOST_CATALOGUES = 256
+"""Catalogues in one call."""
+
+
+def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult:
+    """Return the results of all points of a task from one call of a vectorised function."""
+    defaults = experiment.defaults()
+    points = [defaults | unit.points[0] for unit in task.units]
+    result = failed(len(points), experiment.sums_width)
+    begun = time.perf_counter()
+    with captured() as said:
+        try:
+            with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(points)):
+                result.values.update(enumerate(experiment.many(points)))
+        except (KeyboardInterrupt, GeneratorExit):
+            raise
+        except BaseException as error:  # who is to blame is found out one by one
+            result.failures.update(dict.fromkeys(range(len(points)), failure_of(error)))
+        if (told := said.taken()) is not None:
+            result.said[0] = told
+    result.seconds[:] = (time.perf_counter() - begun) / len(points)
+    return result
+
+
+def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
+    """Yield units in groups: those of small catalogues of one point, with as many realisations, and those between them,
+    of large catalogues, which have a block each.
+    """
+    for small, group in groupby(units, lambda u: (u.stream, u.block.n_sim, u.points) if u.block.n_cat > 1 else None):
+        if small is None:
+            yield tuple(group)
+        else:
+            whole = tuple(group)
+            most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole))
+            yield from (whole[first : first + most] for first in range(0, len(whole), most))
+
+
+def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
+    """Return the sums of blocks of one point whose catalogues are evaluated in one call.
+
+    None where they are large, and where that raises: each by itself says which is to blame.
+    """
+    n_cat = [unit.block.n_cat for unit in units]
+    if experiment.evaluate_catalogues is None or n_cat[0] == 1:
+        return None
+    points = [experiment.defaults() | point for point in units[0].points]
+    shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}
+    begun = time.perf_counter()
+    try:
+        blocks = block_generators(task.seed, [(unit.stream, unit.block) for unit in units])
+        drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
+        sums = checked("evaluate_catalogues", drawn, "sum", shapes)
+        check_finite(sums, experiment.nan_sums)
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException:
+        return None
+    flat = iter(np.concatenate([array.reshape(sum(n_cat), len(points), -1) for array in sums.values()], axis=2))
+    result = failed(len(units) * len(points), experiment.sums_width)
+    for number, catalogues in enumerate(n_cat):
+        total = np.zeros((len(points), experiment.sums_width))
+        for _ in range(catalogues):
+            total += next(flat)  # in their order, as they are added one by one
+        result.sums[number * len(points) : (number + 1) * len(points)] = total
+    result.seconds[:] = (time.perf_counter() - begun) / len(result.seconds)
+    return result

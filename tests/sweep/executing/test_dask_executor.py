@@ -1,0 +1,126 @@
+"""How an executor talks to a Dask client: what it says to a client that records it."""
+
+import time
+
+import numpy as np
+import pytest
+from distributed.comm import CommClosedError
+
+from sweep.contract import SweepError
+from sweep.executing.dask_executor import MAX_TROUBLES, MOST_FETCHED, MOST_SENT, DaskExecutor
+from sweep.executing.execute import NO_LIMITS
+from sweep.executing.task import failed
+from sweep.executing.versions import identity
+from sweep.executing.worker_plugin import Answer
+from sweep.planning.accumulator import Accumulator
+from sweep.planning.grid import make_grid
+from sweep.planning.plan import Plan
+from sweep.planning.work_queue import Pending
+from sweep.studies.reader import study_from_dict
+
+STUDY = {
+    "title": "t",
+    "experiment": "tests.sweep.coins:experiment",
+    "axes": {"coins": list(range(1, 301))},
+    "sampling": {"n_sim": 1, "seed": 1},
+}
+
+
+class Ended:
+    """A future that has ended well."""
+
+    status = "finished"
+
+    def __init__(self, works):
+        self.answer = Answer("somewhere", [], [], failed(len(works), 2))
+
+    def add_done_callback(self, call):
+        call(self)
+
+    def result(self, timeout=None):
+        return self.answer
+
+    def release(self):
+        pass
+
+
+class Client:
+    """What a client of 32 threads would do at once."""
+
+    status = "running"
+
+    def __init__(self, refusals=0, unable_to_gather=False):
+        self.refusals, self.unable_to_gather = refusals, unable_to_gather
+        self.sent, self.gathered = [], []
+
+    def register_plugin(self, plugin):
+        if self.refusals:
+            self.refusals -= 1
+            raise CommClosedError("a worker has gone")
+
+    def scheduler_info(self):
+        return {"address": "inproc://x"}
+
+    def nthreads(self):
+        return {"somewhere": 32}
+
+    def submit(self, function, *arguments, **options):
+        return Ended([None])
+
+    def run(self, function, *arguments, **options):
+        reference = STUDY["experiment"]
+        return {"somewhere": identity(reference), "gone": CommClosedError("a worker has gone")}
+
+    def map(self, function, tasks, **options):
+        self.sent.append(len(tasks))
+        return [Ended(task.units) for task in tasks]
+
+    def gather(self, futures, asynchronous):
+        if self.unable_to_gather:
+            raise RuntimeError("one of them is lost")
+        self.gathered.append(len(futures))
+        return [future.answer for future in futures]
+
+    def sync(self, function, callback_timeout):
+        return function()
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Run the study with a client; returns the numbers of points of the results."""
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)
+
+    def with_client(client):
+        study = study_from_dict(STUDY)
+        plan = Plan(make_grid(study))
+        pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+        executor = DaskExecutor(study, client, "a client", print, NO_LIMITS, guarded=False)
+        executor.prepare()
+        return [len(works) for works, _ in executor(pending.take)]
+
+    return with_client
+
+
+def test_tasks_are_sent_and_results_fetched_many_at_a_time(run):
+    client = Client()
+    assert sum(run(client)) == 300
+    assert sum(client.sent) == 300
+    assert max(client.sent) <= MOST_SENT
+    assert len(client.sent) < 30
+    assert sum(client.gathered) > 250  # a last one by itself is not gathered
+    assert max(client.gathered) <= MOST_FETCHED
+
+
+def test_results_that_cannot_be_fetched_together_are_fetched_one_by_one(run):
+    client = Client(unable_to_gather=True)
+    assert sum(run(client)) == 300
+    assert not client.gathered
+
+
+def test_a_worker_that_goes_while_it_is_told_of_the_run_stops_nothing(run):
+    assert sum(run(Client(refusals=2))) == 300
+
+
+def test_nothing_but_workers_that_go_stops_it(run):
+    with pytest.raises(SweepError, match="a worker has gone"):
+        run(Client(refusals=MAX_TROUBLES))
