@@ -19,10 +19,8 @@ from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin, run_on_worker
 from sweep.load import source_digest, sources_of
 from sweep.planning.plan import Work
+from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
 from sweep.studies.study import Study
-
-TASKS_IN_FLIGHT = 4
-"""For each worker thread: enough that none waits, few enough that a grid of any size makes no large graph."""
 
 MOST_SENT, MOST_FETCHED = 32, 256
 """Tasks that are sent in one message, and results that are fetched."""
@@ -194,9 +192,11 @@ class DaskExecutor:
 
     def _send(self, submissions: Sequence[_Submission]) -> None:
         """Send work that was as often with a worker that died, in one message."""
+        seconds = task_seconds(self._threads)
+        enough_s = 2.0 * seconds if seconds > TASK_S else 0.0
         futures = self._client.map(
             run_on_worker,
-            [make_task(self._study, submission.works, self._limits) for submission in submissions],
+            [make_task(self._study, submission.works, self._limits, enough_s) for submission in submissions],
             expected=self._expected,
             guarded=self._guarded or submissions[0].losses > 0,
             memory_limit=self._limits.memory,

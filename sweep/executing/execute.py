@@ -59,8 +59,8 @@ class Place:
     dashboard: str = ""
 
 
-def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS) -> Task:
-    """Return what a worker must know to do this work."""
+def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS, enough_s: float = 0.0) -> Task:
+    """Return what a worker must know to do this work, and after which seconds it is to hand back what it has."""
     defaults = study.experiment.defaults()
     units = tuple(
         PointBlock(
@@ -71,7 +71,8 @@ def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS) -> Ta
         for work in works
     )
     reference, sampling = study.experiment_reference, study.sampling
-    return Task(reference, sampling.seed, units, sampling.keep_samples, limits.time_s, source_digest(reference))
+    digest = source_digest(reference)
+    return Task(reference, sampling.seed, units, sampling.keep_samples, limits.time_s, digest, enough_s)
 
 
 @contextmanager

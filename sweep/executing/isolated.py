@@ -42,7 +42,7 @@ def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> Tas
     """
     parts = [_Part(unit) for unit in task.units]
     width = load_experiment(task.experiment_reference, digest=task.source_digest).sums_width
-    enough = time.monotonic() + ENOUGH_S
+    enough = time.monotonic() + max(ENOUGH_S, task.enough_s)
     while pending := [part for part in parts if part.result is None]:
         if pending[0].whole and pending[0] is not parts[0] and time.monotonic() > enough:
             break

@@ -32,7 +32,8 @@ class PointBlock:
 class Task:
     """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too.
 
-    ``source_digest`` names the sources of the experiment, which were provided or are in its file.  With
+    ``source_digest`` names the sources of the experiment, which were provided or are in its file.  After ``enough_s``,
+    if that is more than `sweep.executing.worker.ENOUGH_S`, a worker hands back what it has.  With
     ``time_limit_s``, for a block of one point, the process must be one that may be ended.
     """
 
@@ -42,6 +43,7 @@ class Task:
     keep_samples: bool = False
     time_limit_s: float | None = None
     source_digest: str | None = None
+    enough_s: float = 0.0
 
 
 @dataclass(frozen=True)

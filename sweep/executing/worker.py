@@ -33,7 +33,7 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
     results: list[TaskResult] = []
     for result in run_units(task, deadlines or Deadlines()):
         results.append(result)
-        if time.monotonic() - begun > ENOUGH_S:
+        if time.monotonic() - begun > max(ENOUGH_S, task.enough_s):
             break
     return joined(results)
 

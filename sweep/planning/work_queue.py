@@ -11,6 +11,11 @@ from sweep.planning.plan import MOST_SHARING, TARGET, Block, Plan, Work
 TASK_S = 1.0
 """Seconds of work that a task aims at."""
 
+TASKS_PER_S = 200.0
+"""Tasks that may end in a second: a scheduler and a client spend some milliseconds on each, so on more than as many
+threads tasks take longer.
+"""
+
 SHORTEST_TASK_S = 0.05
 """Shorter tasks would cost more to hand over than they spread."""
 
@@ -19,6 +24,19 @@ MAX_BLOCKS = 1000
 
 KEPT = 0.7
 """Weight of all earlier results in the measured speed when one more comes in: later points may be slower."""
+
+
+TASKS_IN_FLIGHT = 4
+"""With an executor for each thread: enough that none waits, few enough that a grid of any size makes no large graph."""
+
+
+def task_seconds(threads: float) -> float:
+    """Return the seconds of work that a task aims at where so many threads compute.
+
+    >>> task_seconds(2), task_seconds(40_000)
+    (1.0, 200.0)
+    """
+    return max(TASK_S, threads / TASKS_PER_S)
 
 
 class Pending:
@@ -80,7 +98,7 @@ class Pending:
         return task
 
     def _task_cost(self) -> float:
-        """Return the cost of the next task: about `TASK_S`, less where the rest is to be shared by all who compute.
+        """Return the cost of the next task: `task_seconds` or less, where the rest is to be shared by all who compute.
 
         As many tasks are with the executor as keep it busy (four for each worker thread on Dask), so each gets that
         share of the rest at most.
@@ -88,7 +106,8 @@ class Pending:
         if not self._measured_cost:
             return 0.0
         per_second = self._measured_cost / max(self._measured_s, 1e-9)
-        cost = max(min(TASK_S * per_second, self._left / (self._tasks_out + 1)), SHORTEST_TASK_S * per_second)
+        aim = task_seconds(self._tasks_out / TASKS_IN_FLIGHT) * per_second
+        cost = max(min(aim, self._left / (self._tasks_out + 1)), SHORTEST_TASK_S * per_second)
         # Samples are as large as the random numbers that make them, and travel in one message.
         return min(cost, TARGET) if self._plan.grid.study.keeps_samples else cost
 

@@ -48,12 +48,12 @@ def no_pauses(monkeypatch):
 FAILURES_LEFT = {0: 0}
 
 
-def failing(*arguments):
+def failing(*arguments, **options):
     """Fail on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
     FAILURES_LEFT[0] -= 1
     if FAILURES_LEFT[0] >= 0:
         raise UnboundLocalError("cannot access local variable 'result'")
-    return run_on_worker(*arguments)
+    return run_on_worker(*arguments, **options)
 
 
 def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
@@ -80,6 +80,13 @@ def test_one_that_stays_stops_the_run_and_blames_no_point(study, whole, tmp_path
     xr.testing.assert_identical(dataset.drop_attrs(), whole)
 
 
+@pytest.fixture
+def one_by_one(monkeypatch):
+    """Fetch each result by itself, as where several cannot be fetched together."""
+    monkeypatch.setattr(dask_executor, "MOST_FETCHED", 1)
+
+
+@pytest.mark.usefixtures("one_by_one")
 @pytest.mark.parametrize(
     "fate", [UnboundLocalError("result"), TimeoutError("of a stream"), OSError("Too many open files")]
 )
@@ -98,6 +105,7 @@ def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monke
     xr.testing.assert_identical(dataset.drop_attrs(), whole)
 
 
+@pytest.mark.usefixtures("one_by_one")
 @pytest.mark.slow
 def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
     def fetched(self, future):

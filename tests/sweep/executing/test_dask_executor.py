@@ -49,9 +49,9 @@ class Client:
 
     status = "running"
 
-    def __init__(self, refusals=0, unable_to_gather=False):
-        self.refusals, self.unable_to_gather = refusals, unable_to_gather
-        self.sent, self.gathered = [], []
+    def __init__(self, refusals=0, unable_to_gather=False, threads=32):
+        self.refusals, self.unable_to_gather, self.threads = refusals, unable_to_gather, threads
+        self.sent, self.gathered, self.enough_s = [], [], set()
 
     def register_plugin(self, plugin):
         if self.refusals:
@@ -62,7 +62,7 @@ class Client:
         return {"address": "inproc://x"}
 
     def nthreads(self):
-        return {"somewhere": 32}
+        return {"somewhere": self.threads}
 
     def submit(self, function, *arguments, **options):
         return Ended([None])
@@ -73,6 +73,7 @@ class Client:
 
     def map(self, function, tasks, **options):
         self.sent.append(len(tasks))
+        self.enough_s |= {task.enough_s for task in tasks}
         return [Ended(task.units) for task in tasks]
 
     def gather(self, futures, asynchronous):
@@ -109,6 +110,14 @@ def test_tasks_are_sent_and_results_fetched_many_at_a_time(run):
     assert len(client.sent) < 30
     assert sum(client.gathered) > 250  # a last one by itself is not gathered
     assert max(client.gathered) <= MOST_FETCHED
+
+
+@pytest.mark.parametrize(("threads", "enough_s"), [(32, 0.0), (1000, 10.0)])
+def test_on_many_threads_a_task_may_take_longer(run, threads, enough_s):
+    """So that no more come in than a scheduler and a client can handle."""
+    client = Client(threads=threads)
+    assert sum(run(client)) == 300
+    assert client.enough_s == {enough_s}
 
 
 def test_results_that_cannot_be_fetched_together_are_fetched_one_by_one(run):

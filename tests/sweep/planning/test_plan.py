@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, ledger_key
-from sweep.planning.work_queue import MAX_BLOCKS, TASK_S, Pending
+from sweep.planning.work_queue import MAX_BLOCKS, TASK_S, TASKS_IN_FLIGHT, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 
@@ -180,3 +180,15 @@ def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held)
         given += sum(work.cost for work in tasks[0])
     assert given > 0
     assert accumulator.survey.pending.cost == pytest.approx(given)
+
+
+@pytest.mark.parametrize("threads", [2, 5_000])
+def test_tasks_are_longer_on_more_threads_than_tasks_may_end_in_a_second(coins, threads):
+    plan = points_of(coins, 30_000)
+    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    first = [task for _ in range(threads * TASKS_IN_FLIGHT) for task in pending.take(1)]
+    seconds = np.full(1, 10.0)
+    pending.settle(first[0], seconds)
+    pending.add([first[1][0]._replace(cost=1e9)] * 5)  # much is left, so that all need not share it
+    aim = 1.0 if threads == 2 else 25.0
+    assert pending._task_cost() * 10.0 / first[0][0].cost == pytest.approx(aim, rel=0.01)
