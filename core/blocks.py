@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.arrays import Array
 from core.frames import Triad, triad
@@ -31,7 +32,7 @@ class Objects:
     pmdec: Array
     columns: Mapping[str, Array] = field(default_factory=dict)
 
-    def taken(self, part: slice) -> "Objects":
+    def taken(self, part: slice | NDArray[np.int64]) -> "Objects":
         """Return some of the sources."""
         columns = {name: column[part] for name, column in self.columns.items()}
         return Objects(self.ra[part], self.dec[part], self.pmra[part], self.pmdec[part], columns)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,22 +62,23 @@ def parse_clip(text: str) -> Clip:
 class Sources:
     """How sources are solved and compared, whatever keeps their sums.
 
-    ``solve`` of factors of their weights (S,), zero for one left out; ``discrepancies`` Q_i of a solution (S,);
+    ``solve`` of factors of their weights (S,), zero (False) for one left out; ``discrepancies`` Q_i of a solution (S,);
     ``count`` n_i (S,), zero for a source without observations.
     """
 
-    solve: Callable[[Array], Solution]
+    solve: Callable[[Array | Flags], Solution]
     discrepancies: Callable[[Array], Array]
-    count: Array
+    count: NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
 class Clipped:
-    """Factors of the weights (S,), the solution with them, and the steps: which source was dropped (-1 at the start)
-    and the solution after it.  ``chosen`` is the step of the solution; ``notes`` are for people.
+    """Factors of the weights (S,), or which sources are kept, the solution with them, and the steps: which source was
+    dropped (-1 at the start) and the solution after it.  ``chosen`` is the step of the solution; ``notes`` are for
+    people.
     """
 
-    factors: Array
+    factors: Array | Flags
     solution: Solution
     dropped: list[int] = field(default_factory=list)
     trajectory: list[Solution] = field(default_factory=list)
@@ -94,8 +96,8 @@ def clipped(clip: Clip, sources: Sources, separations: Callable[[], tuple[Array,
         return _huber(sources, float(clip.number or 0.0))
     if clip.kind == "discrepancy":
         return _one_by_one(sources, None if clip.number is None else int(clip.number))
-    factors = np.ones(len(sources.count))
-    return Clipped(factors, sources.solve(factors))
+    everything = np.ones(len(sources.count), dtype=bool)
+    return Clipped(everything, sources.solve(everything))
 
 
 def separation(problem: Problem) -> tuple[Array, Array]:
@@ -142,7 +144,7 @@ def _rayleigh(sources: Sources, separations: Callable[[], tuple[Array, Array]]) 
     normalised, plain = separations()
     used = sources.count > 0
     limit = np.sqrt(2.0 * np.log(max(int(np.sum(used)), 2)))
-    factors = np.where(used & (normalised <= limit) & (plain < SEPARATION_LIMIT), 1.0, 0.0)
+    factors = used & (normalised <= limit) & (plain < SEPARATION_LIMIT)
     notes = []
     median = float(np.median(normalised[used]))
     robust = _median(sources, 5.0)
@@ -163,20 +165,21 @@ def _rayleigh(sources: Sources, separations: Callable[[], tuple[Array, Array]]) 
 
 def _median(sources: Sources, k: float) -> Clipped:
     used = sources.count > 0
-    factors = used.astype(np.float64)
+    factors = used
     solution = sources.solve(factors)
     trajectory = [solution]
     seen = {np.packbits(used).tobytes()}
     notes = []
     for _ in range(ITERATIONS):
         residual = _normalised(sources, solution, used)
-        new = np.where(used & (residual <= k * np.median(residual[used])), 1.0, 0.0)
+        new = used & (residual <= k * np.median(residual[used], overwrite_input=True))
+        del residual
         if np.array_equal(new, factors):
             break
         factors = new
         solution = sources.solve(factors)
         trajectory.append(solution)
-        kept = np.packbits(new > 0.0).tobytes()
+        kept = np.packbits(new).tobytes()
         if kept in seen:
             notes.append("the clip median returned to an earlier selection of sources and was ended there")
             break

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,7 @@ class NormalSums:
             self.normal[part], self.right[part], self.squares[part], self.count[part], self.expected[part], spread
         )
 
-    def weighted(self, factors: Array) -> "NormalSums":
+    def weighted(self, factors: Array | NDArray[np.bool_]) -> "NormalSums":
         """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
         used = factors > 0.0
         one, f = self.taken(used), factors[used]
@@ -112,24 +113,41 @@ def source_sums(problem: Problem) -> NormalSums:
     return sums
 
 
-def group_sums(problem: Problem, group: Indices, n_groups: int, factors: Array | None = None) -> NormalSums:
+def group_sums(
+    problem: Problem, group: NDArray[np.integer[Any]], n_groups: int, factors: Array | NDArray[np.bool_] | None = None
+) -> NormalSums:
     """Return the sums of each group of sources; ``group`` (S,) counts from 0.  Memory is that of a block.
 
     ``factors`` (S,) multiply the weights; a source with 0 is not read.
     """
+    if factors is not None and np.all(factors == 1.0):
+        factors = None
     equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
     sums = _empty(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
-    short = np.int16 if n_groups < 2**15 else np.int64  # short numbers sort in no time
+    short = np.min_scalar_type(n_groups)  # short numbers sort in no time
     for part in _blocks(len(group), GATHERED):
         chosen = part if factors is None else part[factors[part] > 0.0]
-        chosen = chosen[np.argsort(group[chosen].astype(short), kind="stable")]
-        unknowns, objects, years, left = problem.sources(chosen)
-        if factors is not None and not equal:
-            left = left.scaled(factors[chosen])
-        here = group[chosen]
-        for piece in _pieces(here):
-            _add_piece(sums, int(here[piece.start]), unknowns, objects.taken(piece), years[piece], left.taken(piece))
+        _add_block(sums, problem, chosen, group[chosen].astype(short), None if equal else factors)
     return sums
+
+
+def _add_block(
+    sums: NormalSums,
+    problem: Problem,
+    chosen: Indices,
+    group: NDArray[np.integer[Any]],
+    factors: Array | NDArray[np.bool_] | None,
+) -> None:
+    """Add sources to the sums of their groups (n,)."""
+    unknowns, objects, years, left = problem.sources(chosen)
+    if factors is not None:
+        left = left.scaled(factors[chosen])
+    if np.any(group[1:] < group[:-1]):  # put in order after the elimination, which leaves less to be moved
+        order = np.argsort(group, kind="stable")
+        group, objects, left = group[order], objects.taken(order), left.taken(order)
+        years = years[order] if np.any(years) else years
+    for piece in _pieces(group):
+        _add_piece(sums, int(group[piece.start]), unknowns, objects.taken(piece), years[piece], left.taken(piece))
 
 
 def _add_piece(
@@ -180,7 +198,7 @@ def _blocks(n: int, size: int) -> Iterator[Indices]:
         yield np.arange(start, min(start + size, n))
 
 
-def _pieces(group: Indices) -> Iterator[slice]:
+def _pieces(group: NDArray[np.integer[Any]]) -> Iterator[slice]:
     """Yield runs of equal numbers, each at most a block long."""
     limits = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
     for first, last in pairwise(limits):

@@ -31,7 +31,7 @@ class Solution:
         return float(np.sqrt(self.squares / self.expected)) if self.expected > 0.0 and self.dof > 0 else np.nan
 
 
-def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | None = None) -> Solution:
+def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | NDArray[np.bool_] | None = None) -> Solution:
     """Return the solution of all sources, each with a factor of its weight if given.
 
     Raises LinkError where the sources do not determine the unknowns, and names those.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.tie.astrometry import Indices
-from core.tie.clips import Sources, separation
+from core.tie.clips import Flags, Sources, separation
 from core.tie.influence import discrepancies
 from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
 from core.tie.problem import Problem
@@ -22,14 +22,20 @@ KEPT_NUMBERS = 30_000_000
 """As many numbers the sums of single sources may take (240 MB)."""
 
 
-def sky_cells(ra: Array, dec: Array, divisions: int) -> Indices:
+def sky_cells(ra: Array, dec: Array, divisions: int) -> NDArray[np.int16]:
     """Return the cell of each position on a grid of cells of equal area; shape (N,).
 
     2 d^2 cells for ``divisions`` d: d bands of equal height in sin dec, each of 2 d equal steps in ra.
     """
-    band = np.minimum(((np.sin(dec) + 1.0) * 0.5 * divisions).astype(np.int64), divisions - 1)
-    step = ((ra % (2.0 * np.pi)) * (divisions / np.pi)).astype(np.int64) % (2 * divisions)
-    return np.asarray(2 * divisions * band + step)
+    cells = np.zeros(len(ra), dtype=np.int16)
+    for edge in np.arcsin(np.arange(1, divisions) * (2.0 / divisions) - 1.0):
+        cells += dec >= edge  # a sine of each source takes longer than all comparisons
+    cells *= 2 * divisions
+    if np.any((ra < 0.0) | (ra >= 2.0 * np.pi)):
+        ra = ra % (2.0 * np.pi)
+    step = (ra * (divisions / np.pi)).astype(np.int16)
+    step[step == 2 * divisions] = 0
+    return np.asarray(cells + step)
 
 
 def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
@@ -41,7 +47,7 @@ def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
     )
 
 
-def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array) -> Solution:
+def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array | Flags) -> Solution:
     kept = factors > 0.0
     equal = np.all(factors[kept] == 1.0)
     return solve(sums.taken(kept), labels, None if equal else factors[kept])
@@ -53,7 +59,7 @@ class SourceTable:
 
     problem: Problem
     divisions: int = DIVISIONS
-    _last: list[tuple[Array, NormalSums]] = field(default_factory=list, repr=False, compare=False)
+    _last: list[tuple[Array | Flags, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def single(self) -> bool:
@@ -66,15 +72,14 @@ class SourceTable:
         return source_sums(self.problem)
 
     @cached_property
-    def cells(self) -> Indices:
+    def cells(self) -> NDArray[np.int16]:
         """The cell of each source, counted from 0 among those that have any."""
         values = self.problem.satellite.values
         cells = sky_cells(values[0], values[1], self.divisions)
         number = np.cumsum(np.bincount(cells) > 0) - 1
-        found: Indices = number[cells]
-        return found
+        return number.astype(np.int16)[cells]
 
-    def cell_sums(self, factors: Array) -> NormalSums:
+    def cell_sums(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells, each source with a factor of its weight."""
         if not self.single:
             return self._streamed(factors)
@@ -93,14 +98,14 @@ class SourceTable:
             spread=None if optimal else np.tensordot(member * factors**2, sums.right_covariance, axes=1),
         )
 
-    def _streamed(self, factors: Array) -> NormalSums:
+    def _streamed(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells by a pass over the tables, or those of the last pass where it was the same."""
         if not self._last or not np.array_equal(self._last[0][0], factors):
             sums = group_sums(self.problem, self.cells, int(self.cells.max()) + 1, factors)
             self._last[:] = [(factors.copy(), sums)]
         return self._last[0][1]
 
-    def solve(self, factors: Array) -> Solution:
+    def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor of the weight of each source."""
         labels = self.problem.unknowns.labels
         if not self.single:

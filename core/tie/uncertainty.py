@@ -64,7 +64,16 @@ def _solutions(normal: Array, right: Array) -> Array:
     good = np.all(diagonal > 0.0, axis=1)
     scale = 1.0 / np.sqrt(np.where(good[:, None], diagonal, 1.0))
     scaled = np.where(good[:, None, None], normal * scale[:, :, None] * scale[:, None, :], np.eye(normal.shape[-1]))
-    good &= np.linalg.eigvalsh(scaled)[:, 0] > SMALLEST_EIGENVALUE
+    good &= _regular(scaled)
     scaled[~good] = np.eye(normal.shape[-1])
     found = np.linalg.solve(scaled, (right * scale)[..., None])[..., 0] * scale
     return np.where(good[:, None], found, np.nan)
+
+
+def _regular(scaled: Array) -> NDArray[np.bool_]:
+    """Return whether the smallest eigenvalue of each matrix (G, K, K) is large enough."""
+    try:  # Cholesky factors take a sixth of the time of eigenvalues, but say nothing about single matrices
+        np.linalg.cholesky(scaled - SMALLEST_EIGENVALUE * np.eye(scaled.shape[-1]))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.eigvalsh(scaled)[:, 0] > SMALLEST_EIGENVALUE)
+    return np.ones(len(scaled), dtype=bool)

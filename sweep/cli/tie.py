@@ -74,7 +74,9 @@ _TABLE_OPTIONS = [
         show_default=True,
         help="Of the differences.",
     ),
-    click.option("--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind."),
+    click.option(
+        "--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind, or of all."
+    ),
     click.option("--epoch", type=float, metavar="YEAR", help="Epoch of the orientation.  [default: the satellite's]"),
     click.option(
         "--aberration",
@@ -138,6 +140,11 @@ def _table_options(command: Callable[..., None]) -> Callable[..., None]:
 )
 @click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for millions of quasars in Parquet.")
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler for them, e.g. tcp://host:8786.")
+@click.option(
+    "--no-sources",
+    is_flag=True,
+    help="Leave what belongs to single sources and rows out of STORE.zarr and of JSON: for millions of them.",
+)
 @_table_options
 def tie(
     satellite: Path, reference: str, as_json: bool, output: Path | None, figures: Path | None, **given: Any
@@ -167,6 +174,7 @@ def tie(
         seed=given.pop("seed"),
         workers=given.pop("workers"),
         scheduler=given.pop("scheduler"),
+        per_source=not given.pop("no_sources") and (as_json or output is not None or figures is not None),
         degree=given.pop("degree"),
         sign=given.pop("sign"),
         bins=None if bins is None else parse_bins(bins),

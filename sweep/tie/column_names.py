@@ -6,6 +6,10 @@ from typing import Literal
 
 from core.blocks import PARAMETERS
 from core.tie.astrometry import PAIRS
+from sweep.contract import SweepError
+
+EPOCHS = (1700.0, 2300.0)
+"""Julian years that an epoch may be."""
 
 Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
@@ -55,6 +59,17 @@ class TableOptions:
     positions: Positions | None = None
     zero_errors: Zeros = "error"
     pmra_cos_dec: bool = True
+
+    def check(self) -> None:
+        """Raise SweepError for an epoch that is none."""
+        if self.epoch is not None:
+            require_epoch(self.epoch, "epoch of a table")
+
+
+def require_epoch(epoch: float, what: str) -> None:
+    """Raise SweepError for what is no Julian year."""
+    if not EPOCHS[0] <= epoch <= EPOCHS[1]:
+        raise SweepError(f"{what} {epoch:g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
 
 
 def quantities() -> list[str]:

@@ -24,8 +24,11 @@ ROWS_KEPT = 100_000
 """Tables with more rows are not repeated in a result."""
 
 
-def as_dataset(link: Link, options: Options) -> "xr.Dataset":
-    """Return the dataset of a link, in mas and mas/yr and in the sign of ``options``."""
+def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dataset":
+    """Return the dataset of a link, in mas and mas/yr and in the sign of ``options``.
+
+    Without ``per_source`` it has no dimensions source and row.
+    """
     import xarray as xr
 
     problem, solution = link.setup.problem, link.solution
@@ -55,8 +58,14 @@ def as_dataset(link: Link, options: Options) -> "xr.Dataset":
         "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
         "error_kind": order,
     }
-    _add_sources(link, variables, coordinates, sign)
-    if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
+    if per_source:
+        _add_sources(link, variables, coordinates, sign)
+    if (
+        per_source
+        and len(problem.rows) <= ROWS_KEPT
+        and np.any(problem.rows.present)
+        and np.any(problem.satellite.present)
+    ):
         _add_rows(link, variables, coordinates, sign)
     _add_steps(link.found, link.setup.names, variables, sign)
     _add_spectrum(link, main, variables, coordinates)
@@ -98,8 +107,8 @@ def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, A
     }
     variables |= {
         "discrepancy": ("source", link.discrepancy, {"long_name": "chi2 of the residuals of a source"}),
-        "n_observations": ("source", link.count),
-        "weight_factor": ("source", link.found.factors, {"long_name": "1 kept, 0 dropped"}),
+        "n_observations": ("source", link.count.astype(np.float64)),
+        "weight_factor": ("source", link.found.factors.astype(np.float64), {"long_name": "1 kept, 0 dropped"}),
     }
     if (effect := link.influence) is not None:
         coordinates["block_name"] = list(setup.problem.unknowns.names)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.constants import MAS
-from core.tie.astrometry import KINDS, Indices
+from core.tie.astrometry import Indices
 from core.tie.clips import Clip, parse_clip
 from core.tie.forecast import Goal, choose, with_new_rows
 from core.tie.normal_sums import source_sums
@@ -19,6 +19,7 @@ from sweep.contract import Point, SweepError
 from sweep.tie.column_names import TableOptions
 from sweep.tie.options import Options, parse_bins
 from sweep.tie.parameters import PARAMETERS
+from sweep.tie.reference_rows import ALL
 from sweep.tie.setup import ZERO_MOTION, Setup, set_up
 from sweep.tie.solution import Link, solve_link
 
@@ -124,7 +125,7 @@ def _set_up(key: tuple[Any, ...]) -> Setup:
         weights=given["weights"],
         known_spin=given["known_spin"],
         aberration=given["aberration"],
-        jitter=dict.fromkeys((*KINDS.values(), "single epoch"), jitter) if any(jitter) else {},
+        jitter={ALL: jitter} if any(jitter) else {},
         satellite_options=of_table["satellite"],
         reference_options=of_table["reference"],
     )

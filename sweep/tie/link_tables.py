@@ -9,8 +9,8 @@ from sweep.contract import SweepError
 from sweep.executing.ordered_map import ordered_map
 from sweep.tie.dataset import as_dataset
 from sweep.tie.options import Options
-from sweep.tie.row_groups import FROM_ROWS, in_row_groups, set_up_row_groups
-from sweep.tie.setup import ZERO_MOTION, set_up
+from sweep.tie.row_groups import set_up_row_groups, why_whole
+from sweep.tie.setup import set_up
 from sweep.tie.solution import RESAMPLES, solve_link
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ def tie(
     seed: int = 0,
     workers: int | None = None,
     scheduler: str | None = None,
+    per_source: bool = True,
     **options: Any,
 ) -> "xr.Dataset":
     """Solve for the link of two tables, reference - satellite.
@@ -49,6 +50,8 @@ def tie(
         seed: the seed of the bootstrap.
         workers: the number of local worker processes, for millions of quasars in Parquet; none by default.
         scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
+        per_source: whether the dataset has what belongs to single sources and rows; without it the memory that a
+            Parquet table of millions of quasars takes hardly grows with their number.
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
             ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``,
             ``corrections``, ``missions`` (further tables by name, each with an orientation and a spin of its own),
@@ -74,13 +77,15 @@ def tie(
         raise SweepError(f"no option {', '.join(unknown)}; there are {', '.join(sorted(known))}")
     asked = Options(unknowns=unknowns, **options)
     kinds = [name.strip() for name in errors.split(",")] if isinstance(errors, str) else list(errors)
-    if in_row_groups(satellite, reference, asked):
+    if (why := why_whole(satellite, reference, asked)) is None:
         with ordered_map(workers, scheduler, EXPERIMENT) as run:
-            setup, table = set_up_row_groups(satellite, asked, run)
-            return as_dataset(solve_link(setup, clip, kinds, resamples, seed, table), asked)
+            setup, table = set_up_row_groups(satellite, asked, run, per_source)
+            link = solve_link(setup, clip, kinds, resamples, seed, table, per_source)
+            return as_dataset(link, asked, per_source)
     if workers is not None or scheduler is not None:
         raise SweepError(
-            f"workers are for quasars ({ZERO_MOTION}) in a Parquet table of {FROM_ROWS:,} rows and more, which is read "
-            "by row groups; these tables are solved at once in this process"
+            f"workers are for tables that are read by row groups, and these are solved at once in this process: {why}; "
+            "leave --workers and --scheduler out"
         )
-    return as_dataset(solve_link(set_up(satellite, reference, asked), clip, kinds, resamples, seed), asked)
+    link = solve_link(set_up(satellite, reference, asked), clip, kinds, resamples, seed)
+    return as_dataset(link, asked, per_source)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from core.constants import ARCSEC
@@ -11,6 +12,8 @@ from core.tie.astrometry import Indices, named_rows
 from core.tie.motion import propagated
 from sweep.contract import SweepError
 from sweep.tie.tables import AstrometricTable
+
+Array = NDArray[np.float64]
 
 DEFAULT_RADIUS_ARCSEC = 1.0
 
@@ -74,6 +77,21 @@ def _by_name(satellite: AstrometricTable, reference: AstrometricTable, own: str,
     source = np.array([place[wanted[i]] for i in rows], dtype=np.int64)
     unmatched = np.setdiff1d(np.arange(len(wanted)), rows)
     return Match(rows, source, own if own == other else f"{own} = {other}", unmatched)
+
+
+def separations(satellite: AstrometricTable, reference: AstrometricTable, found: Match) -> Array:
+    """Return the separation (rad) of each row that was matched from its source at the row's epoch; shape (R,).
+
+    NaN where one of them has no position.
+    """
+    own, rows = satellite.astrometry.taken(found.source), reference.astrometry.taken(found.rows)
+    epoch = np.where(np.isfinite(rows.epoch), rows.epoch, own.epoch)
+    start = np.where(np.isfinite(own.epoch), own.epoch, epoch)
+    moving = np.isfinite(epoch)
+    there = propagated(own.values, own.radial_velocity, np.where(moving, start, 0.0), np.where(moving, epoch, 0.0))
+    with np.errstate(invalid="ignore"):
+        between = triad(*rows.values[:2]).r - triad(there[0], there[1]).r
+        return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(between, axis=0), 1.0)))
 
 
 def _radius(text: str) -> float:

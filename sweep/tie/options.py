@@ -5,11 +5,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
+import numpy as np
+
 from core.tie.elimination import Weights
 from core.unknowns import require_mission_name
 from sweep.contract import SweepError
 from sweep.formatting import split_assignment
-from sweep.tie.column_names import TableOptions
+from sweep.tie.column_names import TableOptions, require_epoch
 
 Sign = Literal["reference-satellite", "satellite-reference"]
 SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}
@@ -50,6 +52,12 @@ class Options:
             raise SweepError(f"sign {self.sign!r}: it is {' or '.join(SIGNS)}")
         if self.weights not in get_args(Weights):
             raise SweepError(f"weights {self.weights!r}: they are covariance, variance or equal")
+        if self.epoch is not None:
+            require_epoch(self.epoch, "epoch of the orientation")
+        if not np.isfinite(self.aberration) or self.aberration < 0.0:
+            raise SweepError(f"aberration {self.aberration:g} uas/yr: it is finite and not negative")
+        for options in (self.satellite_options, self.reference_options, *self.mission_options.values()):
+            options.check()
         if self.degree is not None and self.degree < 1:
             raise SweepError(f"degree {self.degree}: it is at least 1")
         for name in self.missions:

@@ -1,6 +1,6 @@
 """The problem that two tables, or more, and some options make."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.tie.astrometry import Astrometry, joined
+from core.constants import DEGREE
+from core.tie.astrometry import Astrometry, joined, named_rows
 from core.tie.problem import Problem
 from sweep.contract import SweepError
 from sweep.tie.column_names import TableOptions
 from sweep.tie.known_spin import known_spin
-from sweep.tie.matching import Match, match
+from sweep.tie.matching import Match, match, separations
 from sweep.tie.options import SIGNS, Options
 from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, with_jitter
 from sweep.tie.tables import AstrometricTable, read_table
@@ -21,6 +22,9 @@ from sweep.tie.unknowns_of import unknowns_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
+"""Separations of a row from the source of its name that are noted, and that are refused."""
 
 ZERO_MOTION = "zero-motion"
 """Stands for a reference whose sources do not move: quasars, with the satellite's table alone."""
@@ -51,6 +55,7 @@ class _Part:
     table: AstrometricTable
     matched: Match
     rows: Astrometry
+    notes: Sequence[str] = ()
 
 
 def set_up(satellite: str | Path, reference: str | Path, options: Options, all_sources: bool = False) -> Setup:
@@ -75,7 +80,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     rows = parts[0].rows if len(parts) == 1 else joined(*(part.rows for part in parts))
     source = place[matched]
     epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
-    notes = [note for part in parts for note in _unmatched(part)]
+    notes = [note for part in parts for note in (*_unmatched(part), *part.notes)]
     try:
         unknowns = unknowns_of(options, own, rows, source, epoch, notes)
         known = None if options.known_spin is None else known_spin(options.known_spin, own, SIGNS[options.sign])
@@ -91,20 +96,39 @@ def _reference(left: AstrometricTable, reference: str | Path, options: Options) 
         n = len(left.astrometry)
         matched = Match(np.arange(n), np.arange(n), "the satellite's sources", np.zeros(0, dtype=np.int64))
         right = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
+        notes = []
     else:
         right = read_table(Path(reference), options.reference_options)
         matched = match(left, right, options.by)
+        notes = _far(left, right, matched)
     rows = with_jitter(_taken(right.astrometry, matched.rows), options.jitter_of(None))
     if options.aberration:
         rows = aberrated(rows, left.astrometry.epoch[matched.source], options.aberration)
-    return _Part(right, matched, rows)
+    return _Part(right, matched, rows, notes)
 
 
 def _mission(left: AstrometricTable, name: str, number: int, options: Options) -> _Part:
     table = read_table(Path(options.missions[name]), options.mission_options.get(name, TableOptions()))
     matched = match(left, table, options.by)
+    notes = _far(left, table, matched)
     rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_of(name))
-    return _Part(table, matched, replace(rows, frame=np.full(len(rows), number)))
+    return _Part(table, matched, replace(rows, frame=np.full(len(rows), number)), notes)
+
+
+def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:
+    """Return a note of rows that are far from their sources; raises SweepError for what cannot be the same objects."""
+    apart = separations(left, table, matched) / DEGREE
+    for limit, refused in ((FARTHEST_DEG, True), (FAR_DEG, False)):
+        far = np.flatnonzero(apart > limit)
+        if len(far):
+            worst = far[np.argmax(apart[far])]
+            size = f"{apart[worst]:.3g} deg" if refused else f"{apart[worst] * 3600.0:.3g} arcsec"
+            row = named_rows(matched.rows[far])
+            found = f"{row} of {Path(table.path).name}: up to {size} from the source of the same name"
+            if refused:
+                raise SweepError(f"{found}; are the names right, the epochs, and the units of the positions?")
+            return [found]
+    return []
 
 
 def _taken(table: Astrometry, rows: Indices) -> Astrometry:

@@ -32,7 +32,7 @@ HEAVIEST = 100
 @dataclass(frozen=True)
 class Link:
     """A solved link: its setup, the clip and its solution, the covariances by kind of error, and the influence of each
-    source (None where there are too many).
+    source (None where there are too many).  ``discrepancy`` is None where it was not asked for.
     """
 
     setup: Setup
@@ -41,8 +41,8 @@ class Link:
     covariances: dict[str, Array]
     main: str
     influence: Influence | None
-    discrepancy: Array
-    count: Array
+    discrepancy: Array | None
+    count: NDArray[np.floating[Any]]
     notes: tuple[str, ...]
 
     @property
@@ -58,10 +58,12 @@ def solve_link(
     resamples: int = RESAMPLES,
     seed: int = 0,
     table: RowGroupTable | None = None,
+    per_source: bool = True,
 ) -> Link:
     """Return the solution of what was set up; raises SweepError where there is none.
 
-    ``table`` has the sources where they are read by row groups.
+    ``table`` has the sources where they are read by row groups; without ``per_source`` it is not read again for what
+    only single sources have.
     """
     if not errors or any(name not in ERRORS for name in errors):
         raise SweepError(f"errors {', '.join(errors)!r}: they are {', '.join(ERRORS)}")
@@ -73,7 +75,7 @@ def solve_link(
             sources = kept.as_sources()
             found = clipped(parse_clip(clip), sources, kept.separations)
             covariances, notes = _covariances(kept, found, errors, resamples, seed)
-            squares = sources.discrepancies(found.solution.estimate)
+            squares = sources.discrepancies(found.solution.estimate) if per_source else None
             effect = _influence(kept, sources, found, setup.problem.unknowns)
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error

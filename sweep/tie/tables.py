@@ -19,6 +19,7 @@ from sweep.formatting import first_of
 from sweep.tie import hipparcos, icrf
 from sweep.tie.column_names import (
     CORRELATIONS,
+    EPOCHS,
     NAMES,
     Positions,
     TableOptions,
@@ -29,7 +30,6 @@ from sweep.tie.column_names import (
 
 Array = NDArray[np.float64]
 DEFAULT_UNITS = {"ra": "deg", "dec": "deg", "ref_epoch": "yr", "radial_velocity": "km/s"}
-EPOCHS = (1700.0, 2300.0)
 MJD_FROM = 15000.0
 """Epochs above are modified Julian dates."""
 
@@ -293,8 +293,8 @@ class _Reader:
         found = np.array([np.zeros(len(self.table)) if name is None else self._numbers(name) for name in names])
         for row, name, (i, j) in zip(found, names, PAIRS, strict=True):
             both = present[i] & present[j]
-            if name is not None:
-                self._check(both & ~np.isfinite(row), f"no {name}")
+            if name is not None and np.any(np.isfinite(row)):  # a column of blanks is as none
+                self._check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
             row[~(both & np.isfinite(row))] = 0.0
         self._check(~positive_definite(found), "correlations that are impossible (not positive definite)")
         return found

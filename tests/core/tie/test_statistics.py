@@ -18,6 +18,7 @@ from core.tie.products import add_products
 from core.tie.releases import factors, released
 from core.tie.solution import solve
 from core.tie.sources import SourceTable, sky_cells
+from core.tie.uncertainty import leave_one_out
 from core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 from tests.core.tie.test_elimination import mixed
@@ -247,6 +248,39 @@ def test_sky_cells_have_equal_areas():
     problem = quasars(72_000)
     cells = sky_cells(problem.satellite.values[0], problem.satellite.values[1], 6)
     np.testing.assert_allclose(np.bincount(cells, minlength=72), 1000, rtol=0.05)
+
+
+def test_sky_cells_follow_their_definition():
+    rng = np.random.default_rng(33)
+    ra, dec = rng.uniform(-10.0, 20.0, 20_000), np.arcsin(rng.uniform(-1.0, 1.0, 20_000))
+    ra[:5] = 0.0, 2.0 * np.pi, np.nextafter(2.0 * np.pi, 0.0), -1e-20, 4.0 * np.pi
+    dec[:4] = 0.5 * np.pi, -0.5 * np.pi, 0.0, -0.0
+    for divisions in (1, 2, 6, 7):
+        band = np.minimum(((np.sin(dec) + 1.0) * 0.5 * divisions).astype(int), divisions - 1)
+        step = ((ra % (2.0 * np.pi)) * (divisions / np.pi)).astype(int) % (2 * divisions)
+        np.testing.assert_array_equal(sky_cells(ra, dec, divisions), 2 * divisions * band + step)
+
+
+@pytest.mark.parametrize("weights", ["covariance", "variance"])
+def test_sums_of_groups_in_any_order_are_those_of_their_sources(weights):
+    problem = replace(mixed(60), weights=weights)
+    group = np.random.default_rng(34).integers(0, 5, 60)
+    one, single = group_sums(problem, group, 5), source_sums(problem)
+    for name in ("normal", "right", "squares", "count", "expected", "right_covariance"):
+        of_groups, of_sources = getattr(one, name), getattr(single, name)
+        expected = np.array([of_sources[group == g].sum(axis=0) for g in range(5)])
+        np.testing.assert_allclose(of_groups, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+
+
+def test_leaving_out_what_determines_an_unknown_is_found_among_many():
+    """One singular matrix among regular ones: only its solution is missing."""
+    sums = source_sums(mixed(30))
+    normal, right = sums.normal.sum(axis=0), sums.right.sum(axis=0)
+    alone = sums.taken(np.arange(3))
+    alone.normal[1], alone.right[1] = normal, right
+    found = leave_one_out(alone, normal, right)
+    assert np.isnan(found).all(axis=1).tolist() == [False, True, False]
+    np.testing.assert_array_equal(found[[0, 2]], leave_one_out(sums.taken(np.array([0, 2])), normal, right))
 
 
 def forecast_sums(n=9, years=4.0):

@@ -1,5 +1,6 @@
 """Millions of quasars by row groups: the numbers of the whole table, the same bits on any workers, in little memory."""
 
+import tracemalloc
 from contextlib import closing
 
 import numpy as np
@@ -8,9 +9,10 @@ import pytest
 from click.testing import CliRunner
 from pyarrow import parquet
 
+import linksweep
 from sweep.cli import main
 from sweep.contract import SweepError
-from sweep.tie import row_groups
+from sweep.tie import row_group, row_groups
 from sweep.tie.link_tables import tie
 from tests.sweep.outside import Outside
 from tests.tiers import slow
@@ -48,10 +50,11 @@ OPTIONS = [
     {"unknowns": "spin,glide", "clip": "rayleigh", "errors": "sandwich,bootstrap"},
     {"unknowns": "spin", "clip": "huber:3", "weights": "variance", "bins": ("phot_g_mean_mag", [17.0, 19.0])},
     {"known_spin": SPIN},
+    {"unknowns": "spin", "jitter": {"motion": (0.0, 0.4)}},
 ]
 
 
-@pytest.mark.parametrize("options", [OPTIONS[0], OPTIONS[1], *map(slow, OPTIONS[2:])])
+@pytest.mark.parametrize("options", [OPTIONS[0], OPTIONS[1], *map(slow, OPTIONS[2:4]), OPTIONS[4]])
 def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     path = quasars(tmp_path / "quasars.parquet")
     whole = tie(path, "zero-motion", **options)
@@ -95,13 +98,63 @@ def test_one_row_group_after_the_other_is_in_memory(tmp_path, by_groups, monkeyp
     path = quasars(tmp_path / "quasars.parquet")
     read = []
     monkeypatch.setattr(
-        row_groups,
+        row_group,
         "read_row_group",
-        lambda *arguments, real=row_groups.read_row_group: read.append(arguments[1:]) or real(*arguments),
+        lambda *arguments, real=row_group.read_row_group: read.append(arguments[1:]) or real(*arguments),
     )
     tie(path, "zero-motion", "spin")
     assert {number for number, _ in read} == {0, 1, 2, 3, 4}
     assert all("source_id" not in columns and "phot_g_mean_mag" not in columns for _, columns in read)
+
+
+def test_without_sources_memory_hardly_grows_with_their_number(tmp_path, by_groups):
+    """20 bytes and no more of each source: an array of numbers takes 8."""
+
+    def peak(n):
+        path = quasars(tmp_path / f"{n}.parquet", n, 2000)
+        options = {"unknowns": "spin", "clip": "median:50", "errors": "cells", "per_source": False}
+        tracemalloc.start()
+        link = tie(path, "zero-motion", **options)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found, link
+
+    peak(2000)  # imports
+    (small, _), (large, link) = peak(2000), peak(18_000)
+    assert (large - small) / 16_000 < 40.0
+    assert "source" not in link.dims
+    assert "row" not in link.dims
+
+
+@pytest.mark.parametrize("clip", ["none", "rayleigh", "median:5"])
+def test_without_sources_the_rest_is_the_same(tmp_path, by_groups, clip):
+    path = quasars(tmp_path / "quasars.parquet")
+    options = {"unknowns": "spin", "degree": 2, "clip": clip, "errors": "cells"}
+    all_of_it, rest = (tie(path, "zero-motion", **options, per_source=wanted) for wanted in (True, False))
+    assert {"discrepancy", "n_observations", "weight_factor"} == set(all_of_it.data_vars) - set(rest.data_vars)
+    for name in rest.data_vars:
+        np.testing.assert_array_equal(rest[name].values, all_of_it[name].values, err_msg=name)
+    assert rest.attrs == all_of_it.attrs
+
+
+def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups):
+    for n in (3000, 3001):  # one in the middle, or two
+        epochs = np.random.default_rng(n).choice([2014.5, 2015.0, 2016.0, np.nextafter(2016.0, 3000.0)], n)
+        path = quasars(tmp_path / f"{n}.parquet", n, ref_epoch=epochs)
+        assert tie(path, "zero-motion", "spin").attrs["epoch"] == np.median(epochs)
+
+
+def test_no_sources_are_kept_of_tables_that_are_solved_whole_either(tmp_path):
+    store = tmp_path / "t.zarr"
+    found = CliRunner().invoke(
+        main, ["tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "--no-sources", "-o", str(store)]
+    )
+    assert found.exit_code == 0, found.output
+    stored = linksweep.open(store)
+    assert set(stored.dims) == {"unknown", "unknown_other", "error_kind"}
+    found = CliRunner().invoke(main, ["plot", str(store), "--kind", "residuals", "-o", str(tmp_path / "r.png")])
+    assert found.exit_code == 2
+    assert "no residuals here" in found.output
 
 
 def test_a_heavy_quasar_is_named(tmp_path, by_groups):
@@ -124,10 +177,15 @@ def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
 def test_workers_for_tables_that_are_solved_at_once_are_refused(tmp_path):
     found = CliRunner().invoke(main, ["tie", "psrpi", "psrpi", "--workers", "2"])
     assert found.exit_code == 2
-    assert "workers are for quasars" in found.output
+    assert "rows of a reference are matched with the whole of psrpi" in " ".join(found.output.split())
     path = quasars(tmp_path / "quasars.parquet")
-    with pytest.raises(SweepError, match="100,000 rows"):
-        tie(path, "zero-motion", workers=2)
+    for arguments, options, words in (
+        ((path, "zero-motion"), {}, "has 3,000 rows, and tables of fewer than 100,000 are read at once"),
+        ((path, "zero-motion"), {"missions": {"other": path}}, "rows of missions are matched"),
+        (("icrf3", "zero-motion"), {}, "icrf3 is no Parquet table"),
+    ):
+        with pytest.raises(SweepError, match=words):
+            tie(*arguments, workers=2, **options)
 
 
 def test_the_command_takes_workers(tmp_path, by_groups):

@@ -1,5 +1,6 @@
 """Tables of every kind, what is missing in them, and what is wrong with them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from astropy.table import MaskedColumn, Table
 
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, kinds
+from core.tie.motion import propagated
 from sweep.contract import SweepError
 from sweep.tie.column_names import TableOptions
 from sweep.tie.hipparcos import correlations
@@ -362,12 +364,65 @@ def test_negative_parallaxes_stay(tmp_path):
         ({"unknowns": "spun"}, "'spun' are not known"),
         ({"known_spin": [1.0]}, "three numbers"),
         ({"bins": ("mag", [3.0])}, "no numbers 'mag'"),
+        ({"epoch": np.nan}, "epoch of the orientation nan: it is a Julian year from 1700 to 2300"),
+        ({"epoch": 91.0}, "epoch of the orientation 91"),
+        ({"satellite_options": TableOptions(epoch=99.0)}, "epoch of a table 99"),
+        ({"reference_options": TableOptions(epoch=np.inf)}, "epoch of a table inf"),
+        ({"jitter": {"position": (0.1, 0.0)}}, "no row is of the kind position; there are five-parameter"),
+        ({"aberration": -5.8}, "aberration -5.8"),
+        ({"aberration": 5.8}, "no row of the reference is such a position"),
     ],
 )
 def test_wrong_options_are_refused(tmp_path, options, message):
     satellite, reference, _ = pair(tmp_path)
     with pytest.raises(SweepError, match=message):
         tie(satellite, reference, **options)
+
+
+def test_rows_far_from_the_source_of_their_name_are_said_and_refused(tmp_path):
+    made = stars(6)
+    satellite = gaia(tmp_path / "sat.ecsv", made)
+    names = np.arange(6) + 10**17
+    wrong = gaia(tmp_path / "wrong.ecsv", made, source_id=names[[0, 1, 2, 4, 3, 5]])
+    with pytest.raises(SweepError, match=r"row 4, 5 of wrong.ecsv: up to .* deg from the source of the same name"):
+        tie(satellite, wrong)
+    hours = gaia(tmp_path / "hours.ecsv", made, ra=made.values[0] / DEGREE / 15.0)  # too few to be known as hours
+    with pytest.raises(SweepError, match="the units of the positions"):
+        tie(satellite, hours)
+    values = made.values.copy()
+    values[1, 3] += 20.0 * ARCSEC
+    notes = tie(satellite, gaia(tmp_path / "far.ecsv", replace(made, values=values))).attrs["notes"]
+    assert "row 4 of far.ecsv: up to 20 arcsec from the source of the same name" in notes
+    fast = replace(made, values=made.values * np.array([1.0, 1.0, 1.0, 100.0, 100.0])[:, None])  # 10 arcsec/yr
+    later = propagated(fast.values, fast.radial_velocity, fast.epoch, fast.epoch + 20.0)
+    moved = gaia(tmp_path / "moved.ecsv", replace(fast, values=later, epoch=fast.epoch + 20.0))
+    notes = tie(gaia(tmp_path / "fast.ecsv", fast), moved).attrs["notes"]
+    assert not any("of the same name" in note for note in notes)
+
+
+def test_a_column_of_blank_correlations_is_as_none(tmp_path):
+    made = stars(4)
+    blank = {
+        f"{NAMES[i]}_{NAMES[j]}_corr": MaskedColumn(row, mask=True)
+        for row, (i, j) in zip(made.correlations, PAIRS, strict=True)
+    }
+    for ending in ("ecsv", "fits"):
+        found = read_table(gaia(tmp_path / f"blank.{ending}", made, **blank)).astrometry
+        np.testing.assert_array_equal(found.correlations, 0.0)
+    some = MaskedColumn(made.correlations[0], mask=[False, True, False, False])
+    with pytest.raises(SweepError, match=r"no ra_dec_corr \(write 0 for none\) in row 2"):
+        read_table(gaia(tmp_path / "some.ecsv", made, ra_dec_corr=some))
+
+
+def test_jitter_of_all_is_that_of_every_kind_without_its_own(tmp_path):
+    satellite, reference, _ = pair(tmp_path)
+    same = (
+        tie(satellite, reference, jitter={"all": (1.0, 0.5)}),
+        tie(satellite, reference, jitter={"five-parameter": (1.0, 0.5)}),
+    )
+    np.testing.assert_array_equal(same[0].errors, same[1].errors)
+    own = tie(satellite, reference, jitter={"all": (9.0, 9.0), "five-parameter": (1.0, 0.5)})
+    np.testing.assert_array_equal(own.errors, same[0].errors)
 
 
 def test_no_built_in_table_of_that_name():

@@ -1,0 +1,139 @@
+"""One row group of a satellite's Parquet table, and what is computed of it, in this process or on a Dask worker."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.tie.astrometry import Astrometry
+from core.tie.clips import Flags, separation
+from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
+from core.tie.problem import Problem
+from core.tie.sources import DIVISIONS, sky_cells
+from core.unknowns import Unknowns
+from sweep.contract import SweepError
+from sweep.table_parquet import read_row_group
+from sweep.tie.known_spin import known_spin
+from sweep.tie.options import SIGNS, Options
+from sweep.tie.reference_rows import with_jitter
+from sweep.tie.setup import zero_motion
+from sweep.tie.tables import astrometry_of, digest_of
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class RowGroup:
+    """The rows of a table from ``first`` on, and what is asked of them; ``unknowns`` are None before they are known."""
+
+    path: Path
+    digest: str
+    number: int
+    first: int
+    columns: tuple[str, ...]
+    options: Options
+    epoch: float = np.nan
+    unknowns: Unknowns | None = None
+
+    def problem(self) -> Problem:
+        """Read the rows; raises SweepError for wrong ones, with their numbers in the row group."""
+        own = self.astrometry()
+        assert self.unknowns is not None, "the first pass finds them"
+        known = None
+        if (spin := self.options.known_spin) is not None:
+            known = known_spin(spin, own, SIGNS[self.options.sign])
+        source, weights = np.arange(len(own)), self.options.weights
+        rows = with_jitter(zero_motion(len(own)), self.options.jitter_of(None))
+        return Problem(own, rows, source, self.unknowns, self.epoch, weights, known)
+
+    def astrometry(self) -> Astrometry:
+        """Read the rows."""
+        if digest_once(self.path) != self.digest:
+            raise SweepError("is not the same file on every worker, or was changed", str(self.path))
+        table = read_row_group(self.path, self.number, self.columns)
+        where = f"{self.path}, the {len(table)} rows from row {self.first + 1} on"
+        found, _ = astrometry_of(table, where, self.options.satellite_options)
+        if not np.all(np.isfinite(found.values[:2])):
+            raise SweepError("sources without a position", where)
+        return found
+
+
+@lru_cache(maxsize=8)
+def digest_once(path: Path) -> str:
+    """Return the SHA-256 of a file, read once in a process."""
+    return digest_of(path)
+
+
+class Scanned(NamedTuple):
+    """What a first look at a row group finds: a value in each bin of the column that bins divide, by its name; the
+    epochs and how many sources have each; and the places of the sources (2, n), rad, where they are wanted.
+    """
+
+    sample: dict[str, Array]
+    epochs: Array
+    counts: Indices
+    places: Array | None
+
+
+def look_through(group: RowGroup, per_source: bool) -> Scanned:
+    """Return what a first look finds; the places of the sources with ``per_source``."""
+    own = group.astrometry()
+    columns: dict[str, Array] = {}
+    if group.options.bins is not None and group.options.bins[0] in own.columns:
+        name, edges = group.options.bins
+        bin_of = np.searchsorted(edges, own.columns[name], side="right")
+        columns[name] = own.columns[name][np.unique(bin_of, return_index=True)[1]]
+    epochs, counts = np.unique(own.epoch[np.isfinite(own.epoch)], return_counts=True)
+    places = own.values[:2] if per_source else None
+    return Scanned(columns, epochs, counts, places)
+
+
+def cell_sums(group: RowGroup, factors: Array | Flags | None) -> NormalSums:
+    """Return the sums of all cells of the sky, each source with a factor of its weight."""
+    problem = group.problem()
+    ra, dec = problem.satellite.values[:2]
+    cells = sky_cells(ra, dec, DIVISIONS)
+    return group_sums(problem, cells, 2 * DIVISIONS**2, factors)
+
+
+def discrepancies(group: RowGroup, estimate: Array) -> Array:
+    """Return Q_i of each source at a solution."""
+    return source_discrepancies(group.problem(), estimate)
+
+
+def separations(group: RowGroup) -> Array:
+    """Return the normalised separation and the separation (rad) of each source; shape (2, n)."""
+    return np.array(separation(group.problem()))
+
+
+def counts(group: RowGroup) -> NDArray[np.float32]:
+    """Return the number of observations of each source."""
+    return source_counts(group.problem()).astype(np.float32)  # whole numbers
+
+
+class Heaviest(NamedTuple):
+    """The sizes of the largest weights, the sources with them and their sums."""
+
+    sizes: Array
+    places: Indices
+    sums: NormalSums
+
+
+def heaviest(group: RowGroup, number: int) -> Heaviest:
+    """Return so many sources with the largest weights."""
+    problem = group.problem()
+    sizes = weight_sizes(problem)
+    found = np.argsort(-sizes, kind="stable")[:number]
+    return Heaviest(sizes[found], group.first + found, source_sums(problem.only(found)))
+
+
+def heavier(number: int, one: Heaviest, other: Heaviest) -> Heaviest:
+    """Return the heaviest of both; of equal ones the first."""
+    sizes = np.concatenate([one.sizes, other.sizes])
+    order = np.argsort(-sizes, kind="stable")[:number]
+    places, sums = np.concatenate([one.places, other.places]), one.sums.followed_by(other.sums)
+    return Heaviest(sizes[order], places[order], sums.taken(order))
