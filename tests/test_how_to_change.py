@@ -96,7 +96,7 @@ def backwards(study, limits):
 """
 OPENER = """
 
-def _backwards(study, _workers, _say, limits):
+def _backwards(study, _workers, _say, limits, _dashboard=False):
     from sweep.executing.backwards import backwards
 
     return backwards(study, limits)
