@@ -16,6 +16,7 @@ from sweep.analysis.quantity import (
     quantities,
     standard_error,
     unknown_parts,
+    with_values,
 )
 from sweep.analysis.selection import place_in_words
 from sweep.attributes import meaning_of
@@ -70,7 +71,7 @@ def _named(answer: "Answer") -> str:
 
 def headline(dataset: xr.Dataset) -> list[str]:
     """Return the quantities that a study is about: those its experiment calls headline, or the first one there is."""
-    named = [name for name in quantities(dataset) if dataset[name].attrs.get("headline")]
+    named = with_values(dataset, [name for name in quantities(dataset) if dataset[name].attrs.get("headline")])
     with_errors = [name for name in named if standard_error(dataset, name) is not None]
     rest = [name for name in named if name not in with_errors]
     try:

@@ -1,7 +1,7 @@
 """What of a dataset is a quantity: its names, its errors, the axes that it can be followed along."""
 
 import json
-from collections.abc import Collection, Container, Hashable, Mapping
+from collections.abc import Collection, Container, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,13 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     squares: xr.DataArray = sum((part.fillna(0.0) ** 2 for part in parts[1:]), parts[0].fillna(0.0) ** 2)
     known: xr.DataArray = sum((part.notnull() for part in parts[1:]), parts[0].notnull())
     return (squares**0.5).where(known)
+
+
+def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
+    """Return those of some quantities that have a value at any point: a link that does not solve for the spin has no
+    error of it; all where none has.
+    """
+    return [name for name in names if bool(dataset[name].notnull().any())] or list(names)
 
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -166,7 +173,7 @@ def main_quantity(dataset: xr.Dataset) -> str:
     names = quantities(dataset)
     if not names:
         raise SweepError("holds no results that are numbers")
-    headline = [name for name in names if dataset[name].attrs.get("headline")]
+    headline = with_values(dataset, [name for name in names if dataset[name].attrs.get("headline")])
     with_error = [name for name in headline if standard_error(dataset, name) is not None]
     return (with_error or headline or names)[0]
 

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error
+from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, with_values
 from sweep.analysis.readable_units import in_readable_units
 from sweep.formatting import first_of, is_missing, plain, rounded, to_json, with_error
 from sweep.planning.point_status import Status
@@ -255,7 +255,7 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
         Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
         for name in _axis_coordinates(dataset, axes_of(dataset))
     ]
-    names = [name for name in _headline(dataset) if name in long]
+    names = with_values(dataset, [name for name in _headline(dataset) if name in long])
     for number, name in enumerate(names):
         unit, values = long[name]
         later = OTHER if number else 0

@@ -5,8 +5,10 @@ import tomllib
 
 import pytest
 
-from sweep.analysis.answer import answer_in_short
+from sweep.analysis.answer import answer_in_short, answers
 from sweep.analysis.conclusion import conclusion_in_words
+from sweep.analysis.quantity import main_quantity
+from sweep.analysis.tables import headline_columns
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status
 from sweep.studies.reader import load_study, study_from_dict
@@ -107,6 +109,19 @@ def test_without_a_conclusion_the_range_answers(dataset_of):
     dataset.attrs["conclusion"] = "{"
     with pytest.raises(SweepError, match="the attribute 'conclusion' cannot be read"):
         answer_in_short(dataset)
+
+
+@pytest.mark.parametrize("name", ["sigma_spin", "sigma_orientation"])
+def test_what_has_no_value_at_any_point_answers_nothing(dataset_of, name):
+    """A link that does not solve for the spin has no error of it."""
+    whole = dataset_of("sqrt-n")
+    (other,) = {"sigma_spin", "sigma_orientation"} - {name}
+    dataset = whole.assign({n: whole[n] * float("nan") for n in whole if str(n).startswith(name)})
+    assert main_quantity(dataset) == other
+    assert {answer.name for answer in answers(dataset)} == {other}
+    assert {column.of for column in headline_columns(dataset)} == {"", other}
+    nothing = dataset.assign({n: dataset[n] * float("nan") for n in dataset if str(n).startswith(other)})
+    assert answers(nothing)[0].sentences == ["No point has a value yet."]
 
 
 def test_words_about_what_the_study_fixes_are_not_said_of_something_else():
