@@ -114,7 +114,8 @@ def test_without_a_conclusion_the_range_answers(dataset_of):
 @pytest.mark.parametrize("name", ["sigma_spin", "sigma_orientation"])
 def test_what_has_no_value_at_any_point_answers_nothing(dataset_of, name):
     """A link that does not solve for the spin has no error of it."""
-    whole = dataset_of("sqrt-n")
+    whole = dataset_of("sqrt-n").copy()
+    whole["sigma_orientation"].attrs["headline"] = 1
     (other,) = {"sigma_spin", "sigma_orientation"} - {name}
     dataset = whole.assign({n: whole[n] * float("nan") for n in whole if str(n).startswith(name)})
     assert main_quantity(dataset) == other
