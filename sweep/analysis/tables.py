@@ -5,6 +5,7 @@ import io
 import json
 import math
 from dataclasses import dataclass, replace
+from textwrap import indent
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -151,7 +152,8 @@ def as_json(dataset: xr.Dataset) -> str:
     """Return the long table as JSON: units by column, and one object a point, null for a missing value."""
     columns = long_table(dataset)
     cells = zip(*(values for _, values in columns.values()), strict=True)
-    rows = [dict(zip(columns, row, strict=True)) for row in cells]
+    # row by row: dictionaries of all points would take more memory than all else
+    rows = ",\n".join(indent(to_json(dict(zip(columns, row, strict=True))), "  ") for row in cells)
     arrays = {
         name: {"dims": dims, "coordinates": {dim: _listed(dataset[dim].values) for dim in dims}}
         for name in array_outputs(dataset)
@@ -159,7 +161,8 @@ def as_json(dataset: xr.Dataset) -> str:
     }
     units = {name: unit for name, (unit, _) in columns.items()}
     units |= {dim: dataset[dim].attrs.get("units", "") for told in arrays.values() for dim in told["dims"]}
-    return to_json({"units": units, **({"arrays": arrays} if arrays else {}), "rows": rows})
+    frame = to_json({"units": units, **({"arrays": arrays} if arrays else {}), "rows": []})
+    return frame.removesuffix("[]\n}") + f"[\n{rows}\n ]\n}}" if rows else frame
 
 
 def _two_lines(name: str) -> list[str]:
