@@ -19,9 +19,9 @@ LIFETIME_S = 5.0
 
 STUDY = """
 title = "Tasks that sleep"
-experiment = "benchmarks.sleeping:experiment"
+experiment = "tests.sweep.sleepers:experiment"
 [axes]
-number = { start = 1, stop = %d, step = 1 }
+sheep = { start = 1, stop = %d, step = 1 }
 [fixed]
 seconds = %s
 [sampling]

@@ -115,7 +115,7 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
     unknowns = len(setup.truth)
     optimal = setup.scenario.weighting == "inverse-variance"
     columns = _columns(setup, 1 if optimal else 2, shared)
-    products = _products(columns, setup, shared)
+    products = shared.products(setup.stacked(columns))
     design, solving = slice(0, unknowns), slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
     normal, design_misclosure = products[..., design, design], products[..., design, -1]
     # of equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
@@ -136,18 +136,6 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
         gain_squares=np.einsum("...ki,...ij,...jk->...k", inverse, products[..., solving, solving], inverse),
         condition_number=condition_number(solved),
     )
-
-
-def _products(columns: Array, setup: Setup, shared: Prefixes) -> Array:
-    """Return the products of the columns, summed over the objects and observables of each catalogue; (..., C, C)."""
-    if not setup.stack:
-        return shared.products(columns)
-    stacked, number = setup.stacked(columns), columns.shape[2]
-    total = np.zeros((*setup.stack, number, number))
-    for part in parts(setup.n_obj):
-        flat = stacked[:, part].reshape(*setup.stack, -1, number)
-        total += flat.swapaxes(1, 2) @ flat
-    return total
 
 
 def _times(matrix: Array, vector: Array) -> Array:

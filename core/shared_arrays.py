@@ -52,16 +52,17 @@ class Prefixes:
         return result
 
     def products(self, columns: Array) -> Array:
-        """Return the sum over objects and observables of the products of columns (N, 4, C); shape (C, C).
+        """Return the sum over objects and observables of the products of columns (..., N, 4, C); shape (..., C, C).
 
         It is added up part by part, and a part is multiplied once for all that have it.
         """
-        total = np.zeros((columns.shape[2], columns.shape[2]))
-        for part in parts(len(columns)):
-            rows = columns[part]
+        *stack, n_obj, _, number = columns.shape
+        total = np.zeros((*stack, number, number))
+        for part in parts(n_obj):
+            rows = columns[..., part, :, :]
             if place(rows) not in self._products:
-                flat = rows.reshape(-1, columns.shape[2])
-                self._products[place(rows)] = flat.T @ flat
+                flat = rows.reshape(*stack, -1, number)
+                self._products[place(rows)] = flat.swapaxes(-1, -2) @ flat
             total += self._products[place(rows)]
         return total
 

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from core.arrays import Array, Flags
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.differences import Differences, differences
 from core.tie.normal_sums import BLOCK
 from core.tie.problem import Problem
 from core.tie.solution import Solution
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 SEPARATION_LIMIT = 10.0 * MAS
 """Of a radio-optical counterpart.  Source: Mignard et al. 2018, A&A 616, A14."""

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from core.tie.astrometry import Astrometry, Indices
+from core.arrays import Array, Indices
+from core.tie.astrometry import Astrometry
 from core.tie.motion import offsets, parallax_factors, propagated
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,13 @@ from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.tie.clips import row_separations
 from core.tie.differences import Differences, differences
 from core.tie.elimination import Eliminated, eliminate
 from core.tie.normal_sums import NormalSums
 from core.tie.problem import Problem
-
-Array = NDArray[np.float64]
 
 BLOCK = 8192
 """Sources, in all draws that are made together: the numbers depend on it."""

@@ -14,12 +14,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array, Indices
 from core.constants import MAS
 from core.link import LinkError
-from core.tie.astrometry import Indices
 from core.tie.differences import Differences
 
-Array = NDArray[np.float64]
 Weights = Literal["covariance", "variance", "equal"]
 
 UNDETERMINED = 1e-12

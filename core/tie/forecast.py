@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.link import LinkError
 from core.tie.astrometry import Astrometry, joined
 from core.tie.normal_sums import NormalSums
@@ -15,7 +16,6 @@ from core.tie.problem import Problem
 from core.tie.solution import inverted
 from core.unknowns import Unknowns
 
-Array = NDArray[np.float64]
 Criterion = Literal["A", "D"]
 
 EXHAUSTIVE_LIMIT = 200_000

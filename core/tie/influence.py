@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.tie.normal_sums import NormalSums
 from core.tie.solution import Solution
 from core.tie.uncertainty import leave_one_out
 from core.unknowns import Unknowns
-
-Array = NDArray[np.float64]
 
 LARGE_SHARE = 0.1
 """A source that holds more of the weight of a block of unknowns is named."""

@@ -2,12 +2,10 @@
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import ARCSEC
 from core.frames import triad
-
-Array = NDArray[np.float64]
 
 J2000 = 2451545.0
 DAYS_PER_YEAR = 365.25

@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array, Indices
 from core.blocks import Objects
 from core.constants import MAS
-from core.tie.astrometry import Indices
 from core.tie.elimination import Eliminated
 from core.tie.problem import Problem
 from core.tie.products import add_products
 from core.unknowns import Unknowns
-
-Array = NDArray[np.float64]
 
 BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""

@@ -4,17 +4,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array, Indices
 from core.blocks import Objects
 from core.link import LinkError
-from core.tie.astrometry import Astrometry, Indices
+from core.tie.astrometry import Astrometry
 from core.tie.differences import differences
 from core.tie.elimination import Eliminated, Weights, eliminate
 from core.tie.simple_rows import eliminate_simple
 from core.unknowns import Unknowns
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

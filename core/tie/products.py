@@ -1,9 +1,8 @@
 """K' W K summed over sources: one product of a matrix with itself where W has a root, half the work of another."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from core.arrays import Array
 
 REGULAR = 1e-6
 """The determinant of a scaled 2 x 2 matrix from which its root is taken."""

@@ -1,13 +1,11 @@
 """The elimination in closed form where each source has one row of its own epoch: millions of sources."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.tie.astrometry import PAIRS, Astrometry
 from core.tie.elimination import UNDETERMINED, Eliminated
 from core.tie.motion import offsets
-
-Array = NDArray[np.float64]
 
 
 def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array | None) -> Eliminated | None:

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.link import SMALLEST_EIGENVALUE, LinkError
 from core.tie.normal_sums import NormalSums
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

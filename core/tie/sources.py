@@ -6,14 +6,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from core.tie.astrometry import Indices
-from core.tie.clips import Flags, Sources, separation
+from core.arrays import Array, Flags, Indices
+from core.tie.clips import Sources, separation
 from core.tie.influence import discrepancies
 from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
-
-Array = NDArray[np.float64]
 
 DIVISIONS = 6
 """Of the grid of cells of the sky: 72 of them."""

@@ -5,11 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.link import SMALLEST_EIGENVALUE
 from core.tie.normal_sums import NormalSums
 from core.tie.solution import Solution
-
-Array = NDArray[np.float64]
 
 
 def leave_one_out(sums: NormalSums, normal: Array, right: Array) -> Array:

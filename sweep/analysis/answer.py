@@ -11,12 +11,11 @@ import xarray as xr
 from sweep.analysis.conclusion import conclusion_in_words
 from sweep.analysis.quantity import (
     PREDICTION_SUFFIXES,
+    headlines,
     main_quantity,
     prediction_name,
-    quantities,
     standard_error,
     unknown_parts,
-    with_values,
 )
 from sweep.analysis.selection import place_in_words
 from sweep.attributes import meaning_of
@@ -71,11 +70,8 @@ def _named(answer: "Answer") -> str:
 
 def headline(dataset: xr.Dataset) -> list[str]:
     """Return the quantities that a study is about: those its experiment calls headline, or the first one there is."""
-    named = with_values(dataset, [name for name in quantities(dataset) if dataset[name].attrs.get("headline")])
-    with_errors = [name for name in named if standard_error(dataset, name) is not None]
-    rest = [name for name in named if name not in with_errors]
     try:
-        return [*with_errors, *rest] or [main_quantity(dataset)]
+        return headlines(dataset) or [main_quantity(dataset)]
     except SweepError:
         return []
 

@@ -56,7 +56,15 @@ def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
     """Return those of some quantities that have a value at any point: a link that does not solve for the spin has no
     error of it; all where none has.
     """
+    if len(names) < 2:
+        return list(names)  # whatever its values, which need not be read
     return [name for name in names if bool(dataset[name].notnull().any())] or list(names)
+
+
+def headlines(dataset: xr.Dataset) -> list[str]:
+    """Return the quantities that an experiment calls headline, those with errors first."""
+    named = with_values(dataset, [name for name in quantities(dataset) if dataset[name].attrs.get("headline")])
+    return sorted(named, key=lambda name: standard_error(dataset, name) is None)
 
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -173,9 +181,7 @@ def main_quantity(dataset: xr.Dataset) -> str:
     names = quantities(dataset)
     if not names:
         raise SweepError("holds no results that are numbers")
-    headline = with_values(dataset, [name for name in names if dataset[name].attrs.get("headline")])
-    with_error = [name for name in headline if standard_error(dataset, name) is not None]
-    return (with_error or headline or names)[0]
+    return (headlines(dataset) or names)[0]
 
 
 def require_quantity(dataset: xr.Dataset, variable: str) -> None:

@@ -16,6 +16,7 @@ from typing import IO
 from sweep.contract import SweepError
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, joined, too_long
+from sweep.executing.together import takes_several
 from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import ENOUGH_S, run_units
 from sweep.load import load_experiment, provide, sources_of
@@ -174,8 +175,7 @@ def child() -> None:
         return
     with threadpool_limits(1):
         experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-        together = experiment.evaluate_catalogues is not None and task.time_limit_s is None
-        one_by_one = experiment.vectorised or together  # the parent waits for an answer for each unit
+        one_by_one = experiment.vectorised or takes_several(experiment, task)  # the parent waits for each unit
         for part in [replace(task, units=(unit,)) for unit in task.units] if one_by_one else [task]:
             for result in run_units(part, Deadlines()):
                 answers.send(result)

@@ -50,6 +50,11 @@ def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
             yield from (whole[first : first + most] for first in range(0, len(whole), most))
 
 
+def takes_several(experiment: Experiment, task: Task) -> bool:
+    """Return whether catalogues may be evaluated in one call: no realisation is kept, no block has a time limit."""
+    return experiment.evaluate_catalogues is not None and not task.keep_samples and task.time_limit_s is None
+
+
 def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
     """Return the sums of blocks of one point whose catalogues are evaluated in one call.
 

@@ -13,7 +13,7 @@ from sweep.contract import Experiment, Point, check_finite, checked
 from sweep.executing.captured import Captured, captured
 from sweep.executing.deadlines import Deadlines, TimeLimitError
 from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, failure_of, joined, too_long
-from sweep.executing.together import alike, catalogues_together, points_together
+from sweep.executing.together import alike, catalogues_together, points_together, takes_several
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat
 from sweep.load import load_experiment
@@ -47,9 +47,10 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
             yield together
             return
     with captured() as said:
-        one_by_one = experiment.evaluate_catalogues is None or task.keep_samples or task.time_limit_s is not None
-        for units in [task.units] if one_by_one else alike(task.units):
-            if one_by_one or (known := catalogues_together(experiment, task, units)) is None:
+        several = takes_several(experiment, task)
+        for units in alike(task.units) if several else [task.units]:
+            known = catalogues_together(experiment, task, units) if several else None
+            if known is None:
                 said.taken()  # it is said again
                 yield from _one_by_one(experiment, task, units, deadlines, said)
                 continue

@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sweep.contract import Output, Point, ResultError
+from sweep.contract import Array, Output, Point, ResultError
 from sweep.functions.layout import Field, Layout, differences, held
 from sweep.functions.results import Declared, Flat, flatten, split_points
 from sweep.functions.signature import N_SIM, RNG, Signature
@@ -22,8 +21,6 @@ from sweep.functions.statistics import (
     statistic,
     statistics_of,
 )
-
-Array = NDArray[np.float64]
 
 NUMBERS = ("float", "int", "bool")
 """Types of which statistics can be made."""

@@ -9,12 +9,9 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sweep.contract import Output, shown, small_sample_factor, suggest
+from sweep.contract import Array, Output, shown, small_sample_factor, suggest
 from sweep.functions.layout import Field
-
-Array = NDArray[np.float64]
 
 MOMENTS = 6
 """Of each number of an output a block keeps mean, the sums of the 2nd to 4th powers about it, least and largest."""

@@ -3,6 +3,8 @@
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+
 from sweep.contract import Array
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import GridPoint
@@ -134,7 +136,7 @@ class Pending:
             groups.setdefault(point.stream, []).append(point.index)
         for indices in groups.values():
             for start in range(0, len(indices), MOST_SHARING):
-                points = [grid.point(index) for index in indices[start : start + MOST_SHARING]]
+                points = list(grid.points(np.array(indices[start : start + MOST_SHARING])))
                 wanting: dict[Block, list[GridPoint]] = {}
                 for point in points:
                     for block in self._accumulator.missing(point):

@@ -3,15 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from core.arrays import Array
 from core.blocks import SpinByBin
 from core.constants import MAS
 from core.unknowns import Unknowns, parse_unknowns
 from sweep.tie.spectrum import DEGREE_ONE, spectrum
-
-Array = NDArray[np.float64]
 
 _DEGREE_ONE = parse_unknowns("orientation,spin,position_glide,glide,parallax")
 COMPONENTS = _DEGREE_ONE.labels

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from core.arrays import Array
 from core.blocks import PARAMETERS, SpinByBin
 from core.constants import MAS
 from core.tie.astrometry import kinds
@@ -18,7 +19,6 @@ from sweep.tie.spectrum import spectrum
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 ROWS_KEPT = 100_000
 """Tables with more rows are not repeated in a result."""

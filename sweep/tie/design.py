@@ -6,10 +6,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array, Indices
 from core.constants import MAS
-from core.tie.astrometry import Indices
 from core.tie.clips import Clip, parse_clip
 from core.tie.forecast import Goal, choose, with_new_rows
 from core.tie.normal_sums import source_sums
@@ -22,8 +21,6 @@ from sweep.tie.parameters import PARAMETERS
 from sweep.tie.reference_rows import ALL
 from sweep.tie.setup import ZERO_MOTION, Setup, set_up
 from sweep.tie.solution import Link, solve_link
-
-Array = NDArray[np.float64]
 
 ERRORS = ("scaled", "formal", "jackknife")
 

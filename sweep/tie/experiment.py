@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.clips import clipped
@@ -31,8 +31,6 @@ from sweep.tie.components import (
 from sweep.tie.design import Design, design_of
 from sweep.tie.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS
 from sweep.tie.summary import FACTS, summarise
-
-Array = NDArray[np.float64]
 
 N = len(COMPONENTS)
 SUMS: Mapping[str, tuple[int, ...]] = {

@@ -1,11 +1,9 @@
 """Correlations of Hipparcos-2 from its matrix U; its errors are those of its columns."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.tie.astrometry import PAIRS
-
-Array = NDArray[np.float64]
 
 EPOCH = 1991.25
 

@@ -4,16 +4,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.blocks import Rotation, SpinByBin
 from core.constants import MAS
 from core.tie.astrometry import Astrometry
 from core.unknowns import Unknowns
 from sweep import table_reader
 from sweep.contract import SweepError
-
-Array = NDArray[np.float64]
 
 
 def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float) -> tuple[Unknowns, Array]:

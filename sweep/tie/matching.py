@@ -3,17 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from core.arrays import Array, Indices
 from core.constants import ARCSEC
 from core.frames import triad
-from core.tie.astrometry import Indices, named_rows
+from core.tie.astrometry import named_rows
 from core.tie.motion import propagated
 from sweep.contract import SweepError
 from sweep.tie.tables import AstrometricTable
-
-Array = NDArray[np.float64]
 
 DEFAULT_RADIUS_ARCSEC = 1.0
 

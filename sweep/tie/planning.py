@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.forecast import Choice, Criterion, Goal, choose, with_new_rows
@@ -22,7 +22,6 @@ from sweep.tie.setup import Setup, set_up
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 EPOCHS = (1900.0, 2100.0)
 

@@ -4,14 +4,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import GALACTIC_AXES, MAS
 from core.frames import triad
 from core.tie.astrometry import KINDS, PAIRS, Astrometry, kinds
 from sweep.contract import SweepError
-
-Array = NDArray[np.float64]
 
 ICRF3_EPOCH = 2015.0
 

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array, Flags, Indices
 from core.tie.astrometry import Astrometry
-from core.tie.clips import Flags, separation
+from core.tie.clips import separation
 from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
 from core.tie.problem import Problem
 from core.tie.sources import DIVISIONS, sky_cells
@@ -21,9 +22,6 @@ from sweep.tie.options import SIGNS, Options
 from sweep.tie.reference_rows import with_jitter
 from sweep.tie.setup import zero_motion
 from sweep.tie.tables import astrometry_of, digest_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)

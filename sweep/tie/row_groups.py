@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array, Flags, Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
-from core.tie.clips import Flags, Sources
+from core.tie.clips import Sources
 from core.tie.normal_sums import NormalSums
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
@@ -33,9 +33,6 @@ from sweep.tie.row_group import RowGroup
 from sweep.tie.setup import ZERO_MOTION, Setup, default_epoch, zero_motion
 from sweep.tie.tables import AstrometricTable
 from sweep.tie.unknowns_of import unknowns_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 FROM_ROWS = 100_000
 """Smaller tables are solved as a whole."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array, Indices
 from core.constants import DEGREE
 from core.tie.astrometry import Astrometry, joined, named_rows
 from core.tie.problem import Problem
@@ -19,9 +20,6 @@ from sweep.tie.options import SIGNS, Options
 from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, with_jitter
 from sweep.tie.tables import AstrometricTable, read_table
 from sweep.tie.unknowns_of import unknowns_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 """Separations of a row from the source of its name that are noted, and that are refused."""

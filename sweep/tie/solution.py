@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from core.tie.astrometry import Indices
+from core.arrays import Array, Indices
 from core.tie.clips import Clipped, Sources, clipped, parse_clip
 from core.tie.influence import LARGE_SHARE, Influence, influence, shares
 from core.tie.solution import Solution
@@ -18,8 +18,6 @@ from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.tie.row_groups import RowGroupTable
 from sweep.tie.setup import Setup
-
-Array = NDArray[np.float64]
 
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 ALWAYS = ("formal", "scaled")

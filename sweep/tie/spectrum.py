@@ -3,12 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.blocks import Harmonics
 from core.unknowns import Unknowns
-
-Array = NDArray[np.float64]
 
 VECTOR_POWER = 8.0 * np.pi / 3.0
 """Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012)."""

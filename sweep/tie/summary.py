@@ -3,11 +3,9 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Array
 from sweep.tie.components import ORIENTATION, SPIN
-
-Array = NDArray[np.float64]
 
 FACTS = ("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn")
 """Numbers of the tables that no draw changes."""

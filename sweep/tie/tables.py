@@ -10,6 +10,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.blocks import PARAMETERS
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
@@ -28,7 +29,6 @@ from sweep.tie.column_names import (
     quantities,
 )
 
-Array = NDArray[np.float64]
 DEFAULT_UNITS = {"ra": "deg", "dec": "deg", "ref_epoch": "yr", "radial_velocity": "km/s"}
 MJD_FROM = 15000.0
 """Epochs above are modified Julian dates."""

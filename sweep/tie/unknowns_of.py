@@ -1,8 +1,8 @@
 """The unknowns that are asked for, or else those that the tables determine."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from core.arrays import Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.problem import Problem
@@ -10,8 +10,6 @@ from core.tie.solution import inverted
 from core.tie.sources import SourceTable
 from core.unknowns import Unknowns, parse_unknowns
 from sweep.tie.options import Options
-
-Indices = NDArray[np.int64]
 
 
 def unknowns_of(
