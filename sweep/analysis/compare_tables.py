@@ -1,7 +1,5 @@
 """Comparisons with published numbers for scripts (CSV, JSON), and what is said of them wherever they are shown."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -9,7 +7,7 @@ from dataclasses import asdict, fields
 from sweep.analysis.compare import summary
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.verdicts import PROBABILITY, Comparison
-from sweep.formatting import finite_or, rounded, to_json, with_error
+from sweep.formatting import finite_or, rounded, to_csv, to_json, with_error
 
 CHANCE = f"with a probability of {100 * PROBABILITY:g} %"
 POWER = f"power: the deviation from the published number that the verdict finds {CHANCE}"
@@ -34,12 +32,10 @@ def summary_line(comparisons: Sequence[Comparison]) -> str:
 
 def as_csv(comparisons: Sequence[Comparison]) -> str:
     """Return one row a comparison; a number that is not there is an empty cell."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([field.name for field in fields(Comparison)])
-    for c in comparisons:
-        writer.writerow([place_in_words(v) if k == "where" else finite_or(v, "") for k, v in asdict(c).items()])
-    return out.getvalue()
+    rows = (
+        [place_in_words(v) if k == "where" else finite_or(v, "") for k, v in asdict(c).items()] for c in comparisons
+    )
+    return to_csv([field.name for field in fields(Comparison)], rows)
 
 
 def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 import xarray as xr
 
 from sweep.analysis.quantity import COVARIANCE_SUFFIX, ERROR_SUFFIXES, PREDICTION_SUFFIXES, quantities
+from sweep.attributes import units_of
 from sweep.readable import prefixed
 
 BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
@@ -25,28 +26,24 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     changed: dict[str, xr.DataArray] = {}
     for name in quantities(dataset):
         values = dataset[name].values
-        unit = str(dataset[name].attrs.get("units", ""))
+        unit = units_of(dataset[name].attrs)
         if "," in unit or values.dtype.kind != "f":
             continue
         chosen = prefixed(values, unit)
         if chosen.factor == 1.0:
             continue
         for other in (name, *(f"{name}_{suffix}" for suffix in BESIDE)):
-            if other in dataset and str(dataset[other].attrs.get("units", "")) == unit:
+            if other in dataset and units_of(dataset[other].attrs) == unit:
                 changed[other] = _scaled(dataset[other], chosen.factor, chosen.unit)
         for axis in dataset.coords:
             if (other := f"{name}_{COVARIANCE_SUFFIX}_{axis}") in dataset:
-                changed[other] = _scaled(dataset[other], chosen.factor**2, _squared(chosen.unit))
+                changed[other] = _scaled(dataset[other], chosen.factor**2, f"({chosen.unit})2")
     return _component(dataset.assign(changed))
 
 
 def _scaled(array: xr.DataArray, factor: Any, unit: str) -> xr.DataArray:
     scaled: xr.DataArray = (array * factor).transpose(*array.dims)
     return scaled.assign_attrs(array.attrs | {"units": unit})
-
-
-def _squared(unit: str) -> str:
-    return f"({unit})2"
 
 
 def _component(dataset: xr.Dataset) -> xr.Dataset:
@@ -67,4 +64,4 @@ def _component(dataset: xr.Dataset) -> xr.Dataset:
 
 def _is_of_component(dataset: xr.Dataset, name: str) -> bool:
     """Return whether a quantity is in the unit of its component, and not in the product of two of them."""
-    return "," in (unit := str(dataset[name].attrs.get("units", ""))) and "(" not in unit
+    return "," in (unit := units_of(dataset[name].attrs)) and "(" not in unit

@@ -1,6 +1,5 @@
 """Results as tables: for reading, for a script (CSV, JSON), for astronomers (ECSV)."""
 
-import csv
 import io
 import json
 import math
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, with_values
 from sweep.analysis.readable_units import in_readable_units
-from sweep.formatting import first_of, is_missing, plain, rounded, to_json, with_error
+from sweep.formatting import first_of, is_missing, plain, reading_table, rounded, to_csv, to_json, with_error
 from sweep.planning.point_status import Status
 from sweep.readable import in_ascii
 from sweep.studies.provenance import FUNCTION
@@ -80,7 +79,7 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> d
     flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
     columns: dict[str, tuple[str, list[Any]]] = {}
     template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
-    for name in [*_axis_coordinates(dataset, dimensions), *flat.data_vars]:
+    for name in [*axis_coordinates(dataset, dimensions), *flat.data_vars]:
         variable = dataset[name]
         values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)[rows]
         columns[str(name)] = (variable.attrs.get("units", ""), _listed(values))
@@ -121,13 +120,9 @@ def axes_of(dataset: xr.Dataset) -> list[str]:
 def as_csv(dataset: xr.Dataset) -> str:
     """Return the long table as CSV; a missing value is an empty cell, units stand in the header as ``name [unit]``."""
     columns = long_table(dataset)
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()])
-    for row in zip(*(values for _, values in columns.values()), strict=True):
-        cells = (json.dumps(cell) if isinstance(cell, list) else cell for cell in row)
-        writer.writerow(["" if is_missing(cell) else cell for cell in cells])
-    return out.getvalue()
+    header = [f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()]
+    rows = zip(*(values for _, values in columns.values()), strict=True)
+    return to_csv(header, ([json.dumps(cell) if isinstance(cell, list) else cell for cell in row] for row in rows))
 
 
 def as_ecsv(dataset: xr.Dataset) -> str:
@@ -137,12 +132,7 @@ def as_ecsv(dataset: xr.Dataset) -> str:
     table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
     for name, (unit, values) in long_table(dataset).items():
         mask = [is_missing(v) for v in values]
-        if values and isinstance(values[0], list):
-            table[name] = MaskedColumn(np.array(values), unit=unit or None)
-            continue
-        table[name] = (
-            MaskedColumn(values, mask=mask, unit=unit or None) if any(mask) else MaskedColumn(values, unit=unit or None)
-        )
+        table[name] = MaskedColumn(values, mask=mask if any(mask) else False, unit=unit or None)
     out = io.StringIO()
     table.write(out, format="ascii.ecsv")
     return out.getvalue()
@@ -177,23 +167,9 @@ def as_text(dataset: xr.Dataset, width: int | None = None) -> "Table":
     """Return the headline results for reading: value +- one-sigma error, prediction, published value and
     difference; of the first `MOST_ROWS` points, and of the columns those that go into ``width`` characters.
     """
-    from rich.markup import escape
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        title=Text(str(dataset.attrs.get("title", ""))),
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-        header_style="bold",
-    )
     columns, _ = fitting(headline_columns(dataset, MOST_ROWS), width)
-    for column in columns:
-        table.add_column(Text(column.heading), justify="right", no_wrap=True)
-    for row in zip(*(column.cells for column in columns), strict=True):
-        table.add_row(*map(escape, row))
-    return table
+    rows = zip(*(column.cells for column in columns), strict=True)
+    return reading_table(str(dataset.attrs.get("title", "")), [column.heading for column in columns], rows)
 
 
 def fitting(columns: list[Column], width: int | None) -> tuple[list[Column], list[Column]]:
@@ -256,7 +232,7 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     long = long_table(dataset.assign({ERROR.format(name): e for name, e in known.items()}), places)
     columns = [
         Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
-        for name in _axis_coordinates(dataset, axes_of(dataset))
+        for name in axis_coordinates(dataset, axes_of(dataset))
     ]
     names = with_values(dataset, [name for name in _headline(dataset) if name in long])
     for number, name in enumerate(names):
@@ -318,7 +294,8 @@ def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float
     ]
 
 
-def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
+def axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
+    """Return the coordinates along some dimensions in the order of these, the own one of each first."""
     names = [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
     place = {name: dimensions.index(str(dataset[name].dims[0])) for name in names}
     return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
