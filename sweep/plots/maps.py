@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from sweep.analysis.quantity import prediction_name, standard_error
+from sweep.attributes import units_of
 from sweep.plots.style import edges, explained_label, is_wide, logarithmic, quantity_label
 
 LEVELS = 8
@@ -39,7 +40,7 @@ def draw_map(
     norm = limits or colour_limits(dataset, variable)
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     across, up = dataset[x].values.astype(float), dataset[y].values.astype(float)
-    wide = {name: is_wide(places, _unit(dataset, name)) for name, places in ((x, across), (y, up))}
+    wide = {name: is_wide(places, units_of(dataset[name].attrs)) for name, places in ((x, across), (y, up))}
     cells = edges(across, wide[x]), edges(up, wide[y])
     mesh = axes.pcolormesh(*cells, values, cmap="cividis", norm=norm, shading="flat", rasterized=True)
     logarithm = isinstance(norm, LogNorm)
@@ -79,10 +80,6 @@ def add_bar(figure: Figure, dataset: xr.Dataset, variable: str) -> None:
     """Add the one bar of colours that all maps of a figure share."""
     meshes = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
     figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
-
-
-def _unit(dataset: xr.Dataset, axis: str) -> str:
-    return str(dataset[axis].attrs.get("units", ""))
 
 
 def _spans_decades(values: NDArray[np.float64]) -> bool:

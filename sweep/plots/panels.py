@@ -150,20 +150,16 @@ def _panels(
     for column, (name, index) in enumerate(across):
         far_rows = several and rows is not None and is_far(dataset[name], rows)
         for row in _indices(dataset, rows):
-            own = {d: i for d, i, is_own in ((rows, row, far_rows), (columns, index, far)) if d is not None and is_own}
-            whole = in_readable_units(dataset.isel({d: i for d, i in own.items() if i is not None}))
-            rest = {
-                d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None and d not in own
-            }
-            part = whole.isel(rest)
+            place = {d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None}
+            own = {d: i for d, i in place.items() if (far_rows if d == rows else far)}
+            whole = in_readable_units(dataset.isel(own))
+            part = whole.isel({d: i for d, i in place.items() if d not in own})
             if not np.isfinite(part[name].values.astype(float)).any():
                 continue
-            titles = [
-                value_text(dataset, d, dataset[d][i].item()) if d is not None and i is not None else ""
-                for d, i in ((rows, row), (columns, index))
-            ]
+            titles = {d: value_text(dataset, d, dataset[d][i].item()) for d, i in place.items()}
             shares = ((name,) if several else ()) + tuple(own.items())
-            found.append(Panel(row or 0, column, part, name, titles[0], titles[1], shares))
+            of_row, of_column = (titles.get(d or "", "") for d in (rows, columns))
+            found.append(Panel(row or 0, column, part, name, of_row, of_column, shares))
     yield from sorted(found, key=lambda panel: (panel.row, panel.column))
 
 

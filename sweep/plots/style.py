@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import matplotlib as mpl
@@ -17,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from sweep.attributes import LOGARITHMIC_UNITS, units_of
 from sweep.contract import SweepError
 from sweep.readable import written
 
@@ -27,40 +27,36 @@ LEGEND_INCHES = (0.6, 0.065)
 """Width of an entry of a legend, and of each of its letters."""
 
 MARKERS = "osD^vP*X"
-BAND: Mapping[str, Any] = MappingProxyType({"alpha": 0.22, "linewidth": 0.0})
+BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
 FORMATS = (".png", ".svg", ".pdf")
 
-RC: Mapping[Any, Any] = MappingProxyType(
-    {
-        "svg.hashsalt": "linksweep",  # the same picture, the same file
-        "font.size": 9.0,
-        "axes.titlesize": 9.0,
-        "legend.fontsize": 8.0,
-        "axes.linewidth": 0.6,
-        "xtick.major.width": 0.6,
-        "ytick.major.width": 0.6,
-        "xtick.minor.width": 0.4,
-        "ytick.minor.width": 0.4,
-        "axes.formatter.use_mathtext": True,
-        "mathtext.fontset": "dejavusans",
-    }
-)
+RC: Mapping[Any, Any] = {
+    "svg.hashsalt": "linksweep",  # the same picture, the same file
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "legend.fontsize": 8.0,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "axes.formatter.use_mathtext": True,
+    "mathtext.fontset": "dejavusans",
+}
 """What differs from the defaults of matplotlib."""
 
-PAPER: Mapping[Any, Any] = MappingProxyType(
-    {
-        **{"font.size": 8.0, "axes.titlesize": 8.0, "axes.labelsize": 8.0, "figure.titlesize": 8.5},
-        **{"xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "legend.fontsize": 7.0},
-    }
-)
-TALK: Mapping[Any, Any] = MappingProxyType(
-    {
-        **{"font.size": 14.0, "axes.titlesize": 14.0, "axes.labelsize": 14.0, "figure.titlesize": 15.0},
-        **{"xtick.labelsize": 12.0, "ytick.labelsize": 12.0, "legend.fontsize": 12.0},
-        **{"axes.linewidth": 1.0, "lines.markersize": 8.0},
-    }
-)
-STYLES: Mapping[str, Mapping[Any, Any]] = MappingProxyType({"paper": PAPER, "talk": TALK})
+STYLES: Mapping[str, Mapping[Any, Any]] = {
+    "paper": {
+        **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 8.0),
+        **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7.0),
+        "figure.titlesize": 8.5,
+    },
+    "talk": {
+        **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 14.0),
+        **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 12.0),
+        **{"figure.titlesize": 15.0, "axes.linewidth": 1.0, "lines.markersize": 8.0},
+    },
+}
 """Sizes of letters in points, as they are printed or shown: a figure is made as wide as it will be."""
 
 MM_PER_INCH = 25.4
@@ -89,8 +85,6 @@ FEW_TICKS = 8.0
 
 WIDE_RATIO = 5.0
 """Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
-
-LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 
 GREEK = (
     *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),
@@ -136,23 +130,31 @@ def wanted_width() -> float | None:
     return _width.get()
 
 
+def in_letters(times: float) -> float:
+    """Return so many times the size of letters, in inches."""
+    return times * float(mpl.rcParams["font.size"]) / 72.0
+
+
+def line_inches() -> float:
+    """Return the height of a line below the panels."""
+    return in_letters(LEGEND_LINE)
+
+
 def most_columns(columns: int) -> int:
     """Return how many panels go side by side, of those that are wanted."""
     wanted = _width.get()
-    if wanted is None:
-        return columns
-    return max(1, min(columns, int(wanted * 72.0 / (PANEL_PT * float(mpl.rcParams["font.size"])))))
+    return columns if wanted is None else max(1, min(columns, int(wanted / in_letters(PANEL_PT))))
 
 
 def least_height() -> float:
     """Return how high a panel is at least, in inches, where a width is asked for."""
-    return max(1.7, PANEL_PT * float(mpl.rcParams["font.size"]) / 72.0)
+    return max(1.7, in_letters(PANEL_PT))
 
 
 def is_narrow() -> bool:
     """Return whether figures are too narrow for a legend in a panel."""
     wanted = _width.get()
-    return wanted is not None and wanted * 72.0 < INSIDE_PT * float(mpl.rcParams["font.size"])
+    return wanted is not None and wanted < in_letters(INSIDE_PT)
 
 
 def is_stacked() -> bool:
@@ -167,7 +169,7 @@ def wrapped(text: str, figure: Figure) -> str:
 
 def in_lines(text: str, inches: float, least: int = 12) -> str:
     """Return a text in lines that are as long as a width allows, but at least so many letters."""
-    letters = max(int(inches * 72.0 / (LETTER_WIDTH * float(mpl.rcParams["font.size"]))), least)
+    letters = max(int(inches / in_letters(LETTER_WIDTH)), least)
     lines = []
     for part in text.split("\n"):
         line, *words = part.split(" ")
@@ -227,7 +229,7 @@ def unit_text(unit: str) -> str:
 
 def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
     """Return the label of an axis: symbol and unit."""
-    unit = str(array.attrs.get("units", "")) if unit is None else unit
+    unit = units_of(array.attrs) if unit is None else unit
     return f"{symbol(name, array.attrs)} [{unit_text(unit)}]" if unit else symbol(name, array.attrs)
 
 
@@ -248,7 +250,7 @@ def explained_label(array: xr.DataArray, name: str) -> str:
 def quantity_label(dataset: xr.Dataset, variable: str) -> str:
     """Return the label of a variable; of one component of it, if that is what the dataset holds."""
     array = dataset[variable]
-    unit = str(array.attrs.get("units", ""))
+    unit = units_of(array.attrs)
     chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]
     if "," not in unit or not chosen:
         return label(array, variable)
@@ -264,7 +266,7 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
         return f"{symbol(axis, dataset[axis].attrs)}: {'yes' if value else 'no'}"
     if isinstance(value, str):
         return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
-    unit = unit_text(str(dataset[axis].attrs.get("units", "")))
+    unit = unit_text(units_of(dataset[axis].attrs))
     return f"{symbol(axis, dataset[axis].attrs)} = {value:g}" + (f" {unit}" if unit else "")
 
 
@@ -275,6 +277,11 @@ def is_wide(values: Any, unit: str = "") -> bool:
     if unit in LOGARITHMIC_UNITS or not known.size or known.min() <= 0.0:
         return False
     return bool(known.max() > WIDE_RATIO * known.min())
+
+
+def series(number: int) -> dict[str, Any]:
+    """Return colour and marker of the ``number``-th series of a panel."""
+    return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
 
 
 def finish(axes: Axes, grid: bool = True) -> None:
@@ -338,11 +345,6 @@ def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published"
         if _width.get() is not None:  # the panels keep their height
             lines = -(-len(order) // columns)
             figure.set_figheight(figure.get_figheight() + lines * line_inches())
-
-
-def line_inches() -> float:
-    """Return the height of a line below the panels."""
-    return LEGEND_LINE * float(mpl.rcParams["font.size"]) / 72.0
 
 
 def _shown_letters(text: str) -> int:

@@ -5,7 +5,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, unit_text
+from sweep.plots.style import figure_size, finish, series, unit_text
 from sweep.plots.tie.names import readable
 
 
@@ -30,10 +30,9 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
             factor * values[:, number],
             yerr=factor * errors[:, number],
             linestyle="none",
-            marker=MARKERS[number],
             markersize=4.5,
-            color=COLOURS[number],
             label=rf"$\omega_{component}$",
+            **series(number),
         )
     for edge in sorted({*left.tolist(), *right.tolist()}):
         is_open = edge not in low and edge not in high

@@ -44,6 +44,12 @@ def unknown_symbol(label: str) -> str:
     return r"$\varpi_0$" if label == "parallax_zero_point" else symbol(label)
 
 
+def by_unit(dataset: xr.Dataset) -> dict[str, NDArray[np.intp]]:
+    """Return the places of the unknowns of each unit."""
+    units = dataset["unit"].values
+    return {str(unit): np.flatnonzero(units == unit) for unit in dict.fromkeys(units.tolist())}
+
+
 def vectors(dataset: xr.Dataset) -> dict[str, list[int]]:
     """Return the places of the unknowns of each block that is a vector."""
     blocks = dataset["block"].values
