@@ -64,12 +64,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
         "nearest": (value, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
         "nearest_at": (where, f"{over} of the nearest"),
     }
-    result = found.grid.assign(
-        {
-            name: (found.dims, rows[:, i].reshape(found.shape), described(unit, meaning))
-            for i, (name, (unit, meaning)) in enumerate(columns.items())
-        }
-    )
+    result = found.with_variables({name: (rows[:, i], *columns[name]) for i, name in enumerate(columns)})
     result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs)
     result["met"].attrs |= {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
     about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "over": over}

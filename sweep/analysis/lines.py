@@ -1,6 +1,6 @@
 """One quantity of a dataset along one axis: values, errors and places as arrays, for every line of the grid."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from sweep.analysis.quantity import (
     standard_error,
 )
 from sweep.analysis.selection import place_in_words
-from sweep.attributes import units_of
+from sweep.attributes import described, units_of
 from sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.studies.provenance import outer_draw_of
@@ -64,6 +64,14 @@ class Lines:
     def shape(self) -> tuple[int, ...]:
         """Length of each of ``dims``."""
         return tuple(self.grid.sizes[d] for d in self.dims)
+
+    def with_variables(self, columns: Mapping[str, tuple[Any, str, str]]) -> xr.Dataset:
+        """Return the grid with variables of values (lines,), unit and meaning each."""
+        variables = {
+            name: (self.dims, np.reshape(values, self.shape), described(unit, meaning))
+            for name, (values, unit, meaning) in columns.items()
+        }
+        return self.grid.assign(variables)
 
     def errors_of(self, line: int) -> Array:
         """Return the errors (k,) or the covariance (k, k) of the k used points of a line."""

@@ -5,8 +5,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from sweep.attributes import units_of
+from sweep.plots.labels import label, quantity_label
 from sweep.plots.points import told_apart
-from sweep.plots.style import COLOURS, finish, is_wide, label, legend, logarithmic, quantity_label
+from sweep.plots.style import COLOURS, finish, is_wide, legend, logarithmic
 from sweep.studies.study import POINT
 
 FEW_CURVES = 12

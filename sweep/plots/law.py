@@ -11,7 +11,8 @@ from sweep.analysis.fits import PowerLaw, power_law
 from sweep.analysis.laws import fit_power_law
 from sweep.analysis.lines import lines
 from sweep.formatting import with_error
-from sweep.plots.style import BAND, finish, label, legend, logarithmic, quantity_label, series, symbol, value_text
+from sweep.plots.labels import label, quantity_label, symbol, value_text
+from sweep.plots.style import BAND, finish, legend, logarithmic, series
 
 GUIDE: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
 

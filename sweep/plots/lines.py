@@ -10,18 +10,8 @@ from matplotlib.axes import Axes
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
-from sweep.plots.style import (
-    BAND,
-    COLOURS,
-    axis_label,
-    finish,
-    is_wide,
-    legend,
-    logarithmic,
-    quantity_label,
-    series,
-    value_text,
-)
+from sweep.plots.labels import axis_label, quantity_label, value_text
+from sweep.plots.style import BAND, COLOURS, finish, is_wide, legend, logarithmic, series
 
 NO_LINE = {"linestyle": "none"}
 PUBLISHED: Mapping[str, Any] = NO_LINE | {"marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}
@@ -60,7 +50,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axe
     return axes
 
 
-def positions(array: xr.DataArray) -> tuple[np.ndarray[Any, Any], list[str] | None]:
+def _positions(array: xr.DataArray) -> tuple[np.ndarray[Any, Any], list[str] | None]:
     """Return where the values of an axis stand, and their names where they are no numbers."""
     if array.dtype.kind in "if":
         return array.values.astype(float), None
@@ -96,7 +86,7 @@ def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray
 
 def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int, offset: float) -> None:
     mark = series(number)
-    colour, x = mark["color"], positions(one[over])[0]
+    colour, x = mark["color"], _positions(one[over])[0]
     order = np.argsort(x, kind="stable")
     one, x = one.isel({one[over].dims[0]: order}), x[order]
     y, error = one[variable].values.astype(float), standard_error(one, variable)
@@ -134,7 +124,7 @@ def _is_numeric(axis: xr.DataArray) -> bool:
 
 
 def _scales(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
-    x, names = positions(dataset[over])
+    x, names = _positions(dataset[over])
     if names is not None:
         axes.set_xticks(x, names)
         axes.set_xlim(x.min() - 0.5, x.max() + 0.5)

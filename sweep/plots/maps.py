@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.attributes import units_of
-from sweep.plots.style import edges, explained_label, is_wide, logarithmic, quantity_label
+from sweep.plots.labels import explained_label, quantity_label
+from sweep.plots.style import edges, is_wide, logarithmic
 
 LEVELS = 8
 DECADES = 30.0

@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.attributes import units_of
-from sweep.plots.style import COLOURS, finish, quantity_label
+from sweep.plots.labels import quantity_label
+from sweep.plots.style import COLOURS, finish
 from sweep.readable import with_micro_signs, with_unit
 
 

@@ -16,18 +16,8 @@ from sweep.analysis.quantity import standard_error
 from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
 from sweep.contract import SweepError
-from sweep.plots.lines import positions
-from sweep.plots.style import (
-    COLOURS,
-    finish,
-    is_wide,
-    label,
-    legend,
-    logarithmic,
-    quantity_label,
-    series,
-    value_text,
-)
+from sweep.plots.labels import label, quantity_label, value_text
+from sweep.plots.style import COLOURS, finish, is_wide, legend, logarithmic, series
 from sweep.studies.study import POINT
 
 MOST_PARAMETERS = 12
@@ -151,7 +141,7 @@ def _places(
     """
     array = dataset[parameter]
     if array.dtype.kind in "if":
-        x, _ = positions(array)
+        x: NDArray[np.float64] = array.values.astype(float)
         _scale(axes, which, x, units_of(array.attrs), few_ticks)
         return x
     names = sorted(set(map(str, array.values.tolist())))

@@ -9,8 +9,9 @@ from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, finish, label, legend, symbol, unit_text
-from sweep.readable import prefixed
+from sweep.plots.labels import label, symbol
+from sweep.plots.style import COLOURS, finish, legend
+from sweep.readable import prefixed, written
 
 CONFIDENCES = (0.683, 0.954)
 
@@ -62,7 +63,7 @@ def draw_scatter(
         axes.set_aspect("equal", adjustable="datalim")
     finish(axes)
     sigmas = [
-        rf"$\sigma$({symbol(name)}) = {s:.3g} ± {s / np.sqrt(2 * len(x)):.1g} {unit_text(unit)}"
+        rf"$\sigma$({symbol(name)}) = {s:.3g} ± {s / np.sqrt(2 * len(x)):.1g} {written(unit)}"
         for name, s, unit in zip(components, np.sqrt(np.diag(covariance)), units, strict=True)
     ]
     correlation = rf"correlation ${covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]):+.2f}$"

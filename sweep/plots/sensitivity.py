@@ -8,7 +8,9 @@ from matplotlib.figure import Figure
 from sweep.analysis.sensitivity import METHOD
 from sweep.attributes import units_of
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, finish, label, legend, series, symbol, unit_text
+from sweep.plots.labels import label, symbol
+from sweep.plots.style import BAND, COLOURS, finish, legend, series
+from sweep.readable import written
 
 WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
 
@@ -49,7 +51,7 @@ def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
         axes.set_xlim(min(-0.02, low), max(1.02, high))
         axes.set_xlabel("share of the variance")
     else:
-        axes.set_xlabel(f"effect over the range [{unit_text(unit)}]" if unit else "effect over the range")
+        axes.set_xlabel(f"effect over the range [{written(unit)}]" if unit else "effect over the range")
     axes.axvline(0.0, color="0.6", linewidth=0.6)
     finish(axes)
     legend(axes)

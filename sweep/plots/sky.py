@@ -10,7 +10,8 @@ from matplotlib.patheffects import withStroke
 from core.arrays import Array
 from core.constants import DEGREE, GALACTIC_AXES
 from core.frames import position
-from sweep.plots.style import COLOURS, label
+from sweep.plots.labels import label
+from sweep.plots.style import COLOURS
 
 MINUS = "\N{MINUS SIGN}"
 

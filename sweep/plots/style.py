@@ -1,4 +1,4 @@
-"""How pictures look: colours that everyone can tell apart, labels with symbol and unit, files that do not change."""
+"""How pictures look: colours that everyone can tell apart, sizes, scales, legends, files that do not change."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,16 +9,14 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from sweep.attributes import LOGARITHMIC_UNITS, units_of
+from sweep.attributes import LOGARITHMIC_UNITS
 from sweep.contract import SweepError
-from sweep.readable import written
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 """Safe for the colour-blind.  Source: Okabe & Ito 2008."""
@@ -85,12 +83,6 @@ FEW_TICKS = 8.0
 
 WIDE_RATIO = 5.0
 """Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
-
-GREEK = (
-    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),
-    *("pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
-)
-_NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
 @contextmanager
@@ -205,69 +197,6 @@ def save_text(text: str, path: Path) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
-
-
-def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
-    """Return how a name is set: the symbol of its attributes, Greek letters and single ones as such with an index."""
-    if attributes and (own := attributes.get("symbol")):
-        return str(own)
-    match = _NAME.fullmatch(name)
-    if match is None:
-        return name.replace("_", " ")
-    letter, digits, index = match.groups()
-    power = digits if letter == "chi" else ""  # of all others a number tells one from the next
-    index = "_".join(part for part in (digits.removeprefix(power), index) if part)
-    letter = rf"\{letter}" if letter in GREEK else letter
-    index = index and (index if len(index) == 1 else rf"\mathrm{{{index.replace('_', ',')}}}")
-    return f"${letter}{f'_{{{index}}}' if index else ''}{f'^{power}' if power else ''}$"
-
-
-def unit_text(unit: str) -> str:
-    """Return a unit as axes show it."""
-    return written(unit)
-
-
-def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
-    """Return the label of an axis: symbol and unit."""
-    unit = units_of(array.attrs) if unit is None else unit
-    return f"{symbol(name, array.attrs)} [{unit_text(unit)}]" if unit else symbol(name, array.attrs)
-
-
-def axis_label(dataset: xr.Dataset, axis: str) -> str:
-    """Return the label of an axis; those that walk with it and have the same values stand beside it."""
-    dimension = dataset[axis].dims
-    names = [str(n) for n, c in dataset.coords.items() if c.dims == dimension and n != axis and c.dtype.kind in "if"]
-    same = [n for n in names if np.array_equal(dataset[n].values, dataset[axis].values)]
-    return " = ".join([label(dataset[axis], axis), *(label(dataset[n], n) for n in same)])
-
-
-def explained_label(array: xr.DataArray, name: str) -> str:
-    """Return the label of an axis with its name in words before its symbol."""
-    words, shown = name.replace("_", " "), label(array, name)
-    return shown if shown.startswith((words, f"{words} [")) else f"{words} {shown}"
-
-
-def quantity_label(dataset: xr.Dataset, variable: str) -> str:
-    """Return the label of a variable; of one component of it, if that is what the dataset holds."""
-    array = dataset[variable]
-    unit = units_of(array.attrs)
-    chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]
-    if "," not in unit or not chosen:
-        return label(array, variable)
-    units = [str(dataset[f"{n}_unit"].item()) for n in chosen]
-    inside = ", ".join(symbol(str(dataset[n].item())) for n in chosen)
-    text = f"{symbol(variable, array.attrs)}({inside})"
-    return f"{text} [{unit_text(units[0])}]" if len(units) == 1 and units[0] else text
-
-
-def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
-    """Return a value of an axis as a legend names it."""
-    if isinstance(value, bool):
-        return f"{symbol(axis, dataset[axis].attrs)}: {'yes' if value else 'no'}"
-    if isinstance(value, str):
-        return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
-    unit = unit_text(units_of(dataset[axis].attrs))
-    return f"{symbol(axis, dataset[axis].attrs)} = {value:g}" + (f" {unit}" if unit else "")
 
 
 def is_wide(values: Any, unit: str = "") -> bool:

@@ -66,9 +66,7 @@ def _link_answer(link: xr.Dataset) -> Answer:
     for block in dict.fromkeys(link["block"].values.tolist()):
         part = link.isel(unknown=link["block"].values == block)
         if part.sizes["unknown"] <= 3:
-            values = ", ".join(
-                with_error(v, e) for v, e in zip(part["estimate"].values, part["error"].values, strict=True)
-            )
+            values = ", ".join(map(with_error, part["estimate"].values, part["error"].values))
             vectors.append(f"{str(block).replace('_', ' ')}: ({values}) {part['unit'].values[0]}, {main} errors.")
     ratio = float(link["chi2"] / link["chi2_expected"]) if float(link["chi2_expected"]) > 0.0 else np.nan
     sentences = [
@@ -99,11 +97,9 @@ def _forecast_answer(plan: xr.Dataset) -> Answer:
 
 def _unknowns(link: xr.Dataset) -> Table:
     kinds = [str(kind) for kind in link["error_kind"].values]
-    rows: list[list[tuple[str, Any]]] = []
-    for k, name in enumerate(link["unknown"].values):
-        values = [float(link["estimate"].values[k]), *(float(v) for v in link["errors"].values[:, k])]
-        cells: list[tuple[str, Any]] = [(f"{value:.5f}", value) for value in values]
-        rows.append([_word(name), *cells, _word(link["unit"].values[k])])
+    numbers = np.vstack([link["estimate"].values, link["errors"].values]).T.tolist()
+    unknowns = zip(link["unknown"].values, numbers, link["unit"].values, strict=True)
+    rows = [[_word(name), *(_number(v, ".5f") for v in values), _word(unit)] for name, values, unit in unknowns]
     return Table(["unknown", "estimate", *(f"{kind} error" for kind in kinds), "unit"], rows)
 
 

@@ -112,6 +112,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         if attributes.get(key, "") != ""
     }
     title = str(attributes.get("title", store))
+    document = json.loads(attributes.get("study_document", "{}"))  # of a run from Python, which has no file
     return Section(
         store=store,
         title=title,
@@ -142,7 +143,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         failures=failures,
         failures_not_named=failed(dataset) - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},
-        study=str(attributes.get("study", "")) or _document(attributes),
+        study=str(attributes.get("study", "")) or json.dumps(document, indent=1),
         version=str(versions.get("linksweep", "unknown")),
     )
 
@@ -172,11 +173,6 @@ def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
     if FUNCTION in attributes:
         return label.replace("each catalogue", "each point").replace("catalogues of each point", "outer draws")
     return label.replace("catalogue", outer_draw_of(attributes))
-
-
-def _document(attributes: Mapping[Any, Any]) -> str:
-    """Return the study of a run from Python, which has no file."""
-    return json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1)
 
 
 def _results(columns: list[Column], left_out: int) -> Table:

@@ -10,8 +10,9 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series, unit_text
+from sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series
 from sweep.plots.tie.names import by_unit, readable, unknown_symbol
+from sweep.readable import written
 
 RANKED = 20
 CURVE: dict[str, Any] = {"markersize": 4.0, "linewidth": 1.2}
@@ -42,7 +43,7 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
                 axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
         each = figure.get_figwidth() / len(panels) - 0.4
         axes.set_xlabel(in_lines("epoch of the new position of each source [yr]", each))
-        axes.set_ylabel(f"formal error [{unit_text(unit)}]")
+        axes.set_ylabel(f"formal error [{written(unit)}]")
         axes.ticklabel_format(axis="x", useOffset=False)
         if len(epochs) <= 8:
             axes.set_xticks(epochs[order], [f"{epoch:g}" for epoch in epochs[order]])

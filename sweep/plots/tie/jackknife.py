@@ -8,8 +8,9 @@ from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
 from sweep.plots.scatter import confidence_ellipse
-from sweep.plots.style import COLOURS, figure_size, finish, is_stacked, unit_text
+from sweep.plots.style import COLOURS, figure_size, finish, is_stacked
 from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbol, vectors
+from sweep.readable import written
 
 CONFIDENCE = 0.683
 NAMED = 5
@@ -62,7 +63,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
                     axes.add_patch(outline)
             axes.set_aspect("equal", adjustable="datalim")
             for which, k in ((axes.set_xlabel, i), (axes.set_ylabel, j)):
-                which(f"{unknown_symbol(str(dataset['unknown'].values[k]))} [{unit_text(unit)}]")
+                which(f"{unknown_symbol(str(dataset['unknown'].values[k]))} [{written(unit)}]")
             axes.margins(0.12)
             axes.autoscale_view()
             finish(axes)

@@ -11,7 +11,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from core.arrays import Array
-from sweep.plots.style import symbol
+from sweep.plots.labels import symbol
 
 MICRO_BELOW = 0.5
 """Numbers in mas that are all smaller are shown in micro-arcseconds."""

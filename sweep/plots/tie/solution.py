@@ -4,8 +4,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.plots.style import figure_size, finish, series, unit_text
+from sweep.plots.style import figure_size, finish, series
 from sweep.plots.tie.names import by_unit, readable, unknown_symbol
+from sweep.readable import written
 
 
 def solution_figure(dataset: xr.Dataset) -> Figure:
@@ -36,7 +37,7 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
         upright = len(panel) > 12 or any("[" in name for name in names)
         axes.set_xticks(range(len(panel)), names, rotation=90 if upright else 0)
         axes.set_xlim(-0.7, len(panel) - 0.3)
-        axes.set_ylabel(f"estimate [{unit_text(unit)}]")
+        axes.set_ylabel(f"estimate [{written(unit)}]")
         finish(axes)
     handles, labels = grid[0].get_legend_handles_labels()
     figure.legend(handles, labels, title="errors", loc="outside lower center", ncols=min(len(labels), 6), frameon=False)

@@ -20,6 +20,7 @@ from sweep.planning.point_status import Status
 from sweep.plots import style
 from sweep.plots.figure import draw_figure, possible_kinds
 from sweep.plots.layout import arrange
+from sweep.plots.labels import symbol
 from sweep.plots.lines import draw_lines
 from sweep.plots.maps import draw_map
 from sweep.plots.scaling import draw_efficiency, draw_speed_up
@@ -437,7 +438,7 @@ def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkey
     ],
 )
 def test_symbols(name, shown):
-    assert style.symbol(name) == shown
+    assert symbol(name) == shown
 
 
 def test_ticks_below_two_decades_all_have_numbers():
