@@ -19,8 +19,8 @@ from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.plots import style
 from sweep.plots.figure import draw_figure, possible_kinds
-from sweep.plots.layout import arrange
 from sweep.plots.labels import symbol
+from sweep.plots.layout import arrange
 from sweep.plots.lines import draw_lines
 from sweep.plots.maps import draw_map
 from sweep.plots.scaling import draw_efficiency, draw_speed_up
