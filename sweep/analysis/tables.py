@@ -3,6 +3,7 @@
 import io
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from textwrap import indent
 from typing import TYPE_CHECKING, Any
@@ -62,6 +63,9 @@ class Column:
         return max(map(len, [*self.heading.split("\n"), *self.cells])) + GAP
 
 
+Long = dict[str, tuple[str, list[Any]]]
+"""Unit and values of each column of a table with one row a point."""
+
 ERROR = "error of {}"
 """The column, in tables that are made for reading, of the whole one-sigma error of a variable."""
 
@@ -69,7 +73,7 @@ MOST_ROWS = 200
 """Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
 
 
-def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> dict[str, tuple[str, list[Any]]]:
+def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> Long:
     """Return columns {name: (unit, values)} with one row a point, of all or of those at ``places``, counted in C order:
     the axes, then every variable without further dimensions; of a plain function also those with some, each value a
     list.
@@ -77,7 +81,7 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> d
     rows = slice(None) if places is None else places
     dimensions = axes_of(dataset)
     flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
-    columns: dict[str, tuple[str, list[Any]]] = {}
+    columns: Long = {}
     template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
     for name in [*axis_coordinates(dataset, dimensions), *flat.data_vars]:
         variable = dataset[name]
@@ -197,7 +201,6 @@ def exactly_published(dataset: xr.Dataset) -> list[str]:
     return [
         f"{name}: {f'all {n} published values are' if n > 1 else 'the published value is'} met exactly"
         for name, n in counts.items()
-        if n
     ]
 
 
@@ -236,29 +239,28 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     ]
     names = with_values(dataset, [name for name in _headline(dataset) if name in long])
     for number, name in enumerate(names):
-        unit, values = long[name]
         later = OTHER if number else 0
-        if name in array_outputs(dataset):
-            cells = [_span(value) for value in values]
-            columns.append(Column(name, unit, cells, [str(value) for value in values], name, later + VALUE))
-            continue
-        errors = long[ERROR.format(name)][1] if name in known else [0.0] * len(values)
-        cells = [with_error(v, e) for v, e in zip(values, errors, strict=True)]
-        columns.append(Column(name, unit, cells, values, name, later + VALUE))
-        if (predicted := long.get(prediction_name(long, name))) is not None:
-            cells = [rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
-            columns.append(Column("predicted", unit, cells, predicted[1], name, later + PREDICTED))
-            columns += [replace(part, of=name, rank=later + PARTS) for part in _parts(long, name, errors)]
-        if (published := long.get(f"{name}_published")) is not None and not all(map(is_missing, published[1])):
-            if _is_exact(dataset, name):
-                continue
-            rank = later + PUBLISHED
-            columns.append(Column("published", unit, [rounded(v) for v in published[1]], published[1], name, rank))
-            pairs = list(zip(values, published[1], strict=True))
-            cells = [_difference(*p) for p in pairs]
-            columns.append(Column("difference", "", cells, [_relative(*p) for p in pairs], name, rank))
+        columns += [replace(one, of=name, rank=later + one.rank) for one in _columns_of(dataset, long, name)]
     words = long["status"][1]
     return columns if finished else [*columns, Column("status", "", words, words)]
+
+
+def _columns_of(dataset: xr.Dataset, long: Long, name: str) -> Iterator[Column]:
+    """Yield the columns of one result."""
+    unit, values = long[name]
+    if name in array_outputs(dataset):
+        yield Column(name, unit, list(map(_span, values)), list(map(str, values)), rank=VALUE)
+        return
+    _, errors = long.get(ERROR.format(name), ("", [0.0] * len(values)))
+    yield Column(name, unit, list(map(with_error, values, errors)), values, rank=VALUE)
+    if (predicted := long.get(prediction_name(long, name))) is not None:
+        yield Column("predicted", unit, list(map(rounded, predicted[1], errors)), predicted[1], rank=PREDICTED)
+        yield from _parts(long, name, errors)
+    _, published = long.get(f"{name}_published", ("", []))
+    if not all(map(is_missing, published)) and not _is_exact(dataset, name):
+        yield Column("published", unit, list(map(rounded, published)), published, rank=PUBLISHED)
+        differences = list(map(_relative, values, published))
+        yield Column("difference", "", list(map(_in_percent, differences)), differences, rank=PUBLISHED)
 
 
 def arrays_in_words(dataset: xr.Dataset) -> list[str]:
@@ -279,7 +281,7 @@ def _span(values: Any) -> str:
     return f"{rounded(float(known.min()))} to {rounded(float(known.max()))}" if known.size else ""
 
 
-def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float]) -> list[Column]:
+def _parts(long: Long, name: str, errors: list[float]) -> list[Column]:
     """Return the parts of a prediction, of errors alone and of the bias, where there is a bias that can be seen."""
     whole, part = (long.get(f"{name}_{suffix}") for suffix in PREDICTION_SUFFIXES)
     if whole is None or part is None:
@@ -289,7 +291,7 @@ def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float
         return []
     bias = [math.sqrt(max(0.0, total**2 - alone**2)) for total, alone in pairs]
     return [
-        Column(heading, whole[0], [rounded(v, e) for v, e in zip(values, errors, strict=True)], values)
+        Column(heading, whole[0], list(map(rounded, values, errors)), values, rank=PARTS)
         for heading, values in (("of errors", part[1]), ("of bias", bias))
     ]
 
@@ -307,11 +309,10 @@ def _headline(dataset: xr.Dataset) -> list[str]:
     return sorted(names, key=lambda name: standard_error(dataset, name) is None)
 
 
-def _difference(value: float, published: float) -> str:
-    relative = _relative(value, published)
-    if is_missing(relative):
+def _in_percent(difference: float) -> str:
+    if is_missing(difference):
         return ""
-    return "none" if relative == 0.0 else f"{100.0 * relative:+.1f} %"
+    return "none" if difference == 0.0 else f"{100.0 * difference:+.1f} %"
 
 
 def _relative(value: float, published: float) -> float:
