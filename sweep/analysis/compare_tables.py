@@ -47,7 +47,8 @@ def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> s
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     """Return value, published, difference, that in percent, and allowance, with the digits that count."""
     decimals = _decimals(2.0 * c.rounding) if c.rounding > 0.0 else 0
-    published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else _exact(c.published, c.mc_error)
+    exact = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than ours needs
+    published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else exact
     if not math.isfinite(c.value):
         return "", published, "", "", ""
     if c.mc_error > 0.0:
@@ -70,11 +71,6 @@ def power_in_words(c: Comparison) -> str:
     if c.detectable == 0.0:
         return "any"
     return f"{100.0 * c.power:.2g} %" if c.published else f"{c.detectable:.2g}"
-
-
-def _exact(number: float, error: float) -> str:
-    """Return a number that has no rounding, with no more digits than ours beside it needs."""
-    return min(f"{number:g}", rounded(number, error), key=len)
 
 
 def _allowance(c: Comparison) -> str:

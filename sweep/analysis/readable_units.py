@@ -50,7 +50,8 @@ def _component(dataset: xr.Dataset) -> xr.Dataset:
     """Return the dataset, of one component of several that have units of their own, in the unit that suits this one."""
     for name in [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]:
         dimension = name.removesuffix("_unit")
-        own = [n for n in quantities(dataset) if _is_of_component(dataset, n)]
+        units = {n: units_of(dataset[n].attrs) for n in quantities(dataset)}
+        own = [n for n, unit in units.items() if "," in unit and "(" not in unit]  # not products of two components
         if dimension not in dataset.coords or not own:
             continue
         chosen = prefixed(dataset[own[0]].values, str(dataset[name].item()))
@@ -60,8 +61,3 @@ def _component(dataset: xr.Dataset) -> xr.Dataset:
         changed = {n: _scaled(dataset[n], chosen.factor, chosen.unit) for n in [*own, *family] if n in dataset}
         dataset = dataset.assign(changed).assign_coords({name: dataset[name].copy(data=chosen.unit)})
     return dataset
-
-
-def _is_of_component(dataset: xr.Dataset, name: str) -> bool:
-    """Return whether a quantity is in the unit of its component, and not in the product of two of them."""
-    return "," in (unit := units_of(dataset[name].attrs)) and "(" not in unit

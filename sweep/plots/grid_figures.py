@@ -81,7 +81,7 @@ def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
         readable,
         variables,
         layout,
-        lambda axes, part, name: draw_map(axes, part, name, x, y, limits, bar=False),
+        lambda axes, part, name: draw_map(axes, part, name, x, y, limits),
         one_unit=True,
     )
     add_bar(figure, readable, variables[0])

@@ -1,7 +1,7 @@
 """How pictures look: colours that everyone can tell apart, sizes, scales, legends, files that do not change."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -72,6 +72,9 @@ INSIDE_PT = 25.0
 
 STACKED_INCHES = 6.0
 """A narrower figure has one part below the other."""
+
+LAST = ("predicted", "published")
+"""What is the same for all series stands at the end of a legend."""
 
 LEGEND_LINE = 1.6
 """Height of a line of a legend over the size of its letters."""
@@ -256,7 +259,7 @@ def _tick(value: float) -> str:
     return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
 
 
-def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published")) -> None:
+def legend_below(figure: Figure) -> None:
     """Draw one legend below all axes instead of one in each, where there is more than one thing to tell apart."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
@@ -265,7 +268,7 @@ def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published"
         if (own := axes.get_legend()) is not None:
             own.remove()
     if len(entries) > 1:
-        order = [text for text in entries if text not in last] + [text for text in last if text in entries]
+        order = [text for text in entries if text not in LAST] + [text for text in LAST if text in entries]
         scale = float(mpl.rcParams["font.size"]) / 9.0
         width = scale * (LEGEND_INCHES[0] + LEGEND_INCHES[1] * max(map(_shown_letters, order)))
         columns = max(1, min(len(order), int(figure.get_figwidth() / width)))
