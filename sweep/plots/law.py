@@ -24,6 +24,8 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
     There is one colour for every combination of the other dimensions.  The dashed guide has the exponent that a claim
     of the study states, and meets the law at its pivot.
     """
+    logarithmic(upper, "x", dataset[over].values)  # of both, which share it
+    logarithmic(upper, "y", dataset[variable].values)
     guides: set[str] = set()
     for number, (words, points, expected, law) in enumerate(_laws(dataset, variable, over)):
         x, y, error = points
@@ -45,8 +47,6 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
             guides.add(text)
             lower.plot(fine, 100.0 * ((fine / law.pivot) ** (expected - law.exponent) - 1.0), **GUIDE)
     lower.axhline(0.0, color="black", linewidth=0.6)
-    logarithmic(upper, "x", dataset[over].values)  # of both, which share it
-    logarithmic(upper, "y", dataset[variable].values)
     lower.set_xlabel(label(dataset[over], over))
     lower.set_ylabel("residual [%]")
     upper.set_ylabel(quantity_label(dataset, variable))
