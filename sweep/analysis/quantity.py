@@ -61,10 +61,16 @@ def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
     return [name for name in names if bool(dataset[name].notnull().any())] or list(names)
 
 
+def headline_variables(dataset: xr.Dataset) -> list[str]:
+    """Return the variables that an experiment calls headline, those with errors first."""
+    names = [str(name) for name, variable in dataset.data_vars.items() if variable.attrs.get("headline")]
+    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
+
+
 def headlines(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that an experiment calls headline, those with errors first."""
-    named = with_values(dataset, [name for name in quantities(dataset) if dataset[name].attrs.get("headline")])
-    return sorted(named, key=lambda name: standard_error(dataset, name) is None)
+    """Return those of `headline_variables` that are quantities with values."""
+    known = quantities(dataset)
+    return with_values(dataset, [name for name in headline_variables(dataset) if name in known])
 
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:

@@ -12,7 +12,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, with_values
+from sweep.analysis.quantity import (
+    PREDICTION_SUFFIXES,
+    headline_variables,
+    prediction_name,
+    standard_error,
+    with_values,
+)
 from sweep.analysis.readable_units import in_readable_units
 from sweep.formatting import first_of, is_missing, plain, reading_table, rounded, to_csv, to_json, with_error
 from sweep.planning.point_status import Status
@@ -195,9 +201,8 @@ def left_out_in_words(columns: list[Column]) -> str:
 
 def exactly_published(dataset: xr.Dataset) -> list[str]:
     """Return a sentence for each headline quantity that is everywhere as it was published."""
-    counts = {
-        name: int(dataset[f"{name}_published"].count()) for name in _headline(dataset) if _is_exact(dataset, name)
-    }
+    exact = [name for name in headline_variables(dataset) if _is_exact(dataset, name)]
+    counts = {name: int(dataset[f"{name}_published"].count()) for name in exact}
     return [
         f"{name}: {f'all {n} published values are' if n > 1 else 'the published value is'} met exactly"
         for name, n in counts.items()
@@ -227,7 +232,7 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     published and difference; of all points or of the first ones.
     """
     dataset = in_readable_units(dataset)
-    names = [name for name in _headline(dataset) if name not in array_outputs(dataset)]
+    names = [name for name in headline_variables(dataset) if name not in array_outputs(dataset)]
     known = {name: error for name in names if (error := standard_error(dataset, name)) is not None}
     status = dataset["status"].values.reshape(-1)
     finished = bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED)))
@@ -237,7 +242,7 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
         Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
         for name in axis_coordinates(dataset, axes_of(dataset))
     ]
-    names = with_values(dataset, [name for name in _headline(dataset) if name in long])
+    names = with_values(dataset, [name for name in headline_variables(dataset) if name in long])
     for number, name in enumerate(names):
         later = OTHER if number else 0
         columns += [replace(one, of=name, rank=later + one.rank) for one in _columns_of(dataset, long, name)]
@@ -301,12 +306,6 @@ def axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
     names = [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
     place = {name: dimensions.index(str(dataset[name].dims[0])) for name in names}
     return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
-
-
-def _headline(dataset: xr.Dataset) -> list[str]:
-    """Return the headline results: first those with errors, as `main_quantity` chooses."""
-    names = [str(n) for n, v in dataset.data_vars.items() if v.attrs.get("headline")]
-    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
 
 
 def _in_percent(difference: float) -> str:

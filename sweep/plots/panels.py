@@ -21,7 +21,7 @@ MOST_INSIDE = 4
 MOST_ACROSS = 4
 """More panels than these beside one another, of one dimension, go on in further rows."""
 
-BESIDE_INCHES = (0.4, 0.4)
+BESIDE_INCHES = 0.4
 """What labels and ticks take of the width and of the height of a panel; its titles have the rest."""
 
 Draw = Callable[[Axes, xr.Dataset, str], Any]
@@ -69,7 +69,7 @@ def draw_panels(
     places = [(i // across, i % across) for i in range(len(panels))] if folded else _without_gaps(panels)
     n_rows = 1 + max(row for row, _ in places)
     figure = Figure(figsize=_figure_size(len(panels), across, n_rows), layout="constrained")
-    room = [each - taken for each, taken in zip(_panel_size(across), BESIDE_INCHES, strict=True)]
+    room = [each - BESIDE_INCHES for each in _panel_size(across)]
     grid = figure.add_gridspec(n_rows, across)
     first: dict[tuple[Any, ...], Axes] = {}
     lowest = {column: max(row for row, other in places if other == column) for _, column in places}

@@ -26,7 +26,8 @@ LEGEND_INCHES = (0.6, 0.065)
 
 MARKERS = "osD^vP*X"
 BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
-FORMATS = (".png", ".svg", ".pdf")
+FORMATS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+"""Endings of pictures, and what would make two files of one picture differ."""
 
 RC: Mapping[Any, Any] = {
     "svg.hashsalt": "linksweep",  # the same picture, the same file
@@ -187,9 +188,8 @@ def require_format(path: Path) -> None:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, whichever ``path`` ends with, without a date; raises SweepError."""
     require_format(path)
-    dates = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {"Software": None}}
     try:
-        figure.savefig(path, dpi=160, metadata=dates[path.suffix.lower()])
+        figure.savefig(path, dpi=160, metadata=FORMATS[path.suffix.lower()])
     except OSError as error:
         raise SweepError(f"cannot draw there: {error.strerror or error}", str(path)) from error
 
