@@ -112,7 +112,6 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         if attributes.get(key, "") != ""
     }
     title = str(attributes.get("title", store))
-    document = json.loads(attributes.get("study_document", "{}"))  # of a run from Python, which has no file
     return Section(
         store=store,
         title=title,
@@ -143,7 +142,8 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         failures=failures,
         failures_not_named=failed(dataset) - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},
-        study=str(attributes.get("study", "")) or json.dumps(document, indent=1),
+        study=str(attributes.get("study", ""))  # a run from Python has no file
+        or json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1),
         version=str(versions.get("linksweep", "unknown")),
     )
 
