@@ -1,7 +1,7 @@
 """Five-parameter astrometry of many objects as measured, where anything but the position may be missing."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -51,18 +51,9 @@ class Astrometry:
                 return None if array is None else array[..., part]
             return np.take(array, part, axis=-1)  # half the time of an index
 
-        return replace(
-            self,
-            values=of(self.values),
-            errors=of(self.errors),
-            epoch=of(self.epoch),
-            correlations=of(self.correlations),
-            radial_velocity=of(self.radial_velocity),
-            names=of(self.names),
-            columns={name: of(column) for name, column in self.columns.items()},
-            apparent=of(self.apparent),
-            frame=of(self.frame),
-        )
+        columns = {name: of(column) for name, column in self.columns.items()}
+        arrays = {name: of(array) for name, array in vars(self).items() if name != "columns"}
+        return Astrometry(**arrays, columns=columns)
 
     def covariance(self) -> Array:
         """Return the covariance of the five parameters, zero where one is missing; shape (N, 5, 5)."""
