@@ -5,10 +5,9 @@ from collections.abc import Iterable
 from core.catalogues import CATALOGUES
 from core.errors import error_kinds
 from core.missions import MISSIONS
+from core.systematics import Vector
 from core.user_mission import mission_from_table
 from sweep.contract import Output, Parameter
-
-Vector = tuple[float, float, float]
 
 
 def _choice(name: str, default: str | None, meaning: str, choices: Iterable[str]) -> Parameter:

@@ -7,8 +7,8 @@ from core.catalogues import CATALOGUES, CatalogueKind
 from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from core.errors import ERROR_KINDS, ErrorKind, ErrorModel
 from core.errors.floor import FlooredErrors, floor_of
-from core.prepared import Scenario, TrueVector, Vector
-from core.systematics import Pattern, Systematics, parse_pattern, rms
+from core.prepared import Scenario, TrueVector
+from core.systematics import Pattern, Systematics, Vector, parse_pattern, rms
 from core.zonal import ZonalErrors
 from sweep.contract import Point
 
