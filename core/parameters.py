@@ -1,4 +1,4 @@
-"""What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
+"""What a study of the link can set: names, units, defaults and meanings, nothing else."""
 
 from collections.abc import Iterable
 
@@ -7,27 +7,38 @@ from core.errors import error_kinds
 from core.missions import MISSIONS
 from core.systematics import Vector
 from core.user_mission import mission_from_table
-from sweep.contract import Output, Parameter
+from sweep.contract import Parameter
 
 
 def _choice(name: str, default: str | None, meaning: str, choices: Iterable[str]) -> Parameter:
     return Parameter(name, "str", default, meaning, choices=tuple(choices))
 
 
-def _magnitude(name: str, default: float | None, meaning: str, symbol: str = "") -> Parameter:
-    return Parameter(name, "float", default, meaning, "mag", minimum=-5.0, maximum=30.0, symbol=symbol)
-
-
-def _amount(
-    name: str, default: float | None, meaning: str, unit: str = "", largest: float = 1e6, symbol: str = ""
+def _number(
+    name: str,
+    default: float | None,
+    meaning: str,
+    unit: str = "",
+    minimum: float | None = 0.0,
+    maximum: float | None = 1e6,
+    symbol: str = "",
 ) -> Parameter:
-    """Declare a number that is not negative."""
-    return Parameter(name, "float", default, meaning, unit, minimum=0.0, maximum=largest, symbol=symbol)
+    """Declare a number, by default from 0 to a million."""
+    return Parameter(name, "float", default, meaning, unit, minimum=minimum, maximum=maximum, symbol=symbol)
+
+
+def _positive(
+    name: str, default: float | None, meaning: str, unit: str = "", maximum: float | None = None, symbol: str = ""
+) -> Parameter:
+    return Parameter(name, "float", default, meaning, unit, above=0.0, maximum=maximum, symbol=symbol)
 
 
 def _vector(name: str, default: Vector, meaning: str, unit: str, largest: float) -> Parameter:
     return Parameter(name, "vector", default, meaning, unit, minimum=-largest, maximum=largest)
 
+
+MAGNITUDE = ("mag", -5.0, 30.0)
+"""Unit and bounds of a magnitude."""
 
 PARAMETERS = (
     # step A: the reference catalogue
@@ -41,26 +52,26 @@ PARAMETERS = (
         maximum=10_000_000,
         symbol=r"$N_\mathrm{obj}$",
     ),
-    _magnitude(
+    _number(
         "v_max",
         None,
         "limiting magnitude V; default: synthetic 15, quasars 20, galaxies 13.5, else none",
+        *MAGNITUDE,
         r"$V_\mathrm{max}$",
     ),
-    _magnitude("v_min", None, "brightest magnitude V; default: synthetic 5, else none", r"$V_\mathrm{min}$"),
+    _number("v_min", None, "brightest magnitude V; default: synthetic 5, else none", *MAGNITUDE, r"$V_\mathrm{min}$"),
     _choice(
         "counts",
         "catalogue",
         "number of quasars: of the paper's catalogue, or completed to the full sky",
         ("catalogue", "completed"),
     ),
-    Parameter(
+    _number(
         "mean_pm",
-        "float",
         0.0,
         "mean modulus of the proper motions, synthetic catalogue",
         "mas / yr",
-        minimum=0.0,
+        maximum=None,
         symbol=r"$\overline{\mu}$",
     ),
     _choice(
@@ -72,17 +83,17 @@ PARAMETERS = (
         "radio stars, file: own positions or random ones; default: radio stars random, file own",
         ("own", "isotropic"),
     ),
-    _amount(
+    _number(
         "zone_of_avoidance",
         0.0,
         "no random positions at Galactic latitudes |b| below this",
         "deg",
+        0.0,
         89.0,
         r"$|b|_\mathrm{min}$",
     ),
-    Parameter(
+    _number(
         "sky_contrast",
-        "float",
         0.0,
         "(north - south)/(north + south) of the numbers on both sides of the Galactic plane, random positions",
         minimum=-0.99,
@@ -110,30 +121,24 @@ PARAMETERS = (
         choices=tuple(MISSIONS),
         define=mission_from_table,
     ),
-    Parameter(
-        "mission_length",
-        "float",
-        None,
-        "mission length; default: the model's own (amex 2, gaia 5)",
-        "yr",
-        above=0.0,
-        symbol="$T$",
-    ),
+    _positive("mission_length", None, "mission length; default: the model's own (amex 2, gaia 5)", "yr", symbol="$T$"),
     *(
-        Parameter(f"{side}_sigma_{key}", "float", 1.0, f"{side} {what} error, 'normal' errors", unit, minimum=0.0)
+        _number(f"{side}_sigma_{key}", 1.0, f"{side} {what} error, 'normal' errors", unit, maximum=None)
         for side in ("satellite", "reference")
         for key, what, unit in (("pos", "position", "mas"), ("pm", "proper-motion", "mas / yr"))
     ),
-    _amount("error_scale", 1.0, "factor on all errors"),
-    _amount("satellite_error_scale", 1.0, "further factor on the satellite's errors", symbol=r"$\Delta_\mathrm{sat}$"),
-    _amount("reference_error_scale", 1.0, "further factor on the reference's errors", symbol=r"$\Delta_\mathrm{ref}$"),
+    _number("error_scale", 1.0, "factor on all errors"),
+    _number("satellite_error_scale", 1.0, "further factor on the satellite's errors", symbol=r"$\Delta_\mathrm{sat}$"),
+    _number("reference_error_scale", 1.0, "further factor on the reference's errors", symbol=r"$\Delta_\mathrm{ref}$"),
     # the truth (step B)
     _vector("epsilon", (1.0, 1.0, 1.0), "true orientation, reference - satellite", "mas", 1e8),
     _vector("omega", (1.0, 1.0, 1.0), "true spin, reference - satellite", "mas / yr", 1e8),
-    _amount(
-        "epsilon_size", None, "length of epsilon, which then gives the direction only", "mas", 1e8, r"$|\epsilon|$"
+    _number(
+        "epsilon_size", None, "length of epsilon, which then gives the direction only", "mas", 0.0, 1e8, r"$|\epsilon|$"
     ),
-    _amount("omega_size", None, "length of omega, which then gives the direction only", "mas / yr", 1e8, r"$|\omega|$"),
+    _number(
+        "omega_size", None, "length of omega, which then gives the direction only", "mas / yr", 0.0, 1e8, r"$|\omega|$"
+    ),
     _choice(
         "directions",
         "fixed",
@@ -143,46 +148,36 @@ PARAMETERS = (
     Parameter("aberration", "bool", False, "add a glide to the satellite's proper motions (Galactic aberration)"),
     Parameter("glide", "vector", None, "that glide; default: 4 uas/yr towards the Galactic centre", "uas / yr"),
     # systematics
-    _amount(
+    _number(
         "satellite_floor_pos",
         0.0,
         "noise floor in the satellite's position errors, in quadrature and after all scales",
         "mas",
     ),
-    _amount("satellite_floor_pm", 0.0, "noise floor in the satellite's proper-motion errors", "mas / yr"),
-    _amount("reference_floor_pos", 0.0, "noise floor in the reference's position errors", "mas"),
-    _amount("reference_floor_pm", 0.0, "noise floor in the reference's proper-motion errors", "mas / yr"),
-    Parameter(
+    _number("satellite_floor_pm", 0.0, "noise floor in the satellite's proper-motion errors", "mas / yr"),
+    _number("reference_floor_pos", 0.0, "noise floor in the reference's position errors", "mas"),
+    _number("reference_floor_pm", 0.0, "noise floor in the reference's proper-motion errors", "mas / yr"),
+    _positive(
         "satellite_error_ratio",
-        "float",
         1.0,
         "true errors of the satellite over those that weigh: 2 where they are underestimated by a factor 2",
-        above=0.0,
         maximum=100.0,
     ),
-    Parameter(
-        "reference_error_ratio",
-        "float",
-        1.0,
-        "true errors of the reference over those that weigh",
-        above=0.0,
-        maximum=100.0,
-    ),
-    _amount(
+    _positive("reference_error_ratio", 1.0, "true errors of the reference over those that weigh", maximum=100.0),
+    _number(
         "zonal_pos",
         0.0,
         "RMS per coordinate of errors of the satellite's positions that neighbours on the sky share; they do not weigh",
         "mas",
     ),
-    _amount("zonal_pm", 0.0, "RMS per coordinate of such errors of the satellite's proper motions", "mas / yr"),
-    Parameter(
+    _number("zonal_pm", 0.0, "RMS per coordinate of such errors of the satellite's proper motions", "mas / yr"),
+    _number(
         "zonal_length",
-        "float",
         30.0,
         "width of the Gaussian by which zonal errors are correlated over angular distance",
         "deg",
-        minimum=6.0,
-        maximum=180.0,
+        6.0,
+        180.0,
     ),
     _vector(
         "omega_slope",
@@ -191,27 +186,25 @@ PARAMETERS = (
         "mas / (yr mag)",
         1e6,
     ),
-    _amount("omega_slope_size", None, "length of omega_slope, which then gives the direction only", "mas / (yr mag)"),
+    _number("omega_slope_size", None, "length of omega_slope, which then gives the direction only", "mas / (yr mag)"),
     *(
-        Parameter(
+        _number(
             f"magnitude_equation_{motion}",
-            "float",
             0.0,
             f"error of the satellite's {motion} for each magnitude that an object is fainter than v_zero",
             "mas / (yr mag)",
-            minimum=-1e6,
-            maximum=1e6,
+            -1e6,
         )
         for motion in ("pmra", "pmdec")
     ),
-    _magnitude("v_zero", 15.0, "magnitude at which omega is the spin and a magnitude equation is zero"),
+    _number("v_zero", 15.0, "magnitude at which omega is the spin and a magnitude equation is zero", *MAGNITUDE),
     Parameter(
         "motion_field",
         "str",
         None,
         "vector spherical harmonics in the satellite's proper motions, as 't_2_0=0.1,s_2_1_re=-0.2' in mas/yr",
     ),
-    _amount(
+    _number(
         "motion_field_size",
         None,
         "RMS length over the sky of motion_field, which then gives the pattern only",
@@ -264,88 +257,3 @@ SHARED = (
     # numbers, so that nothing is common to compare; and method, which draws others.
 )
 """Parameters whose values do not change the random numbers of a block, only what is made of them."""
-
-
-UNITS = ("mas",) * 3 + ("mas / yr",) * 3
-# Without slashes: astropy warns of several in one string.
-_EACH = "mas, mas, mas, mas yr-1, mas yr-1, mas yr-1"
-_TOP = "(mas2, mas2, mas2, mas2 yr-1, mas2 yr-1, mas2 yr-1)"
-_BOTTOM = "(mas2 yr-1, mas2 yr-1, mas2 yr-1, mas2 yr-2, mas2 yr-2, mas2 yr-2)"
-_PRODUCTS = ", ".join([_TOP] * 3 + [_BOTTOM] * 3)
-_COMPONENT, _PAIR, _OF_GLIDE = ("component",), ("component", "component_other"), ("glide_component",)
-
-
-def _with_errors(
-    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), headline: bool = False, symbol: str = ""
-) -> list[Output]:
-    prediction = f"closed-form prediction of {name} for the same catalogues"
-    beside = {
-        "mc_error": f"Monte-Carlo error of {name}, sigma/sqrt(2 n)",
-        "predicted": f"{prediction}, of the errors alone: without a bias",
-        "rms_predicted": f"{prediction}, errors and bias: all of it",
-        "catalogue_error": f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; "
-        "NaN below 5",
-    }
-    return [
-        Output(name, unit, meaning, dims, headline, symbol, nan=True),
-        *(Output(f"{name}_{key}", unit, text, dims, nan=True) for key, text in beside.items()),
-    ]
-
-
-OUTPUTS = (
-    Output(
-        "n_obj",
-        "",
-        "number of objects in the catalogue (mean over catalogues)",
-        headline=True,
-        symbol=r"$N_\mathrm{obj}$",
-    ),
-    *_with_errors(
-        "sigma_spin",
-        "mas / yr",
-        "RMS error of the spin, over its three components",
-        headline=True,
-        symbol=r"$\sigma(\omega)$",
-    ),
-    *_with_errors(
-        "sigma_orientation",
-        "mas",
-        "RMS error of the orientation, over its three components",
-        symbol=r"$\sigma(\epsilon)$",
-    ),
-    *_with_errors("sigma", _EACH, "RMS of estimate - truth", _COMPONENT),
-    Output("bias", _EACH, "mean of estimate - truth", _COMPONENT, nan=True),
-    Output(
-        "bias_predicted",
-        _EACH,
-        "closed-form prediction of bias for the same catalogues: what aberration or terms left out make",
-        _COMPONENT,
-        nan=True,
-    ),
-    Output(
-        "bias_mc_error",
-        _EACH,
-        "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of one; NaN for 2 to 4",
-        _COMPONENT,
-        nan=True,
-    ),
-    Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", _PAIR, nan=True),
-    Output("correlation", "", "correlation of the estimates about their mean", _PAIR, nan=True),
-    Output(
-        "condition_number",
-        "",
-        "largest over smallest eigenvalue of the normal matrix scaled to a diagonal of 1 (mean over catalogues)",
-    ),
-    Output(
-        "chi2",
-        "",
-        "mean chi2 of the solution; dof is its expectation for inverse-variance weights of uncorrelated errors",
-    ),
-    Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
-    Output("glide_sigma", "mas / yr", "RMS of estimate - truth of a glide that was solved for", _OF_GLIDE, nan=True),
-    Output("glide_bias", "mas / yr", "mean of estimate - truth of a glide that was solved for", _OF_GLIDE, nan=True),
-)
-
-SAMPLE_OUTPUTS = (
-    Output("estimate", _EACH, "estimate of each realisation, where a study keeps them", _COMPONENT, nan=True),
-)

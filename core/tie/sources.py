@@ -64,6 +64,11 @@ class SourceTable:
         """True if the sums of single sources fit."""
         return len(self.problem.satellite) * len(self.problem.unknowns) ** 2 <= KEPT_NUMBERS
 
+    @property
+    def kept(self) -> NormalSums | None:
+        """The sums of each source, None if they do not fit."""
+        return self.sums if self.single else None
+
     @cached_property
     def sums(self) -> NormalSums:
         """The sums of each source."""

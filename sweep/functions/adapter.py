@@ -125,7 +125,7 @@ class FunctionExperiment(Experiment):
     @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""
-        return self.rng and self.layout is not None and self.realisations.kept_width(self.layout) > 0
+        return self.samples_width > 0
 
     @property
     def samples_width(self) -> int:
@@ -195,16 +195,12 @@ def is_plain_function(found: object) -> TypeGuard[Callable[..., Any]]:
 def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
     """Return a plain function as an experiment; raises SweepError with all that keeps it from being one."""
     try:
-        return _known(function)
-    except TypeError:  # it has no hash
         return _made(function)
+    except TypeError:  # it has no hash
+        return _made.__wrapped__(function)
 
 
 @lru_cache(maxsize=64)
-def _known(function: Callable[..., Any]) -> FunctionExperiment:
-    return _made(function)
-
-
 def _made(function: Callable[..., Any]) -> FunctionExperiment:
     declaration = declaration_of(function)
     if not hasattr(function, ATTRIBUTE) and (found := problems(function, declaration)):

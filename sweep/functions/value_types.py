@@ -33,15 +33,13 @@ def typed(value: Any) -> tuple[Type, NDArray[Any]]:  # noqa: PLR0911 (one for ea
         return "text", _texts(np.array(str(value), dtype=object))
     if isinstance(value, datetime.datetime | datetime.date):
         return "datetime", np.array(_time(value))
-    if isinstance(value, complex | np.complexfloating):
-        raise ResultError("is complex; return its real and imaginary parts under names of their own")
     if isinstance(value, Mapping):
         raise ResultError("is a dict; results are not nested: return its entries under names of their own")
     if isinstance(value, datetime.timedelta | np.timedelta64):
         raise ResultError("is a duration; return a number and declare its unit")
     if isinstance(value, list | tuple):
         return _of_list(value)
-    if isinstance(value, np.ndarray | np.generic) or hasattr(value, "__array__"):
+    if isinstance(value, np.ndarray | np.generic | complex) or hasattr(value, "__array__"):
         return _of_array(np.asarray(value))
     raise ResultError(f"is of type {type(value).__name__}; {WHAT_RESULTS_ARE}")
 

@@ -16,7 +16,8 @@ from core.expected_errors import errors_at_limit, has_errors
 from core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
 from core.link import LinkError
 from core.missions import MISSIONS
-from core.parameters import OUTPUTS, PARAMETERS
+from core.outputs import OUTPUTS
+from core.parameters import PARAMETERS
 from core.quasars import quasar_count
 from core.scenario import error_model
 from core.simulate import simulate
