@@ -34,6 +34,12 @@ class PlainFunction:
         single = outputs[0].name if len(outputs) == 1 else "result" if name in ("function", *names) else name
         return Declared(name, single, outputs, names)
 
+    def realised(self, point: Point, n_sim: int, rng: np.random.Generator) -> list[Flat]:
+        """Return the results of ``n_sim`` realisations; raises ResultError as `flatten`."""
+        if self.signature.n_sim:
+            return split_points(self.call(**point, rng=rng, n_sim=n_sim), n_sim, self.declared, "realisations")
+        return [flatten(self.call(**point, rng=rng), self.declared) for _ in range(n_sim)]
+
 
 @dataclass(frozen=True)
 class FunctionExperiment(Experiment):
@@ -91,11 +97,11 @@ class FunctionExperiment(Experiment):
         Raises ResultError for what is no result, and whatever the function raises.
         """
         assert self.function is not None, "the record of an experiment computes nothing"
-        call, declared = self.function.call, self.function.declared
+        function, name = self.function, self.function.declared.function
         if not self.rng:
-            return [flatten(call(**point), declared) for point in points]
-        signature, generator = self.function.signature, next(rng)
-        return [self.realisations.drawn(call, signature, declared, point, n_sim, generator) for point in points]
+            return [flatten(function.call(**point), function.declared) for point in points]
+        generator = next(rng)
+        return [self.realisations.drawn(function.realised(point, n_sim, generator), name) for point in points]
 
     def many(self, points: Sequence[Point]) -> list[Flat]:
         """Return the results of points from one call of a vectorised function; raises as `block`."""

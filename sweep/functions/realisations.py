@@ -1,17 +1,15 @@
 """What is kept of the random realisations of a plain function: moments that merge, and those that quantiles need."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from sweep.contract import Array, Output, Point, ResultError
+from sweep.contract import Array, Output, ResultError
 from sweep.functions.layout import Field, Layout, differences, held
-from sweep.functions.results import Declared, Flat, flatten, split_points
-from sweep.functions.signature import N_SIM, RNG, Signature
+from sweep.functions.results import Flat
 from sweep.functions.statistics import (
     MOMENTS,
     merged,
@@ -57,29 +55,17 @@ class Realisations:
         """Return the numbers that quantiles and their errors take."""
         return sum(2 * len(self.levels(field)) * math.prod(layout.shape(field)) for field in layout.fields)
 
-    def drawn(
-        self,
-        call: Callable[..., Any],
-        signature: Signature,
-        declared: Declared,
-        point: Point,
-        n_sim: int,
-        rng: np.random.Generator,
-    ) -> Flat:
-        """Return a block of realisations as a row of moments, with those that quantiles need.
+    def drawn(self, flats: Sequence[Flat], function: str) -> Flat:
+        """Return the realisations of a block as a row of moments, with those that quantiles need.
 
-        Raises ResultError as `flatten`, and where realisations differ in more than their values.
+        Raises ResultError, which names the ``function``, where they differ in more than their values.
         """
-        if signature.n_sim:
-            flats = split_points(call(**point, **{RNG: rng, N_SIM: n_sim}), n_sim, declared, "realisations")
-        else:
-            flats = [flatten(call(**point, **{RNG: rng}), declared) for _ in range(n_sim)]
         if strange := [field for field in flats[0].layout.fields if field.type not in NUMBERS]:
             raise ResultError(
-                f"{declared.function}: {strange[0].name!r} is of type {strange[0].type}; statistics are made of "
-                "numbers and truth values"
+                f"{function}: {strange[0].name!r} is of type {strange[0].type}; statistics are made of numbers and "
+                "truth values"
             )
-        layout, values = _values(flats, declared)
+        layout, values = _values(flats, function)
         moments, kept = [], []
         for field in layout.fields:
             part = values[field.name]
@@ -102,11 +88,8 @@ class Realisations:
         row = np.empty_like(one)
         row[0] = one[0] + other[0]
         for _, place, _ in self._parts(layout):
-            parts = (
-                (one[place].reshape(MOMENTS, -1), float(one[0])),
-                (other[place].reshape(MOMENTS, -1), float(other[0])),
-            )
-            row[place] = merged(*parts[0], *parts[1]).reshape(-1)
+            mine, theirs = (moments[place].reshape(MOMENTS, -1) for moments in (one, other))
+            row[place] = merged(mine, float(one[0]), theirs, float(other[0])).reshape(-1)
         return row
 
     def of_samples(self, layout: Layout, samples: Array) -> Array:
@@ -171,18 +154,16 @@ def _in_words(name: str) -> str:
     return words.get(name, name)
 
 
-def _values(flats: Sequence[Flat], declared: Declared) -> tuple[Layout, dict[str, Array]]:
+def _values(flats: Sequence[Flat], function: str) -> tuple[Layout, dict[str, Array]]:
     """Return the layout of realisations, all numbers floats, and their values by name, (n, size)."""
     first = flats[0].layout
     layout = replace(first, fields=tuple(replace(f, type="float") if f.type == "int" else f for f in first.fields))
     rows = []
     for flat in flats:
         if wrong := differences(layout, flat.layout):
-            raise ResultError(f"{declared.function}: one realisation differs from another: {'; '.join(wrong)}")
+            raise ResultError(f"{function}: one realisation differs from another: {'; '.join(wrong)}")
         if (row := held(flat.row, flat.layout, layout)) is None:
-            raise ResultError(
-                f"{declared.function}: an integer beyond 2**53 is no number that statistics can be made of"
-            )
+            raise ResultError(f"{function}: an integer beyond 2**53 is no number that statistics can be made of")
         rows.append(row)
     whole = np.frombuffer(b"".join(rows), dtype="<f8").reshape(len(rows), layout.width)
     return layout, {name: array.reshape(len(rows), -1).astype(float) for name, array in layout.values(whole).items()}

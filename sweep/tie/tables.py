@@ -29,7 +29,9 @@ from sweep.tie.column_names import (
     quantities,
 )
 
-DEFAULT_UNITS = {"ra": "deg", "dec": "deg", "ref_epoch": "yr", "radial_velocity": "km/s"}
+SEPARATORS = str.maketrans(dict.fromkeys(":hdms", " "))
+"""What stands between hours, minutes and seconds, made blank."""
+
 MJD_FROM = 15000.0
 """Epochs above are modified Julian dates."""
 
@@ -127,8 +129,7 @@ class _Reader:
         columns = {
             name: self._numbers(name)
             for name in self.table.colnames
-            if getattr(self.table[name], "ndim", 2) == 1
-            and getattr(getattr(self.table[name], "dtype", None), "kind", "O") in "fiu"
+            if getattr(self.table[name], "ndim", 2) == 1 and self._kind(name) in "fiu"
         }
         epoch = self._epoch()
         found = Astrometry(
@@ -174,6 +175,10 @@ class _Reader:
             self.problems.append(f"positions {said!r}: they are {' or '.join(get_args(Positions))}")
         return str(said)
 
+    def _kind(self, name: str) -> str:
+        """Return what NumPy calls the kind of a column's values, "O" for those of no array."""
+        return str(getattr(getattr(self.table[name], "dtype", None), "kind", "O"))
+
     def _column(self, quantity: str) -> str | None:
         return column_of(quantity, self.table.colnames, self.options)
 
@@ -206,7 +211,7 @@ class _Reader:
         from astropy import units
 
         column = self.table[name]
-        if getattr(column, "dtype", np.dtype(object)).kind in "USO":
+        if self._kind(name) in "USO":
             return self._sexagesimal(name, hours)
         unit = column.unit or (units.rad if name.endswith("rad") else units.deg)
         if hours and column.unit is None and not name.endswith(("deg", "rad")) and _like_hours(self._numbers(name)):
@@ -222,9 +227,7 @@ class _Reader:
     def _sexagesimal(self, name: str, hours: bool) -> Array:
         found, bad = np.full(len(self.table), np.nan), []
         for i, text in enumerate(np.ma.filled(np.ma.asarray(self.table[name]).astype(str), "")):
-            parts = (
-                text.replace(":", " ").replace("h", " ").replace("d", " ").replace("m", " ").replace("s", " ").split()
-            )
+            parts = text.translate(SEPARATORS).split()
             if not parts:
                 continue
             try:
@@ -254,7 +257,7 @@ class _Reader:
 
     def _numbers(self, name: str) -> Array:
         column = self.table[name]
-        if getattr(column, "dtype", np.dtype(object)).kind not in "fiu" or column.ndim != 1:
+        if self._kind(name) not in "fiu" or column.ndim != 1:
             self.problems.append(f"column {name!r} does not hold numbers")
             return np.full(len(self.table), np.nan)
         return np.asarray(np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(np.float64), np.nan))
@@ -322,17 +325,13 @@ class _Reader:
 
     def _names(self) -> dict[str, NDArray[np.str_]]:
         wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES
-        text = [
-            name
-            for name in self.table.colnames
-            if name in wanted or getattr(getattr(self.table[name], "dtype", None), "kind", "") in "US"
-        ]
+        text = [name for name in self.table.colnames if name in wanted or self._kind(name) in "US"]
         text.sort(key=lambda name: wanted.index(name) if name in wanted else len(wanted))
         return {name: self._text(name) for name in text}
 
     def _text(self, name: str) -> NDArray[np.str_]:
         column = self.table[name]
-        if getattr(getattr(column, "dtype", None), "kind", "") in "iu" and not np.any(np.ma.getmaskarray(column)):
+        if self._kind(name) in "iu" and not np.any(np.ma.getmaskarray(column)):
             return np.asarray(column).astype(np.str_)  # millions of source_id
         return np.array([" ".join(str(v).split()) for v in column])
 
