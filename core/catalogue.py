@@ -14,6 +14,11 @@ from core.radio_stars import RADIO_STARS
 
 PmDistribution = Literal["uniform", "constant", "rayleigh"]
 
+SIDES = ("reference", "satellite")
+
+N_GALAXIES = 116
+"""Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 and Table 1."""
+
 GALAXY_MEAN_MAG, GALAXY_SCATTER_MAG, GALAXY_FAINT_LIMIT_MAG = 12.5, 0.5, 13.5
 """V_T of the galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 (mean 12.5); scatter and limit are
 estimates.

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Array, Flags, Indices
+from core.table_catalogue import ALONG_RA
 from sweep.contract import suggest
 from sweep.table_columns import column_values, in_time, missing_values, rows_listed
 
@@ -32,8 +33,6 @@ NAMES = ("name", "objname", "object", "designation", "main_id", "id")
 """Columns with an object's own name, in any case of letters."""
 
 COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id", NAME)
-
-ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
 
 
 class ColumnReader:

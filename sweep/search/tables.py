@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from core.arrays import Array, Flags, Indices
 from core.constants import DEGREE
+from core.table_catalogue import ALONG_RA
 from sweep.contract import SweepError
-from sweep.search.columns import ALONG_RA, NAME, TYC, ColumnReader
+from sweep.search.columns import NAME, TYC, ColumnReader
 from sweep.table_reader import read_table
 
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
