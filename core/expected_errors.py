@@ -19,12 +19,9 @@ def errors_at_limit(point: Point, side: str) -> Errors:
     drawn.
     """
     kind = error_kind(point, side)
-    errors, floor = kind.errors_at(point, side, partial(_limit, point)), floor_of(point, kind, side)
+    errors = kind.errors_at(point, side, lambda: catalogue_kind(point).magnitudes(point)[1])
+    floor = floor_of(point, kind, side)
     return errors if floor is None else Errors(*map(hypot, errors, floor))
-
-
-def _limit(point: Point) -> float:
-    return catalogue_kind(point).magnitudes(point)[1]
 
 
 def errors_of_objects(point: Point, objects: Catalogue) -> tuple[Array, Array]:

@@ -135,8 +135,7 @@ def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
         if name not in given:
             phrases.append(f"{name!r} is missing{suggest(name, extra) if extra else ''}")
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
-    coordinates = ({c.name: c for c in layout.coordinates} for layout in (expected, found))
-    before, after = coordinates
+    before, after = ({c.name: c for c in layout.coordinates} for layout in (expected, found))
     compared: set[str] = set()
     for name in wanted.keys() & given.keys():
         phrases += _differences_of_field(wanted[name], given[name])
