@@ -7,7 +7,6 @@ import numpy as np
 from core.catalogue import Catalogue
 from core.catalogues.kind import RANDOM_SKY
 from core.errors import SIDES
-from core.expected_errors import errors_at_limit, errors_of_objects
 from core.function_curve import CurveError
 from core.missions import MissionUnavailableError
 from core.scenario import (
@@ -15,6 +14,8 @@ from core.scenario import (
     catalogue_size,
     error_kind,
     error_model,
+    errors_at_limit,
+    errors_of_objects,
     own_objects,
     systematics,
     zonal_errors,

@@ -39,7 +39,7 @@ KNOWS_THE_CORE = {
 }
 KNOWS_THE_CONTRACT = {
     *("core.parameters", "core.outputs", "core.scenario", "core.checks", "core.experiment"),
-    *("core.function_curve", "core.user_mission", "core.expected_errors", "core.unused", "core.warn"),
+    *("core.function_curve", "core.user_mission", "core.unused", "core.warn"),
     *("core.catalogues", "core.errors"),
 }
 # The search is a command beside the platform.

@@ -11,7 +11,7 @@ from typing import Any
 import xarray as xr
 
 from sweep.contract import Array, SweepError
-from sweep.functions.value_types import TEXT_BYTES
+from sweep.functions.values import TEXT_BYTES
 from sweep.stores import failures, snapshot
 from sweep.stores.checksums import group_document, sealed
 from sweep.stores.chunked_rows import DamagedError
