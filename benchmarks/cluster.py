@@ -1,5 +1,5 @@
 """A run on 64 worker processes of four threads on this machine, whose tasks sleep, so that cores do not matter; also
-while workers are killed and others start.
+while workers are killed and others start.  The same tasks by Dask alone show what of the rest is Dask's.
 """
 
 import subprocess
@@ -29,6 +29,16 @@ n_sim = 1
 seed = 1
 """
 
+BARE = """
+import sys, time
+from distributed import Client
+tasks, seconds = int(sys.argv[2]), float(sys.argv[3])
+client = Client(sys.argv[1])
+begun = time.monotonic()
+client.gather(client.map(time.sleep, [seconds] * tasks, pure=False))
+print(time.monotonic() - begun)
+"""
+
 
 def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     """Return efficiencies: the ideal seconds over those beyond what a run of one task takes."""
@@ -50,12 +60,14 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
                 (folder / "s.toml").write_text(STUDY % (number, seconds))
                 run = [*SWEEP, "run", "s.toml", "--scheduler", address, "-o", f"{number}.zarr"]
                 runs.append(watch(run, folder))
+            bare = float(watch([sys.executable, "-c", BARE, address, str(tasks), str(TASK_S)], folder).output)
             cluster.communicate()  # closes its input, which ends it
         one, many = runs
         spent = many.seconds - one.seconds
         target = Target(">=", 0.9) if size != "tiny" else None
         found += [
             Measured(f"{workers} workers, {words}: efficiency", [TASK_S * rounds / spent], "", target),
+            Measured("  by Dask alone", [TASK_S * rounds / bare], ""),
             Measured("  seconds", [many.seconds], "s"),
             Measured("  run of one task", [one.seconds], "s"),
             Measured("  cores that the client keeps busy", [many.cpu_s / many.seconds], "", Target("<=", 1.0)),

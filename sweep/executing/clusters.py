@@ -26,14 +26,16 @@ ADAPT_WITHIN = "500ms"
 
 
 def worker_processes(
-    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False
+    study: Study, workers: int, say: Say, limits: Limits, dashboard: bool, method: str
 ) -> AbstractContextManager[tuple[Place, Executor]]:
-    """Give an executor on a Dask cluster of worker processes of one thread each."""
+    """Give an executor on a Dask cluster of worker processes of one thread each, started by a ``method`` of
+    multiprocessing.
+    """
     options: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     if limits.memory is not None:
         options["memory_limit"] = limits.memory
     noun = "worker process" if workers == 1 else "worker processes"
-    return _local(study, workers, options, f"{workers} local {noun}", say, limits, dashboard)
+    return _local(study, workers, options, f"{workers} local {noun}", say, limits, dashboard, method)
 
 
 def worker_threads(
@@ -54,12 +56,13 @@ def _local(
     say: Say,
     limits: Limits,
     dashboard: bool,
+    method: str | None = None,
     guarded: bool = False,
 ) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on a Dask cluster of this machine."""
     with ExitStack() as stack:
         stack.enter_context(threadpool_limits(1))
-        cluster = stack.enter_context(local_cluster(options, dashboard))
+        cluster = stack.enter_context(local_cluster(options, dashboard, method))
         client = stack.enter_context(cluster.get_client())
         place = Place(words, workers, _dashboard(client) if dashboard else "")
         yield place, _executor(client, study, words, say, limits, guarded)

@@ -46,7 +46,7 @@ class NoWorkersError(SweepError, SystemExit):
 
 
 @contextmanager
-def local_cluster(options: Mapping[str, Any], dashboard: bool = False) -> Iterator[Any]:
+def local_cluster(options: Mapping[str, Any], dashboard: bool = False, method: str | None = None) -> Iterator[Any]:
     """Start a Dask cluster of this machine as `own_cluster` does; raises NoWorkersError.
 
     Its scheduler is in this process: a ``dashboard`` takes a second there, for importing bokeh.
@@ -55,7 +55,7 @@ def local_cluster(options: Mapping[str, Any], dashboard: bool = False) -> Iterat
     with ExitStack() as stack:
         try:
             cluster = stack.enter_context(
-                own_cluster(LocalCluster, {**options, "scheduler_kwargs": {"dashboard": dashboard}})
+                own_cluster(LocalCluster, {**options, "scheduler_kwargs": {"dashboard": dashboard}}, method)
             )
         except RuntimeError as error:
             raise NoWorkersError(error) from None  # Dask's own traceback is of sixty lines, none of them the script's
@@ -63,8 +63,10 @@ def local_cluster(options: Mapping[str, Any], dashboard: bool = False) -> Iterat
 
 
 @contextmanager
-def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
-    """Start a cluster that belongs to this run, to be ended with it."""
+def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None) -> Iterator[Any]:
+    """Start a cluster that belongs to this run, to be ended with it; worker processes of this machine by a
+    ``method`` of multiprocessing, `start_method` unless it is given.
+    """
     with ExitStack() as stack:
         stack.enter_context(without_logs())
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
@@ -74,7 +76,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         if issubclass(kind, LocalCluster):
             defaults = {"dashboard_address": here, "silence_logs": False}
             if options.get("processes", True):
-                method = stack.enter_context(start_method())
+                method = method or stack.enter_context(start_method())
                 stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
                 defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # what they are forked from has it
             else:

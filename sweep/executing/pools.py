@@ -1,7 +1,7 @@
 """The pools: what a study can run on in this machine.  A further one is an entry of `POOLS`, and its name."""
 
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 if TYPE_CHECKING:
@@ -31,10 +31,17 @@ class Pool(NamedTuple):
     has_workers: bool = True
 
 
-def _processes(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False) -> Opened:
-    from sweep.executing.clusters import worker_processes
+@contextmanager
+def _processes(
+    study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False
+) -> "Iterator[tuple[Place, Executor]]":
+    from sweep.executing.forkserver import start_method
 
-    return worker_processes(study, workers, say, limits, dashboard)
+    with start_method() as method:  # what workers are forked from imports Dask while this process does
+        from sweep.executing.clusters import worker_processes
+
+        with worker_processes(study, workers, say, limits, dashboard, method) as opened:
+            yield opened
 
 
 def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False) -> Opened:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sweep.attributes import described, short_meaning
 from sweep.contract import Array, Output, Parameter
+from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.typed import typed_array
 from sweep.planning.accumulator import Accumulator
@@ -17,6 +18,8 @@ from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.point_status import Status
 from sweep.studies.study import POINT, Published, printed_rounding
+
+dask_arrays_only_where_imported()
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:

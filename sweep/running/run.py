@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import xarray as xr
 
 from sweep.contract import SweepError
 from sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
@@ -29,6 +28,9 @@ from sweep.stores.store import Store, check_points, create_store, find_store, op
 from sweep.studies.provenance import provenance
 from sweep.studies.record import RECORD, as_recorded, recorded
 from sweep.studies.study import Study
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class Progress(Protocol):
@@ -87,7 +89,7 @@ def run_study(
     break_lock: bool = False,
     accept_code: bool = False,
     fresh: bool = False,
-) -> tuple[xr.Dataset, dict[str, str]]:
+) -> "tuple[xr.Dataset, dict[str, str]]":
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
     The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
@@ -146,7 +148,7 @@ def _computed(
     run: Executor,
     progress: Progress,
     held: Callable[[], AbstractContextManager[None]],
-) -> tuple[xr.Dataset, dict[str, str]]:
+) -> "tuple[xr.Dataset, dict[str, str]]":
     """Compute what is pending into an open store, after the results that came first, and return the dataset and the
     failures.
     """
@@ -211,7 +213,7 @@ def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
     return store
 
 
-def _left_alone(part: xr.Dataset, store: Where, progress: Progress) -> tuple[xr.Dataset, dict[str, str]]:
+def _left_alone(part: "xr.Dataset", store: Where, progress: Progress) -> "tuple[xr.Dataset, dict[str, str]]":
     progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
     return part, {}
 

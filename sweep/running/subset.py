@@ -1,10 +1,9 @@
 """Whether a store holds a larger study already, and which of its points a smaller one asks for."""
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from sweep.contract import Named, SweepError, Value
 from sweep.planning.grid import Grid
@@ -12,8 +11,11 @@ from sweep.planning.point_status import Status
 from sweep.stores.opened import OpenStore
 from sweep.tablefile import content_digest
 
+if TYPE_CHECKING:
+    import xarray as xr
 
-def part_of_larger(store: OpenStore, grid: Grid) -> xr.Dataset | None:
+
+def part_of_larger(store: OpenStore, grid: Grid) -> "xr.Dataset | None":
     """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, an axis
     more, more realisations or catalogues.  None where something is missing there, or there is nothing more.
     """
@@ -56,7 +58,7 @@ def _enough_realisations(attributes: dict[str, Any], grid: Grid) -> bool:
     return bool(attributes["n_sim"] >= sampling.n_sim and attributes["n_cat"] >= sampling.n_cat)
 
 
-def _places(dataset: xr.Dataset, dimension: str, axes: tuple[str, ...], grid: Grid) -> list[int] | None:
+def _places(dataset: "xr.Dataset", dimension: str, axes: tuple[str, ...], grid: Grid) -> list[int] | None:
     """Return where along a dimension of the dataset the values of a study's axes stand, or None where one does not."""
     if any(name not in dataset.coords or dataset[name].dims != (dimension,) for name in axes):
         return None
@@ -71,7 +73,7 @@ def _places(dataset: xr.Dataset, dimension: str, axes: tuple[str, ...], grid: Gr
         return None
 
 
-def _as_stored(dataset: xr.Dataset, parameter: str, value: Value) -> Value:
+def _as_stored(dataset: "xr.Dataset", parameter: str, value: Value) -> Value:
     """Return a value as the coordinate has it; None for one that the study defines otherwise than the store's did."""
     if not isinstance(value, Named):
         return value

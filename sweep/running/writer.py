@@ -9,10 +9,9 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from threading import Event, RLock, Thread
 from types import MappingProxyType, TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator, failing
@@ -21,11 +20,13 @@ from sweep.planning.plan import Block, Plan, PlanSize, Work
 from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
-from sweep.running.results import assemble, assemble_samples, code_variable
 from sweep.stores.code import codes_of_points, records_of
 from sweep.stores.store import Store
 from sweep.studies.provenance import host, now, provenance
 from sweep.studies.record import RECORD, recorded
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 FLUSH_EVERY_S = 1.0
 LATEST_FLUSH_S = 2.0
@@ -141,8 +142,11 @@ class Writer:
                 ended.append(point)
         return good, ended, added
 
-    def write(self, final: bool = False) -> xr.Dataset:
+    def write(self, final: bool = False) -> "xr.Dataset":
         """Write the labelled dataset of everything taken so far, and return it."""
+        # it imports xarray and pandas, here while the workers compute
+        from sweep.running.results import assemble, assemble_samples, code_variable
+
         begun = time.monotonic()
         study = self.plan.grid.study
         with self._held():

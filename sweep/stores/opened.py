@@ -5,9 +5,7 @@ Nothing here writes, and nothing imports what a store names.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from sweep.contract import SweepError
 from sweep.stores import failures, snapshot
@@ -16,6 +14,9 @@ from sweep.stores.chunked_rows import DamagedError
 from sweep.stores.ledger import Ledger, columns_of, damaged_descriptions, shapes_in
 from sweep.stores.location import Location, Where, located, reading
 from sweep.stores.root import COPY, REPAIR, damaged_copy, is_bound, is_new, read_root
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 ATTEMPTS = 20
 """How often a reader begins anew because the dataset was replaced while it was read."""
@@ -50,14 +51,14 @@ class OpenStore:
         attributes: dict[str, Any] = self.root["attributes"]
         return attributes
 
-    def dataset(self) -> xr.Dataset:
+    def dataset(self) -> "xr.Dataset":
         """Return the labelled dataset, in memory, as one writing of it left it, whatever a run does meanwhile.
 
         Raises SweepError if there is none yet or if it is damaged.
         """
         for _ in range(ATTEMPTS):
             problem: ValueError | None = None
-            dataset = xr.Dataset()
+            dataset = None
             try:
                 with reading(self.location):
                     chunks = self.location.get_all(snapshot.chunk_keys(snapshot.arrays_of(self.root)))
@@ -74,7 +75,7 @@ class OpenStore:
         if problem is not None:
             rewrite = "`sweep run` the study again to write them anew from the ledger"
             raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(self.location)) from problem
-        if not dataset.data_vars:
+        if dataset is None or not dataset.data_vars:
             words = UNFINISHED if is_new(self.root) else "has no results; `sweep run` the study to go on"
             raise SweepError(words, str(self.location))
         return dataset

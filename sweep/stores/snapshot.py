@@ -14,10 +14,9 @@ import warnings
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from hashlib import blake2b
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 import zarr
 from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
@@ -27,7 +26,8 @@ from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.stores.checksums import SEAL, content_checksum, unsealed
 from sweep.stores.root import is_bound
 
-dask_arrays_only_where_imported()  # before the first dataset: all of them come from here or end here
+if TYPE_CHECKING:
+    import xarray as xr
 
 CHECKSUMS = "chunk_checksums"
 """The attribute of the root document by which it means certain chunks and no others."""
@@ -69,7 +69,7 @@ class Encoded:
         return {chunk_key(name, self.document, place): content for place, content in self.chunks.items()}
 
 
-def encode(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, Encoded]]:
+def encode(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Encoded]]:
     """Return the attributes and the arrays of a dataset; every chunk has a checksum, and none is left out for being
     empty, so that one that is missing was lost.
     """
@@ -97,11 +97,14 @@ def encode(dataset: xr.Dataset) -> tuple[dict[str, Any], dict[str, Encoded]]:
     return json.loads(contents["zarr.json"])["attributes"], arrays
 
 
-def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> xr.Dataset:
+def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr.Dataset":
     """Return the dataset of a root document and the contents of `chunk_keys`, in memory.
 
     Raises ValueError that names a file which is missing or not what the root document means.
     """
+    import xarray as xr
+
+    dask_arrays_only_where_imported()
     checksums = chunk_checksums(root)
     if any(not _is_meant(content, checksums.get(key)) for key, content in contents.items()):
         raise ValueError(_in_words(damaged_chunks(root, contents)))
@@ -234,7 +237,7 @@ def encoding_of(document: Mapping[str, Any]) -> int:
     return int(document["chunk_key_encoding"]["name"] == "v2")
 
 
-def chunk_shape(variable: xr.Variable) -> tuple[int, ...]:
+def chunk_shape(variable: "xr.Variable") -> tuple[int, ...]:
     """Return a shape for chunks of at most `CHUNK_BYTES` that are whole in the last dimensions: a point's values stay
     together, and a coordinate is one chunk.
     """

@@ -6,9 +6,7 @@ The ledger is the truth.  Only the client writes, under the lock of `sweep.store
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any
-
-import xarray as xr
+from typing import TYPE_CHECKING, Any
 
 from sweep.contract import Array, SweepError
 from sweep.functions.values import TEXT_BYTES
@@ -23,6 +21,9 @@ from sweep.stores.origin import ORIGIN, origin
 from sweep.stores.root import COPY, ROOT, find_root, is_bound
 from sweep.stores.texts import Texts
 from sweep.studies.study import Study
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 BLOCKS = "blocks"
 """The attribute that tells how many blocks the ledger had when the dataset was written."""
@@ -147,7 +148,7 @@ class Store:
             self._ledger.flush()
             self._unwritten = 0
 
-    def write(self, dataset: xr.Dataset) -> None:
+    def write(self, dataset: "xr.Dataset") -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
         attributes, arrays = snapshot.encode(dataset)
         digests = {name: array.digest() for name, array in arrays.items()}
@@ -294,7 +295,7 @@ def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> O
     return OpenStore(location, root)
 
 
-def open_dataset(where: Where) -> xr.Dataset:
+def open_dataset(where: Where) -> "xr.Dataset":
     """Return the labelled dataset of a store, in memory, as one writing of it left it, whatever a run does meanwhile.
 
     Raises SweepError unless a linksweep store of this format is there, if there is no dataset yet or it is damaged.
