@@ -11,7 +11,6 @@ from core.calibration import (
     CONSTANTS,
     DIVA_SIGMA_MAS_YR,
     DIVA_V_MAG,
-    GALAXY_COUNT,
     IN_CODE,
     MODEL_ERROR,
     PAPER_MC_ERROR,
@@ -28,6 +27,7 @@ from core.calibration import (
     fit,
     published_model,
 )
+from core.catalogue import N_GALAXIES
 from sweep.formatting import WIDTH, reading_table
 from sweep.readable import in_ascii
 
@@ -49,7 +49,7 @@ def published_numbers(model: Model) -> dict[str, PublishedSigma]:
     }
     if model == "amex":
         for row in _rows("galaxies.csv"):
-            numbers[f"{GALAXY_COUNT} galaxies"] = _number("galaxies", GALAXY_COUNT, row["sigma_spin"])
+            numbers[f"{N_GALAXIES} galaxies"] = _number("galaxies", N_GALAXIES, row["sigma_spin"])
         for row in _rows("table2_radio_stars.csv"):
             scale = float(row["reference_error_scale"])
             label = f"{row['n_obj']} radio stars" + ("" if scale == 1.0 else f", VLBI errors x {scale:g}")
