@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from core.constants import MAS, MICROARCSEC
 from core.design import design_matrix
 from core.frames import rotation_matrix, satellite_catalogue, triad
-from tests.core.reference_link import solve
+from core.link import solve
 
 EPSILON = np.array([-19.9, -9.1, 22.9]) * MAS  # Mignard & Froeschle 2000, A&A 354, 732
 OMEGA = np.array([-0.30, 0.60, 0.70]) * MAS  # per Julian year; both catalogues at J2000.0

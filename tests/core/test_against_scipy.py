@@ -8,7 +8,7 @@ from core.catalogue import Sky
 from core.constants import MAS, MICROARCSEC
 from core.design import design_matrix
 from core.frames import exact_differences, satellite_catalogue, triad
-from tests.core.reference_link import solve
+from core.link import solve
 
 
 def noisy_link(epsilon, sigma, n_obj=200):

@@ -18,10 +18,10 @@ from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Sky, radio_stars, resample
 from core.constants import MAS
 from core.design import design_matrix
 from core.errors import MagnitudeErrors
+from core.link import solve
 from core.missions import MISSIONS
 from core.quasars import quasars
 from sweep.paper.calibrate import published_numbers
-from tests.core.reference_link import solve
 
 
 @pytest.fixture(scope="module", params=["amex", "gaia"])

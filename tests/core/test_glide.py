@@ -12,10 +12,9 @@ from core.design import design_matrix
 from core.errors import NoErrors, NormalErrors
 from core.experiment import link, scenario
 from core.frames import position, triad
-from core.link import LinkError
+from core.link import LinkError, solve
 from core.prepared import Scenario, TrueVector
 from core.simulate import simulate
-from tests.core.reference_link import solve
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]
 NONE = TrueVector((0.0, 0.0, 0.0))

@@ -9,10 +9,9 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from core.constants import MAS, MICROARCSEC
-from core.design import design_matrix
+from core.design import design_matrix, paper_design_matrix
 from core.frames import exact_differences, satellite_catalogue, triad
-from core.link import LinkError, combined_error, normal_inverse, solve_normal
-from tests.core.reference_link import paper_design_matrix, solve
+from core.link import LinkError, combined_error, normal_inverse, solve, solve_normal
 
 EPSILON, OMEGA = np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS
 TRUTH = np.concatenate([EPSILON, OMEGA])

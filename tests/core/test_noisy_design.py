@@ -12,12 +12,11 @@ from core.constants import DEGREE, MAS
 from core.design import design_matrix
 from core.errors import CatalogueErrors
 from core.experiment import link, scenario
-from core.link import POLE_LIMIT, LinkError
+from core.link import POLE_LIMIT, LinkError, solve
 from core.noise import Tile, tile_objects
 from core.noisy_design import ELEMENTS, SMALL_ANGLE, FullPath
 from core.prepared import Draw, prepare
 from core.shared_arrays import Prefixes
-from tests.core.reference_link import solve
 
 ARCSEC = 1000.0 * MAS
 WELL_POSED = 1e3

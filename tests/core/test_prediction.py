@@ -15,11 +15,10 @@ from core.design import design_matrix
 from core.errors import CatalogueErrors, NoErrors, NormalErrors
 from core.experiment import evaluate, link, scenario, summarise
 from core.fixed_design import fixed_design
-from core.link import condition_number
+from core.link import condition_number, solve
 from core.prepared import Draw, prepare
 from core.projected import neglected
 from core.shared_arrays import Prefixes
-from tests.core.reference_link import solve
 
 
 def point(**changes):

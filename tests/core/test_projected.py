@@ -12,12 +12,11 @@ from core.design import design_matrix
 from core.errors import CatalogueErrors, NormalErrors
 from core.experiment import evaluate, link, scenario
 from core.fixed_design import fixed_design
-from core.link import LinkError
+from core.link import LinkError, solve
 from core.prepared import Draw, prepare
 from core.projected import Projected, neglected
 from core.shared_arrays import Prefixes
 from core.simulate import simulate
-from tests.core.reference_link import solve
 
 
 def point(**changes):

@@ -13,13 +13,12 @@ from core.constants import MAS
 from core.design import design_matrix
 from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
 from core.frames import exact_differences, triad
-from core.link import LinkError, combined_error
+from core.link import LinkError, combined_error, solve
 from core.missions import MISSIONS
 from core.noise import ROWS, TILE
 from core.prepared import Scenario, TrueVector
 from core.quasars import quasars
 from core.simulate import simulate
-from tests.core.reference_link import solve
 from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS
