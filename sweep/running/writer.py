@@ -134,12 +134,12 @@ class Writer:
 
     def write(self, final: bool = False) -> "xr.Dataset":
         """Write the labelled dataset of everything taken so far, and return it."""
-        # it imports xarray and pandas, here while the workers compute
-        from sweep.running.results import assemble, assemble_samples, code_variable
-
         begun = time.monotonic()
         study = self.plan.grid.study
         with self._held():
+            # imports xarray and pandas while the workers compute; interrupted there, they could not be imported again
+            from sweep.running.results import assemble, assemble_samples, code_variable
+
             self.flush()
         dataset = assemble(self.plan, self.accumulator, self.store.texts)
         if study.sampling.keep_samples:

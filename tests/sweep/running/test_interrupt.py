@@ -326,6 +326,30 @@ def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, number, code, wor
     assert xr.open_zarr(store).attrs["complete"] == 0
 
 
+WHILE_IMPORTING = """
+import os, signal, sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "pandas._libs.ops_dispatch":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+from sweep.__main__ import main
+main()
+"""
+
+
+def test_an_interruption_waits_for_an_import_that_cannot_be_repeated(tmp_path, start_sweep):
+    (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
+    arguments = ("run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr", "--pool", "serial")
+    process = start_sweep(*arguments, command=(sys.executable, "-c", WHILE_IMPORTING))
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert xr.open_zarr(tmp_path / "s.zarr").attrs["complete"] == 0
+
+
 def answers_sigterm(pid):
     """Whether a process has a handler of its own: from then on the command answers for itself."""
     caught = re.search(r"SigCgt:\s*([0-9a-f]+)", Path(f"/proc/{pid}/status").read_text())
