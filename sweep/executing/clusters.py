@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from sweep.contract import SweepError
 from sweep.executing.clusterfile import cluster_class, read_cluster_file
 from sweep.executing.dask_executor import DaskExecutor
+from sweep.executing.dask_workers import DaskWorkers
 from sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Say
 from sweep.executing.local_cluster import LOOPBACK, local_cluster, own_cluster, without_logs
 from sweep.studies.study import Study
@@ -140,9 +141,9 @@ def tls(ca: Path, cert: Path, key: Path) -> Security:
 
 
 def _executor(client: Client, study: Study, words: str, say: Say, limits: Limits, guarded: bool = False) -> Executor:
-    executor = DaskExecutor(study, client, words, say, limits, guarded)
-    executor.prepare()
-    return executor
+    workers = DaskWorkers(client, words, study.experiment_reference, say)
+    workers.prepare()
+    return DaskExecutor(study, workers, say, limits, guarded)
 
 
 def _place(client: Client, words: str) -> Place:

@@ -1,6 +1,5 @@
 """Runs tasks on a Dask client, and goes on when its workers die."""
 
-import pickle
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -10,26 +9,19 @@ from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from distributed import Client, Future, KilledWorker, WorkerPlugin
+from distributed import Future, KilledWorker
 
 from sweep.contract import SweepError
+from sweep.executing.dask_workers import LOOK_EVERY_S, DaskWorkers
 from sweep.executing.execute import Limits, Results, Say, Take, make_task
 from sweep.executing.task import Failure, TaskResult, failed
-from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin, run_on_worker
-from sweep.load import source_digest, sources_of
+from sweep.executing.worker_plugin import Answer, run_on_worker
 from sweep.planning.plan import Work
 from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
 from sweep.studies.study import Study
 
 MOST_SENT, MOST_FETCHED = 32, 256
 """Tasks that are sent in one message, and results that are fetched."""
-
-LOOK_EVERY_S = 1.0
-"""At the number of workers."""
-
-PATIENCE_S = 3.0
-"""Without workers before the user is told: one that died is replaced in less."""
 
 MAX_LOSSES = 3
 """So often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
@@ -63,64 +55,16 @@ class DaskExecutor:
     its process ends nothing else and is known by it: no block is blamed for another.
     """
 
-    def __init__(self, study: Study, client: Client, where: str, say: Say, limits: Limits, guarded: bool) -> None:
+    def __init__(self, study: Study, workers: DaskWorkers, say: Say, limits: Limits, guarded: bool) -> None:
         """``guarded`` lets everything run in child processes, for workers in a process that must not be ended."""
-        self._study, self._client, self._where, self._say = study, client, where, say
+        self._study, self._workers, self._say = study, workers, say
         self._limits, self._guarded = limits, guarded
-        self._expected = identity(study.experiment_reference)
         self._in_flight: dict[Future[Any], _Submission] = {}
         self._finished: SimpleQueue[Future[Any]] = SimpleQueue()
         self._arrived: deque[tuple[Future[Any], Answer | None]] = deque()
         self._given_up: dict[bytes, Failure] = {}
-        self._warned: set[str] = set()
-        self._threads = 1
-        self._looked = self._had_workers = time.monotonic()
-        self._waiting = False
+        self._told: set[str] = set()
         self._succeeded = 0
-
-    def prepare(self) -> None:
-        """Wait for a worker, bring the workers what they need, and compare them with the client.
-
-        Raises SweepError with a list where a worker would compute other numbers.
-        """
-        reference = self._study.experiment_reference
-        try:
-            self._register(TaskPlugin())
-            in_this_process = str(self._client.scheduler_info()["address"]).startswith("inproc://")
-            if (sources := sources_of(reference)) is not None and not in_this_process:
-                pickle.dumps(sources)  # raises for a function that cannot leave this process
-                self._register(SourcesPlugin(sources))
-            # Where there is no worker yet, an adaptive cluster starts one for this.
-            probe = self._client.submit(identity, reference, source_digest(reference), pure=False)
-            probe.add_done_callback(self._finished.put)
-            while not self._next():
-                pass
-            found = self._client.run(identity, reference, source_digest(reference), on_error="return")
-        except SweepError:
-            raise
-        except Exception as error:  # whatever keeps a worker from importing what it is sent
-            raise (self._unable(error) if self._client.status == "running" else self._gone()) from error
-        problems = []
-        for worker, what in sorted(found.items()):
-            if isinstance(what, Identity):
-                self._warn(worker, differences(self._expected.others, what.others))
-                problems += [f"{worker}: {text}" for text in differences(self._expected.deciding, what.deciding)]
-            elif not isinstance(what, OSError):  # one that has gone meanwhile is asked again with its first task
-                problems.append(f"{worker}: {type(what).__name__}: {what}")
-        if problems:
-            raise SweepError(problems, "workers that would not compute what this process would")
-        self._look()
-
-    def _register(self, plugin: WorkerPlugin) -> None:
-        """Bring a plugin to all workers, of which some may go meanwhile."""
-        for attempt in range(MAX_TROUBLES):
-            try:
-                self._client.register_plugin(plugin)
-                return
-            except OSError:
-                if self._client.status != "running" or attempt == MAX_TROUBLES - 1:
-                    raise
-                time.sleep(FIRST_PAUSE_S)
 
     def __call__(self, take: Take) -> Results:
         """Run everything that ``take`` gives, from now on and not only from the first result that is asked for."""
@@ -140,7 +84,7 @@ class DaskExecutor:
             for submission in due:
                 retries.remove(submission)
                 yield from self._retry(submission)
-            if not self._arrived or self._room() >= self._threads:
+            if not self._arrived or self._room() >= self._workers.threads:
                 self._send_what_is_new(take)
             if not retries and not self._in_flight:
                 return
@@ -166,7 +110,7 @@ class DaskExecutor:
                 yield submission.works, result
 
     def _room(self) -> int:
-        return max(0, TASKS_IN_FLIGHT * self._threads - len(self._in_flight))
+        return max(0, TASKS_IN_FLIGHT * self._workers.threads - len(self._in_flight))
 
     def _retry(self, submission: _Submission) -> Results:
         """Send work again, without the points that turned out meanwhile to end their process or to take too long: each
@@ -192,12 +136,12 @@ class DaskExecutor:
 
     def _send(self, submissions: Sequence[_Submission]) -> None:
         """Send work that was as often with a worker that died, in one message."""
-        seconds = task_seconds(self._threads)
+        seconds = task_seconds(self._workers.threads)
         enough_s = 2.0 * seconds if seconds > TASK_S else 0.0
-        futures = self._client.map(
+        futures = self._workers.client.map(
             run_on_worker,
             [make_task(self._study, submission.works, self._limits, enough_s) for submission in submissions],
-            expected=self._expected,
+            expected=self._workers.expected,
             guarded=self._guarded or submissions[0].losses > 0,
             memory_limit=self._limits.memory,
             pure=False,
@@ -221,8 +165,8 @@ class DaskExecutor:
             yield from (replace(submission, works=works, losses=losses, succeeded=self._succeeded) for works in groups)
         elif submission.succeeded == self._succeeded:
             raise SweepError(
-                f"the workers of {self._where} die whatever they do; no point is blamed for it, what was finished is "
-                "kept, the same command goes on from there"
+                f"the workers of {self._workers.where} die whatever they do; no point is blamed for it, what was "
+                "finished is kept, the same command goes on from there"
             )
 
     def _after_trouble(self, submission: _Submission, error: BaseException) -> _Submission:
@@ -231,40 +175,22 @@ class DaskExecutor:
         what = f"{type(error).__name__}: {error}"
         if troubles >= MAX_TROUBLES:
             raise SweepError(
-                f"a task on {self._where} failed {troubles} times outside of the experiment, last with {what}; "
+                f"a task on {self._workers.where} failed {troubles} times outside of the experiment, last with {what}; "
                 "no point is blamed for it, what was finished is kept, the same command goes on from there"
             ) from error
-        if what not in self._warned:
-            self._warned.add(what)
+        if what not in self._told:
+            self._told.add(what)
             self._say(f"warning: a task failed outside of the experiment ({what}); it is tried again")
         pause = FIRST_PAUSE_S * 2.0 ** (troubles - 1)
         return replace(submission, troubles=troubles, not_before=time.monotonic() + pause)
 
     def _next(self, timeout: float = LOOK_EVERY_S) -> Future[Any] | None:
         """Return a future that has ended, None if there was none for a while; look after the workers meanwhile."""
-        if time.monotonic() - self._looked > LOOK_EVERY_S:
-            self._look()
+        self._workers.look_if_due()
         try:
             return self._finished.get(timeout=timeout)
         except Empty:
             return None
-
-    def _look(self) -> None:
-        if self._client.status != "running":
-            raise self._gone()
-        try:
-            self._threads = sum(self._client.nthreads().values())
-        except (OSError, TimeoutError) as error:
-            raise self._gone() from error
-        self._looked = time.monotonic()
-        if self._threads:
-            if self._waiting:
-                self._say(f"{self._where} has workers again")
-            self._had_workers, self._waiting = self._looked, False
-        elif not self._waiting and self._looked - self._had_workers > PATIENCE_S:
-            self._say(f"{self._where} has no workers; waiting for some")
-            self._waiting = True
-        self._threads = max(1, self._threads)
 
     def _fetch_all(self, first: Future[Any]) -> Iterator[tuple[Future[Any], Answer | None]]:
         """Yield all futures that have ended with their results, which come in one message: one by one each would cost
@@ -277,56 +203,29 @@ class DaskExecutor:
         answers: list[Answer] = []
         if len(good) > 1:
             with suppress(Exception):
-                gather = partial(self._client.gather, good, asynchronous=True)
-                answers = self._client.sync(gather, callback_timeout=LOOK_EVERY_S)
+                gather = partial(self._workers.client.gather, good, asynchronous=True)
+                answers = self._workers.client.sync(gather, callback_timeout=LOOK_EVERY_S)
         known = dict(zip(good, answers, strict=False))
         yield from ((future, known.get(future)) for future in futures)
 
     def _receive(self, future: Future[Any], fetched: Answer | None) -> TaskResult | BaseException:
         """Return a task's result, or the error by which Dask lost it: what the experiment raises is in the result."""
         try:
-            answer = fetched or self._fetch(future)
+            answer = fetched or self._workers.result(future)
         except SweepError:
             raise
         except ImportError as error:
-            raise self._unable(error) from error
+            raise self._workers.unable(error) from error
         except Exception as error:
-            if self._client.status != "running":
-                raise self._gone() from error
+            if self._workers.client.status != "running":
+                raise self._workers.gone() from error
             return error
         finally:
             future.release()
-        self._warn(answer.worker, answer.others)
+        self._workers.warn(answer.worker, answer.others)
         if answer.result is None:
             raise SweepError([f"{answer.worker}: {text}" for text in answer.deciding], "a worker that differs")
         return answer.result
-
-    def _fetch(self, future: Future[Any]) -> Answer:
-        """Wait for a result, and look after the workers meanwhile: the one that had it may have died since, and then it
-        is computed again, which without workers would take for ever.
-        """
-        while True:
-            try:
-                answer: Answer = future.result(timeout=LOOK_EVERY_S)
-                return answer
-            except TimeoutError:
-                if future.status == "error":
-                    raise
-                self._look()
-
-    def _warn(self, worker: str, texts: list[str]) -> None:
-        for text in texts:
-            if text not in self._warned:
-                self._warned.add(text)
-                self._say(f"warning: {text} (worker {worker}); this should not change a number")
-
-    def _gone(self) -> SweepError:
-        return SweepError(
-            f"the connection to {self._where} is lost; what was finished is kept, the same command goes on from there"
-        )
-
-    def _unable(self, error: BaseException) -> SweepError:
-        return SweepError(f"the workers of {self._where} cannot run linksweep: {type(error).__name__}: {error}")
 
 
 def _failed(study: Study, works: list[Work], reason: Failure) -> TaskResult:

@@ -9,6 +9,7 @@ from sweep.contract import Array
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import GridPoint
 from sweep.planning.plan import MOST_SHARING, TARGET, Block, Plan, Work
+from sweep.planning.tuning import TUNED, Tuning
 
 TASK_S = 1.0
 """Seconds of work that a task aims at."""
@@ -20,9 +21,6 @@ threads tasks take longer.
 
 SHORTEST_TASK_S = 0.05
 """Shorter tasks would cost more to hand over than they spread."""
-
-MAX_BLOCKS = 1000
-"""Blocks in one task at most, which bounds the size of its messages."""
 
 KEPT = 0.7
 """Weight of all earlier results in the measured speed when one more comes in: later points may be slower."""
@@ -48,8 +46,8 @@ class Pending:
     the first result is in, each task holds one block.
     """
 
-    def __init__(self, plan: Plan, accumulator: Accumulator) -> None:
-        self._plan, self._accumulator = plan, accumulator
+    def __init__(self, plan: Plan, accumulator: Accumulator, tuning: Tuning = TUNED) -> None:
+        self._plan, self._accumulator, self._most_blocks = plan, accumulator, tuning.most_blocks
         self._known: deque[Work] = deque()
         self._fresh = self._shared() if plan.grid.study.sampling.common_random_numbers else self._alone()
         self._left = accumulator.survey.pending.cost
@@ -90,7 +88,7 @@ class Pending:
     def _task(self) -> list[Work]:
         task: list[Work] = []
         cost, most = 0.0, self._task_cost()
-        while len(task) < MAX_BLOCKS and (work := self._next()) is not None:
+        while len(task) < self._most_blocks and (work := self._next()) is not None:
             if task and cost + work.cost > most:
                 self._known.appendleft(work)
                 break

@@ -15,6 +15,7 @@ from sweep.interrupt import watched
 from sweep.planning.accumulator import Accumulator, Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan, Work
+from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import Done, as_rows, first_results
 from sweep.running.subset import part_of_larger
@@ -89,6 +90,7 @@ def run_study(
     break_lock: bool = False,
     accept_code: bool = False,
     fresh: bool = False,
+    tuning: Tuning = TUNED,
 ) -> "tuple[xr.Dataset, dict[str, str]]":
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
@@ -128,7 +130,7 @@ def run_study(
         where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
         place, run = stack.enter_context(where)
         progress.start(accumulator.survey, place.words, place.workers)
-        study, first = first_results(study, Pending(plan, accumulator), run, place.workers or 1)
+        study, first = first_results(study, Pending(plan, accumulator, tuning), run, place.workers or 1)
         if first:
             plan = plan.of(study)
         opened = _opened(store, opened, plan)
@@ -136,7 +138,7 @@ def run_study(
         accumulator = _accumulator(plan, opened, again) if first else accumulator
         if unused := len(opened.rows) - accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-        return _computed(plan, accumulator, opened, first, place, run, progress, interruptions.held)
+        return _computed(plan, accumulator, opened, first, place, run, progress, interruptions.held, tuning)
 
 
 def _computed(
@@ -148,12 +150,13 @@ def _computed(
     run: Executor,
     progress: Progress,
     held: Callable[[], AbstractContextManager[None]],
+    tuning: Tuning,
 ) -> "tuple[xr.Dataset, dict[str, str]]":
     """Compute what is pending into an open store, after the results that came first, and return the dataset and the
     failures.
     """
-    pending = Pending(plan, accumulator)
-    writer = Writer(plan, accumulator, pending, store, held)
+    pending = Pending(plan, accumulator, tuning)
+    writer = Writer(plan, accumulator, pending, store, held, tuning=tuning)
     try:
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")

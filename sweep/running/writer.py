@@ -18,6 +18,7 @@ from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import AT_ONCE, GridPoint, describe
 from sweep.planning.plan import Block, Plan, PlanSize, Work
 from sweep.planning.point_status import Status
+from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
 from sweep.stores.code import codes_of_points, records_of
@@ -27,18 +28,6 @@ from sweep.studies.record import RECORD, recorded
 
 if TYPE_CHECKING:
     import xarray as xr
-
-FLUSH_EVERY_S = 1.0
-LATEST_FLUSH_S = 2.0
-"""Results are durable after so long even where no other result comes in that would make them so."""
-
-WRITE_EVERY_S = 5.0
-WRITE_SHARE = 0.05
-"""The dataset is rewritten on the way so rarely that this takes at most such a share of the time."""
-
-LONG_WRITE_BYTES = 2**26
-LONG_WRITE_POINTS = 100_000
-"""A dataset that is larger, or of more points, takes a second or more: an interruption does not wait for it."""
 
 MAX_FAILURES_NAMED = 1000
 
@@ -73,10 +62,11 @@ class Writer:
         store: Store,
         held: Callable[[], AbstractContextManager[None]] = nullcontext,
         further: Mapping[str, Any] = MappingProxyType({}),
+        tuning: Tuning = TUNED,
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
         self.plan, self.accumulator, self.store = plan, accumulator, store
-        self._pending, self._held = pending, held
+        self._pending, self._held, self._tuning = pending, held, tuning
         self._provenance = provenance(plan.grid.study) | {RECORD: recorded(plan.grid.study, plan.costs())}
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
         self._provenance |= {**kept, **further}
@@ -114,9 +104,9 @@ class Writer:
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples, result.texts)
             self._unflushed = True
-            if clock - self._flushed > FLUSH_EVERY_S:
+            if clock - self._flushed > self._tuning.flush_every_s:
                 self.flush()
-        if clock - self._written > max(WRITE_EVERY_S, self._write_took / WRITE_SHARE):
+        if clock - self._written > max(self._tuning.write_every_s, self._write_took / self._tuning.write_share):
             self.write()
         return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended), failed)
 
@@ -170,7 +160,8 @@ class Writer:
             "failures": json.dumps(self.failures()),
             "warnings": json.dumps(self.plan.grid.warnings),
         }
-        self._long_write = dataset.nbytes > LONG_WRITE_BYTES or dataset["status"].size > LONG_WRITE_POINTS
+        tuning = self._tuning
+        self._long_write = dataset.nbytes > tuning.long_write_bytes or status.size > tuning.long_write_points
         with nullcontext() if self._long_write else self._held(), self._lock:
             self.store.write(dataset)
         self._written = time.monotonic()
@@ -197,7 +188,7 @@ class Writer:
             self._flushed = time.monotonic()
 
     def _flush_late(self) -> None:
-        while not self._ended.wait(LATEST_FLUSH_S):
+        while not self._ended.wait(self._tuning.latest_flush_s):
             with self._lock:
                 if self._unflushed and not self._ended.is_set():
                     try:

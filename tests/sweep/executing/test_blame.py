@@ -9,6 +9,7 @@ from distributed import KilledWorker
 from sweep.contract import SweepError
 from sweep.executing import dask_executor
 from sweep.executing.choose import Resources
+from sweep.executing.dask_workers import DaskWorkers
 from sweep.executing.execute import NO_LIMITS
 from sweep.executing.pools import POOLS
 from sweep.executing.worker_plugin import run_on_worker
@@ -91,7 +92,7 @@ def one_by_one(monkeypatch):
     "fate", [UnboundLocalError("result"), TimeoutError("of a stream"), OSError("Too many open files")]
 )
 def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monkeypatch, fate):
-    fetch, calls = dask_executor.DaskExecutor._fetch, []
+    fetch, calls = DaskWorkers.result, []
 
     def fetched(self, future):
         calls.append(future)
@@ -99,7 +100,7 @@ def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monke
             raise fate
         return fetch(self, future)
 
-    monkeypatch.setattr(dask_executor.DaskExecutor, "_fetch", fetched)
+    monkeypatch.setattr(DaskWorkers, "result", fetched)
     dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS)
     assert not failures
     xr.testing.assert_identical(dataset.drop_attrs(), whole)
@@ -111,7 +112,7 @@ def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
     def fetched(self, future):
         raise KilledWorker("task", None, 0)
 
-    monkeypatch.setattr(dask_executor.DaskExecutor, "_fetch", fetched)
+    monkeypatch.setattr(DaskWorkers, "result", fetched)
     sentences = Sentences()
     with pytest.raises(SweepError, match="die whatever they do; no point is blamed"):
         run_study(study, tmp_path / "s.zarr", THREADS, sentences)

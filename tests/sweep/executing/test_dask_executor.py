@@ -7,7 +7,8 @@ import pytest
 from distributed.comm import CommClosedError
 
 from sweep.contract import SweepError
-from sweep.executing.dask_executor import MAX_TROUBLES, MOST_FETCHED, MOST_SENT, DaskExecutor
+from sweep.executing.dask_executor import MOST_FETCHED, MOST_SENT, DaskExecutor
+from sweep.executing.dask_workers import MAX_ATTEMPTS, DaskWorkers
 from sweep.executing.execute import NO_LIMITS
 from sweep.executing.task import failed
 from sweep.executing.versions import identity
@@ -95,8 +96,9 @@ def run(monkeypatch):
         study = study_from_dict(STUDY)
         plan = Plan(make_grid(study))
         pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
-        executor = DaskExecutor(study, client, "a client", print, NO_LIMITS, guarded=False)
-        executor.prepare()
+        workers = DaskWorkers(client, "a client", study.experiment_reference, print)
+        workers.prepare()
+        executor = DaskExecutor(study, workers, print, NO_LIMITS, guarded=False)
         return [len(works) for works, _ in executor(pending.take)]
 
     return with_client
@@ -132,4 +134,4 @@ def test_a_worker_that_goes_while_it_is_told_of_the_run_stops_nothing(run):
 
 def test_nothing_but_workers_that_go_stops_it(run):
     with pytest.raises(SweepError, match="a worker has gone"):
-        run(Client(refusals=MAX_TROUBLES))
+        run(Client(refusals=MAX_ATTEMPTS))

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, ledger_key
-from sweep.planning.work_queue import MAX_BLOCKS, TASK_S, TASKS_IN_FLIGHT, Pending
+from sweep.planning.tuning import TUNED
+from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 
@@ -116,11 +117,10 @@ def test_tasks_are_of_about_a_second_and_enough_for_all(coins, seconds, workers)
     tasks = given_out(Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))), lambda point: seconds, workers)
     assert sum(map(len, tasks)) == 5000
     assert all(len(task) == 1 or len(task) * seconds <= 1.01 * TASK_S for task in tasks)
-    assert all(len(task) <= MAX_BLOCKS for task in tasks)
+    most = TUNED.most_blocks
+    assert all(len(task) <= most for task in tasks)
     assert len(tasks) >= 4 * workers
-    assert (
-        len(tasks) <= 4 * workers + 2 * 4 * workers * math.log(5000) + 2 * 5000 * seconds / TASK_S + 5000 / MAX_BLOCKS
-    )
+    assert len(tasks) <= 4 * workers + 2 * 4 * workers * math.log(5000) + 2 * 5000 * seconds / TASK_S + 5000 / most
     assert all(len(task) == 1 for task in tasks[: 4 * workers])  # nothing was measured before
 
 

@@ -12,6 +12,7 @@ from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan
 from sweep.planning.streams import generators
+from sweep.planning.tuning import Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.run import plan_study, run_study
 from sweep.studies.reader import study_from_dict
@@ -134,9 +135,8 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
 
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
     monkeypatch.setattr("sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
-    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     plan = Plan(make_grid(study))
-    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))), Tuning(most_blocks=1))
     drawn = 0
 
     def take(count):

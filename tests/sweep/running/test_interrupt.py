@@ -14,6 +14,7 @@ import xarray as xr
 
 from sweep.executing.choose import Resources
 from sweep.interrupt import LOST_S, RunInterruptedError, watched
+from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.stores.store import Store
 from sweep.studies.reader import study_from_dict
@@ -244,11 +245,11 @@ def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_wr
         write(self, dataset)
         written.append(dataset.attrs["complete"])
 
-    monkeypatch.setattr("sweep.running.writer.LONG_WRITE_BYTES", 0 if long_write else 2**30)
+    tuning = Tuning(long_write_bytes=0 if long_write else 2**30)
     monkeypatch.setattr(Store, "write", interrupted)
     study = study_from_dict(coins)
     with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", SERIAL)
+        run_study(study, tmp_path / "s.zarr", SERIAL, tuning=tuning)
     assert written == ([0] if long_write else [0, 1, 1])
     monkeypatch.undo()
 

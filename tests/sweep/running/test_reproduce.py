@@ -9,6 +9,7 @@ import xarray as xr
 from sweep.executing import worker
 from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError
+from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict
 
@@ -89,9 +90,8 @@ def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
         return run_block(experiment, points, *rest)
 
     monkeypatch.setattr("sweep.executing.worker.run_block", stopped)
-    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+        run_study(study, tmp_path / "s.zarr", Resources(pool="serial"), tuning=Tuning(most_blocks=1))
     monkeypatch.undo()
     dataset, failures = run_study(study, tmp_path / "s.zarr", Resources(pool="serial"), retry=True)
     assert not failures

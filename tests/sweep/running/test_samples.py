@@ -8,6 +8,7 @@ import xarray as xr
 
 from sweep.contract import Output, SweepError
 from sweep.executing.choose import Resources
+from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.stores.store import Store
 from sweep.studies.reader import study_from_dict
@@ -50,10 +51,6 @@ def test_samples_are_the_same_in_any_order_and_after_a_kill(kept, tmp_path):
     store = tmp_path / "other.zarr"
     write = Store.write
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sweep.running.writer.WRITE_EVERY_S", -1.0)
-        patch.setattr("sweep.running.writer.WRITE_SHARE", 1e9)
-        patch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-        patch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
         calls = []
 
         def killed(self, dataset):
@@ -63,8 +60,9 @@ def test_samples_are_the_same_in_any_order_and_after_a_kill(kept, tmp_path):
             write(self, dataset)
 
         patch.setattr(Store, "write", killed)
+        often = Tuning(most_blocks=1, flush_every_s=-1.0, write_every_s=-1.0, write_share=1e9)
         with pytest.raises(SystemExit):
-            run_study(study, store, SERIAL)
+            run_study(study, store, SERIAL, tuning=often)
     again, _ = run_study(study, store, Resources(workers=2, pool="threads"))
     xr.testing.assert_identical(again.drop_attrs(), kept.drop_attrs())
 

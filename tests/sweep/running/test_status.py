@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from sweep.executing.choose import Resources
 from sweep.interrupt import RunInterruptedError
 from sweep.planning.point_status import Status
+from sweep.planning.tuning import Tuning
 from sweep.running.axis_progress import MOST_LINES, AxisSegment, as_lines, by_axis, folded
 from sweep.running.run import Silent, run_study
 from sweep.running.status import plan_report, status_report
@@ -34,12 +35,11 @@ class Impatient(Silent):
 
 
 @pytest.fixture
-def stopped(coins, tmp_path, monkeypatch):
+def stopped(coins, tmp_path):
     """A store of 6 points x 4 blocks after 14 blocks: three points and a half."""
-    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     study = study_from_dict(coins | {"exclude": [{"metal": "tin", "coins": 5}]})
     with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(14))
+        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(14), tuning=Tuning(most_blocks=1))
     return tmp_path / "s.zarr"
 
 
@@ -62,11 +62,10 @@ def test_each_axis_counts_points_and_realisations(stopped):
     assert tin.done == 0
 
 
-def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)
-    monkeypatch.setattr("sweep.running.writer.LONG_WRITE_BYTES", 0)  # so that an interruption leaves the first dataset
+def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path):
+    tuning = Tuning(most_blocks=1, long_write_bytes=0)  # so that an interruption leaves the first dataset
     with pytest.raises(RunInterruptedError):
-        run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL, Impatient(8))
+        run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL, Impatient(8), tuning=tuning)
     assert int(open_dataset(tmp_path / "s.zarr")["n_sim_done"].sum()) == 0
     report = status_report(tmp_path / "s.zarr")
     assert report["realisations done"] == 40_000

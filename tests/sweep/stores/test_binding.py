@@ -14,6 +14,7 @@ import xarray as xr
 
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
+from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.stores import folder, ledger
 from sweep.stores.checksums import sealed, unsealed
@@ -193,20 +194,17 @@ COPIES = 100
 RUN = """
 import sys
 from sweep.executing.choose import Resources
-from sweep.running import writer
 from sweep.running.run import run_study
-from sweep.planning import work_queue
+from sweep.planning.tuning import Tuning
 from sweep.studies.reader import study_from_dict
 import json
-writer.FLUSH_EVERY_S = writer.WRITE_EVERY_S = -1.0
-writer.WRITE_SHARE = 1e9
-work_queue.MAX_BLOCKS = 1
+often = Tuning(most_blocks=1, flush_every_s=-1.0, write_every_s=-1.0, write_share=1e9)
 print("ready", flush=True)
 while True:
     for seed in range(3):
         document = json.loads(sys.argv[2])
         document["sampling"]["seed"] = 7
-        run_study(study_from_dict(document), sys.argv[1] + f"/{seed}.zarr", Resources(pool="serial"))
+        run_study(study_from_dict(document), sys.argv[1] + f"/{seed}.zarr", Resources(pool="serial"), tuning=often)
     import shutil
     for seed in range(3):
         shutil.rmtree(sys.argv[1] + f"/{seed}.zarr")
@@ -268,7 +266,7 @@ OPERATIONS = ("put", "create", "swap", "delete")
 @pytest.mark.slow
 @pytest.mark.parametrize("where", ["folder", "bucket"])
 def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request, tmp_path, coins, monkeypatch):
-    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
+    often = Tuning(flush_every_s=-1.0)
     study = study_from_dict(coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 100, "n_cat": 20, "seed": 7}})
     base = str(tmp_path) if where == "folder" else request.getfixturevalue("bucket")
     kind = type(located(f"{base}/s.zarr"))
@@ -292,7 +290,7 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request
     for name in OPERATIONS:
         monkeypatch.setattr(kind, name, counted(name))
     monkeypatch.setattr(kind, "put_all", one_by_one)
-    wanted, _ = run_study(study, f"{base}/whole.zarr", SERIAL)
+    wanted, _ = run_study(study, f"{base}/whole.zarr", SERIAL, tuning=often)
     total = len(done)
     assert total > 20
     said = set()
@@ -301,7 +299,7 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request
         done.clear()
         last[0] = number
         with pytest.raises(Killed):
-            run_study(study, store, SERIAL)
+            run_study(study, store, SERIAL, tuning=often)
         last[0] = 10**9
         if located(store).get("zarr.json") is None:
             with pytest.raises(SweepError, match="no store there"):
@@ -310,7 +308,7 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request
             report = check(store)
             assert not report, (number, report)
             said.update(remark.split(":")[0] for remark in report.remarks)
-        again, _ = run_study(study, store, SERIAL)
+        again, _ = run_study(study, store, SERIAL, tuning=often)
         xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
         report = check(store)
         assert not report

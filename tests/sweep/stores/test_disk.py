@@ -10,6 +10,7 @@ import xarray as xr
 
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
+from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.stores.folder import Folder
 from sweep.stores.repair import check, repair
@@ -55,9 +56,8 @@ def study(coins):
 
 
 def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch):
-    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
-    wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
+    often = Tuning(most_blocks=1, flush_every_s=-1.0)
+    wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL, tuning=often)
     disk = mount("-t", "tmpfs", "-o", "size=1m", "tmpfs")
     store = disk / "s.zarr"
     free = 150_000  # for the first writing of the dataset and some flushes of the ledger
@@ -75,7 +75,7 @@ def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch
     with pytest.raises(
         SweepError, match="cannot be written: No space left on device; what was finished before is kept"
     ):
-        run_study(study, store, SERIAL)
+        run_study(study, store, SERIAL, tuning=often)
     monkeypatch.setattr(Folder, "put", put)
     assert not list(disk.rglob("*.partial"))
     held = len(existing_store(store, study).rows)

@@ -9,6 +9,7 @@ import xarray as xr
 
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
+from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.stores import ledger
 from sweep.stores.folder import Folder
@@ -119,13 +120,12 @@ def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_pat
     """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
     monkeypatch.setattr(ledger, "FEWEST_ROWS", 2)
     monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**19})
-    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
+    often = Tuning(most_blocks=1, flush_every_s=-1.0)
     study = study_from_dict(coins if document == "coins" else SAMPLES)
     written = []
     write = Folder._write
     monkeypatch.setattr(Folder, "_write", lambda *a, **k: (written.append(a), write(*a, **k))[1])
-    wanted, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
+    wanted, _ = run_study(study, tmp_path / "whole.zarr", SERIAL, tuning=often)
     total = len(written)
     assert total > 30
     for last in range(1, total, 1 + total // turns):
@@ -140,10 +140,10 @@ def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_pat
         written.clear()
         monkeypatch.setattr(Folder, "_write", killed)
         with pytest.raises(SystemExit):
-            run_study(study, store, SERIAL)
+            run_study(study, store, SERIAL, tuning=often)
         monkeypatch.setattr(Folder, "_write", write)
         assert not check(store).ledger, last
-        again, _ = run_study(study, store, SERIAL)
+        again, _ = run_study(study, store, SERIAL, tuning=often)
         xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
         assert not check(store), last
 

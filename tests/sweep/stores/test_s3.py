@@ -13,6 +13,7 @@ from zarr.storage import ObjectStore
 
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
+from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.stores import bucket as bucket_module
 from sweep.stores.location import located
@@ -181,11 +182,9 @@ def test_requests_that_fail_are_repeated(bucket, study, wanted, through, kind):
 
 def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, study, wanted, through, monkeypatch):
     monkeypatch.setattr(bucket_module, "TIMEOUT", bucket_module.TIMEOUT / 10)
-    monkeypatch.setattr("sweep.running.writer.FLUSH_EVERY_S", -1.0)
-    monkeypatch.setattr("sweep.planning.work_queue.MAX_BLOCKS", 1)  # one block a task
     proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
     with pytest.raises(SweepError, match=r"cannot be written: .* does not answer as it should"):
-        run_study(study, f"{bucket}/s.zarr", SERIAL)
+        run_study(study, f"{bucket}/s.zarr", SERIAL, tuning=Tuning(most_blocks=1, flush_every_s=-1.0))
     through()
     held = existing_store(f"{bucket}/s.zarr", study).rows
     assert 0 < len(held) < 6 * 4

@@ -1,0 +1,137 @@
+"""The workers of a Dask client: what they need is brought to them, they are compared with this process, and watched."""
+
+import pickle
+import time
+from threading import Event
+from typing import Any
+
+from distributed import Client, Future, WorkerPlugin
+
+from sweep.contract import SweepError
+from sweep.executing.execute import Say
+from sweep.executing.versions import Identity, differences, identity
+from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin
+from sweep.load import source_digest, sources_of
+
+LOOK_EVERY_S = 1.0
+"""At the number of workers."""
+
+PATIENCE_S = 3.0
+"""Without workers before the user is told: one that died is replaced in less."""
+
+MAX_ATTEMPTS = 6
+"""To bring the workers what they need, while some of them go."""
+
+FIRST_PAUSE_S = 0.25
+
+
+class DaskWorkers:
+    """The workers of a Dask ``client`` for an experiment: ``where`` they are in words, their ``threads``, and what is
+    ``expected`` of them, since it decides numbers.
+    """
+
+    def __init__(self, client: Client, where: str, reference: str, say: Say) -> None:
+        self.client, self.where = client, where
+        self.threads, self.expected = 1, identity(reference)
+        self._reference, self._say = reference, say
+        self._warned: set[str] = set()
+        self._looked = self._had_workers = time.monotonic()
+        self._waiting = False
+
+    def prepare(self) -> None:
+        """Wait for a worker, bring the workers what they need, and compare them with the client.
+
+        Raises SweepError with a list where a worker would compute other numbers.
+        """
+        reference = self._reference
+        try:
+            self._register(TaskPlugin())
+            in_this_process = str(self.client.scheduler_info()["address"]).startswith("inproc://")
+            if (sources := sources_of(reference)) is not None and not in_this_process:
+                pickle.dumps(sources)  # raises for a function that cannot leave this process
+                self._register(SourcesPlugin(sources))
+            # Where there is no worker yet, an adaptive cluster starts one for this.
+            probe = self.client.submit(identity, reference, source_digest(reference), pure=False)
+            ended = Event()
+            probe.add_done_callback(lambda _: ended.set())
+            while not ended.wait(LOOK_EVERY_S):
+                self.look()
+            found = self.client.run(identity, reference, source_digest(reference), on_error="return")
+        except SweepError:
+            raise
+        except Exception as error:  # whatever keeps a worker from importing what it is sent
+            raise (self.unable(error) if self.client.status == "running" else self.gone()) from error
+        problems = []
+        for worker, what in sorted(found.items()):
+            if isinstance(what, Identity):
+                self.warn(worker, differences(self.expected.others, what.others))
+                problems += [f"{worker}: {text}" for text in differences(self.expected.deciding, what.deciding)]
+            elif not isinstance(what, OSError):  # one that has gone meanwhile is asked again with its first task
+                problems.append(f"{worker}: {type(what).__name__}: {what}")
+        if problems:
+            raise SweepError(problems, "workers that would not compute what this process would")
+        self.look()
+
+    def _register(self, plugin: WorkerPlugin) -> None:
+        """Bring a plugin to all workers, of which some may go meanwhile."""
+        for attempt in range(MAX_ATTEMPTS):
+            try:
+                self.client.register_plugin(plugin)
+                return
+            except OSError:
+                if self.client.status != "running" or attempt == MAX_ATTEMPTS - 1:
+                    raise
+                time.sleep(FIRST_PAUSE_S)
+
+    def look_if_due(self) -> None:
+        """Look, unless that was done a moment ago."""
+        if time.monotonic() - self._looked > LOOK_EVERY_S:
+            self.look()
+
+    def look(self) -> None:
+        """Count the threads of the workers; raises SweepError where the connection is lost."""
+        if self.client.status != "running":
+            raise self.gone()
+        try:
+            self.threads = sum(self.client.nthreads().values())
+        except (OSError, TimeoutError) as error:
+            raise self.gone() from error
+        self._looked = time.monotonic()
+        if self.threads:
+            if self._waiting:
+                self._say(f"{self.where} has workers again")
+            self._had_workers, self._waiting = self._looked, False
+        elif not self._waiting and self._looked - self._had_workers > PATIENCE_S:
+            self._say(f"{self.where} has no workers; waiting for some")
+            self._waiting = True
+        self.threads = max(1, self.threads)
+
+    def result(self, future: Future[Any]) -> Answer:
+        """Wait for a result, and look after the workers meanwhile: the one that had it may have died since, and then it
+        is computed again, which without workers would take for ever.
+        """
+        while True:
+            try:
+                answer: Answer = future.result(timeout=LOOK_EVERY_S)
+                return answer
+            except TimeoutError:
+                if future.status == "error":
+                    raise
+                self.look()
+
+    def warn(self, worker: str, texts: list[str]) -> None:
+        """Say in what a worker differs that decides no number, once."""
+        for text in texts:
+            if text not in self._warned:
+                self._warned.add(text)
+                self._say(f"warning: {text} (worker {worker}); this should not change a number")
+
+    def gone(self) -> SweepError:
+        """Return the error for a connection that is lost."""
+        return SweepError(
+            f"the connection to {self.where} is lost; what was finished is kept, the same command goes on from there"
+        )
+
+    def unable(self, error: BaseException) -> SweepError:
+        """Return the error for workers that cannot import what they are sent."""
+        return SweepError(f"the workers of {self.where} cannot run linksweep: {type(error).__name__}: {error}")
