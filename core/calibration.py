@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
 from core.arrays import Array
-from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue, Sky, galaxies, radio_stars, resample
+from core.catalogue import GALAXY_FAINT_LIMIT_MAG, N_GALAXIES, Catalogue, Sky, galaxies, radio_stars, resample
 from core.constants import MAS
 from core.frames import triad
 from core.link import Weighting
@@ -24,9 +24,6 @@ from core.quasars import COUNT, V_MAX, quasars
 
 Model = Literal["amex", "gaia"]
 Kind = Literal["quasars", "galaxies", "radio-stars"]
-
-GALAXY_COUNT = 116
-"""Galaxies in Tycho-2.  Source: Metz & Geffert 2004, Table 1."""
 
 PAPER_MC_ERROR = 1.0 / np.sqrt(2.0 * 3.0 * 10_000)
 """Relative Monte-Carlo error of a printed number: 10 000 realisations of 3 components (paper, Sect. 5.1), 0.4 %."""
@@ -167,8 +164,8 @@ def draw_skies(kind: Kind, n_cat: int, seed: int, faintest: float = 20.0) -> Ski
         counts = tuple(int(n) for n in COUNT[faintest >= V_MAX])
         catalogues = [quasars(rng, faintest, sky) for _ in range(n_cat)]
     elif kind == "galaxies":
-        counts = (GALAXY_COUNT,)
-        catalogues = [galaxies(rng, GALAXY_COUNT, GALAXY_FAINT_LIMIT_MAG, sky) for _ in range(n_cat)]
+        counts = (N_GALAXIES,)
+        catalogues = [galaxies(rng, N_GALAXIES, GALAXY_FAINT_LIMIT_MAG, sky) for _ in range(n_cat)]
     else:
         counts = tuple(range(10, 110, 10))
         catalogues = [resample(rng, radio_stars(), counts[-1], sky) for _ in range(n_cat)]

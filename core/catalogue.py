@@ -14,6 +14,11 @@ from core.radio_stars import RADIO_STARS
 
 PmDistribution = Literal["uniform", "constant", "rayleigh"]
 
+SIDES = ("reference", "satellite")
+
+N_GALAXIES = 116
+"""Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 and Table 1."""
+
 GALAXY_MEAN_MAG, GALAXY_SCATTER_MAG, GALAXY_FAINT_LIMIT_MAG = 12.5, 0.5, 13.5
 """V_T of the galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 (mean 12.5); scatter and limit are
 estimates.
@@ -61,16 +66,7 @@ class Catalogue:
 
     def take(self, index: NDArray[np.intp] | slice) -> "Catalogue":
         """Return the objects at these indices."""
-        return Catalogue(
-            ra=self.ra[index],
-            dec=self.dec[index],
-            pmra=self.pmra[index],
-            pmdec=self.pmdec[index],
-            v_mag=self.v_mag[index],
-            sigma=None if self.sigma is None else self.sigma[:, index],
-            correlation=None if self.correlation is None else self.correlation[index],
-            reference=None if self.reference is None else self.reference.take(index),
-        )
+        return self._made(lambda column: column[index], lambda errors: errors.take(index))
 
     def some(self, rng: np.random.Generator, n_obj: int) -> "Catalogue":
         """Return ``n_obj`` objects at random, in their order, or all of as many; nothing is drawn for those."""
@@ -87,17 +83,7 @@ class Catalogue:
 
     def flattened(self) -> "Catalogue":
         """Return the objects of all catalogues that are drawn together, one after the other."""
-        own = None if self.sigma is None else OwnErrors(self.sigma, self.correlation).flattened()
-        return Catalogue(
-            ra=self.ra.reshape(-1),
-            dec=self.dec.reshape(-1),
-            pmra=self.pmra.reshape(-1),
-            pmdec=self.pmdec.reshape(-1),
-            v_mag=self.v_mag.reshape(-1),
-            sigma=None if own is None else own.sigma,
-            correlation=None if own is None else own.correlation,
-            reference=None if self.reference is None else self.reference.flattened(),
-        )
+        return self._made(lambda column: column.reshape(-1), OwnErrors.flattened)
 
     def own_errors(self, side: str) -> OwnErrors | None:
         """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
@@ -109,6 +95,21 @@ class Catalogue:
         """Return the same objects, with their proper motions along the local triad, at other positions."""
         objects = self if ra.ndim == self.ra.ndim else self.repeated(len(ra))
         return replace(objects, ra=ra, dec=dec)
+
+    def _made(self, column: Callable[[Array], Array], errors: Callable[[OwnErrors], OwnErrors]) -> "Catalogue":
+        """Return what is made of each column, and of the errors of either side."""
+        sides = self.own_errors("satellite"), self.reference
+        own, reference = (None if side is None else errors(side) for side in sides)
+        return Catalogue(
+            ra=column(self.ra),
+            dec=column(self.dec),
+            pmra=column(self.pmra),
+            pmdec=column(self.pmdec),
+            v_mag=column(self.v_mag),
+            sigma=None if own is None else own.sigma,
+            correlation=None if own is None else own.correlation,
+            reference=reference,
+        )
 
 
 @dataclass(frozen=True)

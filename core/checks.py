@@ -7,7 +7,6 @@ import numpy as np
 from core.catalogue import Catalogue
 from core.catalogues.kind import RANDOM_SKY
 from core.errors import SIDES
-from core.expected_errors import errors_at_limit, errors_of_objects
 from core.function_curve import CurveError
 from core.missions import MissionUnavailableError
 from core.scenario import (
@@ -15,6 +14,8 @@ from core.scenario import (
     catalogue_size,
     error_kind,
     error_model,
+    errors_at_limit,
+    errors_of_objects,
     own_objects,
     systematics,
     zonal_errors,
@@ -38,22 +39,14 @@ def check(point: Point) -> str | None:
 
     It looks at no parameter that does not matter for a point: the platform asks again only where another is different.
     """
-    problem = _check_catalogue(point)
-    if problem is None and point["solve_glide"] and catalogue_size(point) < SMALLEST_GLIDE:
-        problem = f"n_obj = {catalogue_size(point)}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
-    if problem is None and point["aberration"] and not catalogue_kind(point).extragalactic:
-        stars = point["catalogue"].replace("-", " ")
-        problem = f"aberration: the glide is that of extragalactic objects, not of {stars}"
-    if problem is None:
-        problem = _check_systematics(point)
-    if problem is not None:
+    if problem := _check_catalogue(point) or _check_glide(point) or _check_systematics(point):
         return problem
     objects = own_objects(point)
     try:
-        problem = _check_error_models(point)
-        if problem is None:
-            problem = _check_errors(point) if objects is None else _check_errors_of_objects(point, objects)
-        return _check_method(point, objects) if problem is None else problem
+        if problem := _check_error_models(point):
+            return problem
+        problem = _check_errors(point) if objects is None else _check_errors_of_objects(point, objects)
+        return problem or _check_method(point, objects)
     except (MissionUnavailableError, CurveError) as error:
         return str(error)
 
@@ -66,6 +59,15 @@ def _check_catalogue(point: Point) -> str | None:
     if not uses >= RANDOM_SKY and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
     return kind.why_not(point)
+
+
+def _check_glide(point: Point) -> str | None:
+    if point["solve_glide"] and catalogue_size(point) < SMALLEST_GLIDE:
+        return f"n_obj = {catalogue_size(point)}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
+    if point["aberration"] and not catalogue_kind(point).extragalactic:
+        stars = point["catalogue"].replace("-", " ")
+        return f"aberration: the glide is that of extragalactic objects, not of {stars}"
+    return None
 
 
 def _check_systematics(point: Point) -> str | None:

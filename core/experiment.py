@@ -7,9 +7,9 @@ import numpy as np
 from core.arrays import Array
 from core.checks import check
 from core.design import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
-from core.expected_errors import has_errors
-from core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
-from core.scenario import catalogue_size, scenario, zonal_errors
+from core.outputs import OUTPUTS, SAMPLE_OUTPUTS, UNITS
+from core.parameters import PARAMETERS, SHARED
+from core.scenario import catalogue_size, has_errors, scenario, zonal_errors
 from core.simulate import BlockSums, Streams, can_stack, simulate, simulate_stack
 from core.unused import unused
 from core.warn import warn

@@ -35,17 +35,11 @@ def merge_galaxies(
     known = np.empty(0, dtype=np.int64)  # identifier of each galaxy so far
     for c, catalogue in enumerate(catalogues):
         label = _label_by_identifier(catalogue.identifier, known)
-        links = [
-            _free_links(pairs, labels[e], label, known, catalogues[e], catalogue)
-            for e, pairs in enumerate(
-                pairs_within(
-                    trees[e],
-                    trees[c],
-                    catalogues[e].radius + catalogue.radius if merge_radius is None else merge_radius,
-                )
-                for e in range(c)
-            )
-        ]
+        links = []
+        for earlier, tree, earlier_label in zip(catalogues[:c], trees[:c], labels, strict=True):
+            radius = earlier.radius + catalogue.radius if merge_radius is None else merge_radius
+            pairs = pairs_within(tree, trees[c], radius)
+            links.append(_free_links(pairs, earlier_label, label, known, earlier, catalogue))
         if links:
             galaxy, entry = _closest_links(links, catalogue, known)
             label[entry] = galaxy

@@ -161,10 +161,7 @@ def normal_inverse(normal: Array) -> Array:
     well). Raises LinkError where the smallest eigenvalue of a scaled matrix, whose diagonal is 1, is not above
     `SMALLEST_EIGENVALUE`.
     """
-    diagonal = np.einsum("...ii->...i", normal)
-    if not np.all(diagonal > 0.0):
-        raise LinkError("the link is rank deficient: an unknown has no weight at all")
-    scale = 1.0 / np.sqrt(diagonal)
+    scale = _scale(np.einsum("...ii->...i", normal))
     scaled = normal * scale[..., :, None] * scale[..., None, :]
     require_rank(scaled)
     inverse: Array = np.linalg.inv(scaled) * scale[..., :, None] * scale[..., None, :]
@@ -180,10 +177,7 @@ def solve_normal(normal: Array, right: Array) -> Array:
     only computed where that bound does not decide.
     """
     unknowns = len(normal)
-    diagonal = np.einsum("kk...->k...", normal)
-    if not np.all(diagonal > 0.0):
-        raise LinkError("the link is rank deficient: an unknown has no weight at all")
-    scale = 1.0 / np.sqrt(diagonal)
+    scale = _scale(np.einsum("kk...->k...", normal))
     scaled = normal * scale[:, None] * scale
     solved = right * scale
     upper = scaled.copy()
@@ -218,6 +212,13 @@ def require_rank(scaled: Array) -> None:
     """
     if not np.all(np.linalg.eigvalsh(scaled)[..., 0] > SMALLEST_EIGENVALUE):
         raise LinkError("the link is rank deficient: the objects do not determine all unknowns")
+
+
+def _scale(diagonal: Array) -> Array:
+    """Return the factors that make a diagonal 1; raises LinkError for an unknown without weight."""
+    if not np.all(diagonal > 0.0):
+        raise LinkError("the link is rank deficient: an unknown has no weight at all")
+    return np.asarray(1.0 / np.sqrt(diagonal))
 
 
 def _require(good: NDArray[np.bool_], what: str) -> None:

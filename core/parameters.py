@@ -1,20 +1,48 @@
-"""What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
+"""What a study of the link can set: names, units, defaults and meanings, nothing else."""
+
+from collections.abc import Iterable
 
 from core.catalogues import CATALOGUES
 from core.errors import error_kinds
 from core.missions import MISSIONS
+from core.systematics import Vector
 from core.user_mission import mission_from_table
-from sweep.contract import Output, Parameter
+from sweep.contract import Parameter
+
+
+def _choice(name: str, default: str | None, meaning: str, choices: Iterable[str]) -> Parameter:
+    return Parameter(name, "str", default, meaning, choices=tuple(choices))
+
+
+def _number(
+    name: str,
+    default: float | None,
+    meaning: str,
+    unit: str = "",
+    minimum: float | None = 0.0,
+    maximum: float | None = 1e6,
+    symbol: str = "",
+) -> Parameter:
+    """Declare a number, by default from 0 to a million."""
+    return Parameter(name, "float", default, meaning, unit, minimum=minimum, maximum=maximum, symbol=symbol)
+
+
+def _positive(
+    name: str, default: float | None, meaning: str, unit: str = "", maximum: float | None = None, symbol: str = ""
+) -> Parameter:
+    return Parameter(name, "float", default, meaning, unit, above=0.0, maximum=maximum, symbol=symbol)
+
+
+def _vector(name: str, default: Vector, meaning: str, unit: str, largest: float) -> Parameter:
+    return Parameter(name, "vector", default, meaning, unit, minimum=-largest, maximum=largest)
+
+
+MAGNITUDE = ("mag", -5.0, 30.0)
+"""Unit and bounds of a magnitude."""
 
 PARAMETERS = (
     # step A: the reference catalogue
-    Parameter(
-        "catalogue",
-        "str",
-        "synthetic",
-        "reference catalogue (step A)",
-        choices=tuple(CATALOGUES),
-    ),
+    _choice("catalogue", "synthetic", "reference catalogue (step A)", CATALOGUES),
     Parameter(
         "n_obj",
         "int",
@@ -24,69 +52,48 @@ PARAMETERS = (
         maximum=10_000_000,
         symbol=r"$N_\mathrm{obj}$",
     ),
-    Parameter(
+    _number(
         "v_max",
-        "float",
         None,
         "limiting magnitude V; default: synthetic 15, quasars 20, galaxies 13.5, else none",
-        unit="mag",
-        minimum=-5.0,
-        maximum=30.0,
-        symbol=r"$V_\mathrm{max}$",
+        *MAGNITUDE,
+        r"$V_\mathrm{max}$",
     ),
-    Parameter(
-        "v_min",
-        "float",
-        None,
-        "brightest magnitude V; default: synthetic 5, else none",
-        unit="mag",
-        minimum=-5.0,
-        maximum=30.0,
-        symbol=r"$V_\mathrm{min}$",
-    ),
-    Parameter(
+    _number("v_min", None, "brightest magnitude V; default: synthetic 5, else none", *MAGNITUDE, r"$V_\mathrm{min}$"),
+    _choice(
         "counts",
-        "str",
         "catalogue",
         "number of quasars: of the paper's catalogue, or completed to the full sky",
-        choices=("catalogue", "completed"),
+        ("catalogue", "completed"),
     ),
-    Parameter(
+    _number(
         "mean_pm",
-        "float",
         0.0,
         "mean modulus of the proper motions, synthetic catalogue",
-        unit="mas / yr",
-        minimum=0.0,
+        "mas / yr",
+        maximum=None,
         symbol=r"$\overline{\mu}$",
     ),
-    Parameter(
-        "pm_distribution",
-        "str",
-        "uniform",
-        "distribution of that modulus about its mean",
-        choices=("uniform", "constant", "rayleigh"),
+    _choice(
+        "pm_distribution", "uniform", "distribution of that modulus about its mean", ("uniform", "constant", "rayleigh")
     ),
-    Parameter(
+    _choice(
         "positions",
-        "str",
         None,
         "radio stars, file: own positions or random ones; default: radio stars random, file own",
-        choices=("own", "isotropic"),
+        ("own", "isotropic"),
     ),
-    Parameter(
+    _number(
         "zone_of_avoidance",
-        "float",
         0.0,
         "no random positions at Galactic latitudes |b| below this",
-        unit="deg",
-        minimum=0.0,
-        maximum=89.0,
-        symbol=r"$|b|_\mathrm{min}$",
+        "deg",
+        0.0,
+        89.0,
+        r"$|b|_\mathrm{min}$",
     ),
-    Parameter(
+    _number(
         "sky_contrast",
-        "float",
         0.0,
         "(north - south)/(north + south) of the numbers on both sides of the Galactic plane, random positions",
         minimum=-0.99,
@@ -104,20 +111,8 @@ PARAMETERS = (
         "whether pmra of the file includes cos(dec) (its error always does); needed unless the file is Gaia's",
     ),
     # steps C and D: errors
-    Parameter(
-        "satellite_errors",
-        "str",
-        "magnitude",
-        "error model of the satellite (step D)",
-        choices=error_kinds("satellite"),
-    ),
-    Parameter(
-        "reference_errors",
-        "str",
-        "none",
-        "error model of the reference (step C)",
-        choices=error_kinds("reference"),
-    ),
+    _choice("satellite_errors", "magnitude", "error model of the satellite (step D)", error_kinds("satellite")),
+    _choice("reference_errors", "none", "error model of the reference (step C)", error_kinds("reference")),
     Parameter(
         "model",
         "str",
@@ -126,267 +121,115 @@ PARAMETERS = (
         choices=tuple(MISSIONS),
         define=mission_from_table,
     ),
-    Parameter(
-        "mission_length",
-        "float",
-        None,
-        "mission length; default: the model's own (amex 2, gaia 5)",
-        unit="yr",
-        above=0.0,
-        symbol="$T$",
+    _positive("mission_length", None, "mission length; default: the model's own (amex 2, gaia 5)", "yr", symbol="$T$"),
+    *(
+        _number(f"{side}_sigma_{key}", 1.0, f"{side} {what} error, 'normal' errors", unit, maximum=None)
+        for side in ("satellite", "reference")
+        for key, what, unit in (("pos", "position", "mas"), ("pm", "proper-motion", "mas / yr"))
     ),
-    Parameter(
-        "satellite_sigma_pos", "float", 1.0, "satellite position error, 'normal' errors", unit="mas", minimum=0.0
-    ),
-    Parameter(
-        "satellite_sigma_pm",
-        "float",
-        1.0,
-        "satellite proper-motion error, 'normal' errors",
-        unit="mas / yr",
-        minimum=0.0,
-    ),
-    Parameter(
-        "reference_sigma_pos", "float", 1.0, "reference position error, 'normal' errors", unit="mas", minimum=0.0
-    ),
-    Parameter(
-        "reference_sigma_pm",
-        "float",
-        1.0,
-        "reference proper-motion error, 'normal' errors",
-        unit="mas / yr",
-        minimum=0.0,
-    ),
-    Parameter("error_scale", "float", 1.0, "factor on all errors", minimum=0.0, maximum=1e6),
-    Parameter(
-        "satellite_error_scale",
-        "float",
-        1.0,
-        "further factor on the satellite's errors",
-        minimum=0.0,
-        maximum=1e6,
-        symbol=r"$\Delta_\mathrm{sat}$",
-    ),
-    Parameter(
-        "reference_error_scale",
-        "float",
-        1.0,
-        "further factor on the reference's errors",
-        minimum=0.0,
-        maximum=1e6,
-        symbol=r"$\Delta_\mathrm{ref}$",
-    ),
+    _number("error_scale", 1.0, "factor on all errors"),
+    _number("satellite_error_scale", 1.0, "further factor on the satellite's errors", symbol=r"$\Delta_\mathrm{sat}$"),
+    _number("reference_error_scale", 1.0, "further factor on the reference's errors", symbol=r"$\Delta_\mathrm{ref}$"),
     # the truth (step B)
-    Parameter(
-        "epsilon",
-        "vector",
-        (1.0, 1.0, 1.0),
-        "true orientation, reference - satellite",
-        unit="mas",
-        minimum=-1e8,
-        maximum=1e8,
+    _vector("epsilon", (1.0, 1.0, 1.0), "true orientation, reference - satellite", "mas", 1e8),
+    _vector("omega", (1.0, 1.0, 1.0), "true spin, reference - satellite", "mas / yr", 1e8),
+    _number(
+        "epsilon_size", None, "length of epsilon, which then gives the direction only", "mas", 0.0, 1e8, r"$|\epsilon|$"
     ),
-    Parameter(
-        "omega",
-        "vector",
-        (1.0, 1.0, 1.0),
-        "true spin, reference - satellite",
-        unit="mas / yr",
-        minimum=-1e8,
-        maximum=1e8,
+    _number(
+        "omega_size", None, "length of omega, which then gives the direction only", "mas / yr", 0.0, 1e8, r"$|\omega|$"
     ),
-    Parameter(
-        "epsilon_size",
-        "float",
-        None,
-        "length of epsilon, which then gives the direction only",
-        unit="mas",
-        minimum=0.0,
-        maximum=1e8,
-        symbol=r"$|\epsilon|$",
-    ),
-    Parameter(
-        "omega_size",
-        "float",
-        None,
-        "length of omega, which then gives the direction only",
-        unit="mas / yr",
-        minimum=0.0,
-        maximum=1e8,
-        symbol=r"$|\omega|$",
-    ),
-    Parameter(
+    _choice(
         "directions",
-        "str",
         "fixed",
         "directions of epsilon and omega: as given, or random for each catalogue",
-        choices=("fixed", "random"),
+        ("fixed", "random"),
     ),
     Parameter("aberration", "bool", False, "add a glide to the satellite's proper motions (Galactic aberration)"),
-    Parameter("glide", "vector", None, "that glide; default: 4 uas/yr towards the Galactic centre", unit="uas / yr"),
+    Parameter("glide", "vector", None, "that glide; default: 4 uas/yr towards the Galactic centre", "uas / yr"),
     # systematics
-    Parameter(
+    _number(
         "satellite_floor_pos",
-        "float",
         0.0,
         "noise floor in the satellite's position errors, in quadrature and after all scales",
-        unit="mas",
-        minimum=0.0,
-        maximum=1e6,
+        "mas",
     ),
-    Parameter(
-        "satellite_floor_pm",
-        "float",
-        0.0,
-        "noise floor in the satellite's proper-motion errors",
-        unit="mas / yr",
-        minimum=0.0,
-        maximum=1e6,
-    ),
-    Parameter(
-        "reference_floor_pos",
-        "float",
-        0.0,
-        "noise floor in the reference's position errors",
-        unit="mas",
-        minimum=0.0,
-        maximum=1e6,
-    ),
-    Parameter(
-        "reference_floor_pm",
-        "float",
-        0.0,
-        "noise floor in the reference's proper-motion errors",
-        unit="mas / yr",
-        minimum=0.0,
-        maximum=1e6,
-    ),
-    Parameter(
+    _number("satellite_floor_pm", 0.0, "noise floor in the satellite's proper-motion errors", "mas / yr"),
+    _number("reference_floor_pos", 0.0, "noise floor in the reference's position errors", "mas"),
+    _number("reference_floor_pm", 0.0, "noise floor in the reference's proper-motion errors", "mas / yr"),
+    _positive(
         "satellite_error_ratio",
-        "float",
         1.0,
         "true errors of the satellite over those that weigh: 2 where they are underestimated by a factor 2",
-        above=0.0,
         maximum=100.0,
     ),
-    Parameter(
-        "reference_error_ratio",
-        "float",
-        1.0,
-        "true errors of the reference over those that weigh",
-        above=0.0,
-        maximum=100.0,
-    ),
-    Parameter(
+    _positive("reference_error_ratio", 1.0, "true errors of the reference over those that weigh", maximum=100.0),
+    _number(
         "zonal_pos",
-        "float",
         0.0,
         "RMS per coordinate of errors of the satellite's positions that neighbours on the sky share; they do not weigh",
-        unit="mas",
-        minimum=0.0,
-        maximum=1e6,
+        "mas",
     ),
-    Parameter(
-        "zonal_pm",
-        "float",
-        0.0,
-        "RMS per coordinate of such errors of the satellite's proper motions",
-        unit="mas / yr",
-        minimum=0.0,
-        maximum=1e6,
-    ),
-    Parameter(
+    _number("zonal_pm", 0.0, "RMS per coordinate of such errors of the satellite's proper motions", "mas / yr"),
+    _number(
         "zonal_length",
-        "float",
         30.0,
         "width of the Gaussian by which zonal errors are correlated over angular distance",
-        unit="deg",
-        minimum=6.0,
-        maximum=180.0,
+        "deg",
+        6.0,
+        180.0,
     ),
-    Parameter(
+    _vector(
         "omega_slope",
-        "vector",
         (0.0, 0.0, 0.0),
         "change of the true spin with magnitude: omega + omega_slope (V - v_zero)",
-        unit="mas / (yr mag)",
-        minimum=-1e6,
-        maximum=1e6,
+        "mas / (yr mag)",
+        1e6,
     ),
-    Parameter(
-        "omega_slope_size",
-        "float",
-        None,
-        "length of omega_slope, which then gives the direction only",
-        unit="mas / (yr mag)",
-        minimum=0.0,
-        maximum=1e6,
+    _number("omega_slope_size", None, "length of omega_slope, which then gives the direction only", "mas / (yr mag)"),
+    *(
+        _number(
+            f"magnitude_equation_{motion}",
+            0.0,
+            f"error of the satellite's {motion} for each magnitude that an object is fainter than v_zero",
+            "mas / (yr mag)",
+            -1e6,
+        )
+        for motion in ("pmra", "pmdec")
     ),
-    Parameter(
-        "magnitude_equation_pmra",
-        "float",
-        0.0,
-        "error of the satellite's pmra for each magnitude that an object is fainter than v_zero",
-        unit="mas / (yr mag)",
-        minimum=-1e6,
-        maximum=1e6,
-    ),
-    Parameter(
-        "magnitude_equation_pmdec",
-        "float",
-        0.0,
-        "error of the satellite's pmdec for each magnitude that an object is fainter than v_zero",
-        unit="mas / (yr mag)",
-        minimum=-1e6,
-        maximum=1e6,
-    ),
-    Parameter(
-        "v_zero",
-        "float",
-        15.0,
-        "magnitude at which omega is the spin and a magnitude equation is zero",
-        unit="mag",
-        minimum=-5.0,
-        maximum=30.0,
-    ),
+    _number("v_zero", 15.0, "magnitude at which omega is the spin and a magnitude equation is zero", *MAGNITUDE),
     Parameter(
         "motion_field",
         "str",
         None,
         "vector spherical harmonics in the satellite's proper motions, as 't_2_0=0.1,s_2_1_re=-0.2' in mas/yr",
     ),
-    Parameter(
+    _number(
         "motion_field_size",
-        "float",
         None,
         "RMS length over the sky of motion_field, which then gives the pattern only",
-        unit="mas / yr",
-        minimum=0.0,
-        maximum=1e6,
+        "mas / yr",
     ),
     # step E: the solution
     Parameter("solve_glide", "bool", False, "solve for a glide too"),
     Parameter("corrections", "bool", True, "keep the A21 terms in the design matrix"),
-    Parameter(
+    _choice(
         "weighting",
-        "str",
         "inverse-variance",
         "weights of the solution: 1/(sigma_ref^2 + sigma_sat^2), or all equal",
-        choices=("inverse-variance", "equal"),
+        ("inverse-variance", "equal"),
     ),
-    Parameter(
+    _choice(
         "arithmetic",
-        "str",
         "exact",
         "differences of catalogues: exact, or by subtracting stored angles as in the paper",
-        choices=("exact", "stored"),
+        ("exact", "stored"),
     ),
-    Parameter(
+    _choice(
         "method",
-        "str",
         "catalogue",
         "what is drawn: errors of every object, or projected, what the link makes of them, at a cost without n_obj",
-        choices=("catalogue", "projected"),
+        ("catalogue", "projected"),
     ),
 )
 
@@ -414,123 +257,3 @@ SHARED = (
     # numbers, so that nothing is common to compare; and method, which draws others.
 )
 """Parameters whose values do not change the random numbers of a block, only what is made of them."""
-
-UNITS = ("mas",) * 3 + ("mas / yr",) * 3
-# Without slashes: astropy warns of several in one string.
-_EACH = "mas, mas, mas, mas yr-1, mas yr-1, mas yr-1"
-_TOP = "(mas2, mas2, mas2, mas2 yr-1, mas2 yr-1, mas2 yr-1)"
-_BOTTOM = "(mas2 yr-1, mas2 yr-1, mas2 yr-1, mas2 yr-2, mas2 yr-2, mas2 yr-2)"
-_PRODUCTS = ", ".join([_TOP] * 3 + [_BOTTOM] * 3)
-
-
-def _with_errors(
-    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), headline: bool = False, symbol: str = ""
-) -> list[Output]:
-    return [
-        Output(name, unit, meaning, dims, headline, symbol, nan=True),
-        Output(f"{name}_mc_error", unit, f"Monte-Carlo error of {name}, sigma/sqrt(2 n)", dims, nan=True),
-        Output(
-            f"{name}_predicted",
-            unit,
-            f"closed-form prediction of {name} for the same catalogues, of the errors alone: without a bias",
-            dims,
-            nan=True,
-        ),
-        Output(
-            f"{name}_rms_predicted",
-            unit,
-            f"closed-form prediction of {name} for the same catalogues, errors and bias: all of it",
-            dims,
-            nan=True,
-        ),
-        Output(
-            f"{name}_catalogue_error",
-            unit,
-            f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; NaN below 5",
-            dims,
-            nan=True,
-        ),
-    ]
-
-
-OUTPUTS = (
-    Output(
-        "n_obj",
-        "",
-        "number of objects in the catalogue (mean over catalogues)",
-        headline=True,
-        symbol=r"$N_\mathrm{obj}$",
-    ),
-    *_with_errors(
-        "sigma_spin",
-        "mas / yr",
-        "RMS error of the spin, over its three components",
-        headline=True,
-        symbol=r"$\sigma(\omega)$",
-    ),
-    *_with_errors(
-        "sigma_orientation",
-        "mas",
-        "RMS error of the orientation, over its three components",
-        symbol=r"$\sigma(\epsilon)$",
-    ),
-    *_with_errors("sigma", _EACH, "RMS of estimate - truth", ("component",)),
-    Output("bias", _EACH, "mean of estimate - truth", ("component",), nan=True),
-    Output(
-        "bias_predicted",
-        _EACH,
-        "closed-form prediction of bias for the same catalogues: what aberration or terms left out make",
-        ("component",),
-        nan=True,
-    ),
-    Output(
-        "bias_mc_error",
-        _EACH,
-        "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of one; NaN for 2 to 4",
-        ("component",),
-        nan=True,
-    ),
-    Output(
-        "covariance",
-        _PRODUCTS,
-        "covariance of the estimates about their mean",
-        ("component", "component_other"),
-        nan=True,
-    ),
-    Output(
-        "correlation",
-        "",
-        "correlation of the estimates about their mean",
-        ("component", "component_other"),
-        nan=True,
-    ),
-    Output(
-        "condition_number",
-        "",
-        "largest over smallest eigenvalue of the normal matrix scaled to a diagonal of 1 (mean over catalogues)",
-    ),
-    Output(
-        "chi2",
-        "",
-        "mean chi2 of the solution; dof is its expectation for inverse-variance weights of uncorrelated errors",
-    ),
-    Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
-    Output(
-        "glide_sigma",
-        "mas / yr",
-        "RMS of estimate - truth of a glide that was solved for",
-        ("glide_component",),
-        nan=True,
-    ),
-    Output(
-        "glide_bias",
-        "mas / yr",
-        "mean of estimate - truth of a glide that was solved for",
-        ("glide_component",),
-        nan=True,
-    ),
-)
-
-SAMPLE_OUTPUTS = (
-    Output("estimate", _EACH, "estimate of each realisation, where a study keeps them", ("component",), nan=True),
-)

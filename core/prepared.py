@@ -15,10 +15,9 @@ from core.frames import along, exact_differences, stored_differences, triad
 from core.link import KINDS, UnlikeError, Weighting, combined_error, measured
 from core.noise import Noise
 from core.shared_arrays import Prefixes, parts
-from core.systematics import Systematics
+from core.systematics import Systematics, Vector
 from core.zonal import ZonalErrors
 
-Vector = tuple[float, float, float]
 Arithmetic = Literal["exact", "stored"]
 Method = Literal["catalogue", "projected"]
 

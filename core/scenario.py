@@ -1,14 +1,20 @@
-"""From a point's parameters to the physics of it: catalogue, errors, truth and solution."""
+"""From a point's parameters to the physics of it: catalogue, errors, truth and solution; and the errors to be expected
+before any catalogue is drawn, at the cost of a few multiplications.
+"""
+
+from functools import partial
+from math import hypot
 
 import numpy as np
 
+from core.arrays import Array
 from core.catalogue import Catalogue
 from core.catalogues import CATALOGUES, CatalogueKind
 from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
-from core.errors import ERROR_KINDS, ErrorKind, ErrorModel
+from core.errors import ERROR_KINDS, SIDES, ErrorKind, ErrorModel, Errors
 from core.errors.floor import FlooredErrors, floor_of
-from core.prepared import Scenario, TrueVector, Vector
-from core.systematics import Pattern, Systematics, parse_pattern, rms
+from core.prepared import Scenario, TrueVector
+from core.systematics import Pattern, Systematics, Vector, parse_pattern, rms
 from core.zonal import ZonalErrors
 from sweep.contract import Point
 
@@ -84,6 +90,31 @@ def catalogue_size(point: Point) -> int:
 def own_objects(point: Point) -> Catalogue | None:
     """Return the objects of a catalogue that is given as such, None for one that is drawn from a law."""
     return catalogue_kind(point).objects(point)
+
+
+def errors_at_limit(point: Point, side: str) -> Errors:
+    """Return the errors of one side, "reference" or "satellite", for an object at the limit of a catalogue that is
+    drawn.
+    """
+    kind = error_kind(point, side)
+    errors = kind.errors_at(point, side, lambda: catalogue_kind(point).magnitudes(point)[1])
+    floor = floor_of(point, kind, side)
+    return errors if floor is None else Errors(*map(hypot, errors, floor))
+
+
+def errors_of_objects(point: Point, objects: Catalogue) -> tuple[Array, Array]:
+    """Return the errors (mas, mas/yr) of the reference and the satellite for objects, shape (4, N) each."""
+    with np.errstate(over="ignore"):  # a curve far beyond its range is infinite, and refused for that
+        reference, satellite = (error_model(point, side).standard_errors(objects) / MAS for side in SIDES)
+    return reference, satellite
+
+
+def has_errors(point: Point, side: str) -> bool:
+    """Return whether one side has any error, so that normals are drawn for it."""
+    if side == "satellite" and zonal_errors(point) is not None:
+        return True
+    kind = error_kind(point, side)
+    return floor_of(point, kind, side) is not None or kind.any(point, side, partial(own_objects, point))
 
 
 def _radians(vector_mas: Vector, size_mas: float | None) -> Vector:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Array
-from core.catalogue import Catalogue, OwnErrors
+from core.catalogue import SIDES, Catalogue, OwnErrors
 from core.constants import DEGREE, MAS
 
 UNITS: Mapping[str, str] = {
@@ -25,7 +25,6 @@ UNITS: Mapping[str, str] = {
 
 OBSERVABLES = ("ra", "dec", "pmra", "pmdec")
 CORRELATIONS = {f"{a}_{b}_corr": (i, j) for i, a in enumerate(OBSERVABLES) for j, b in enumerate(OBSERVABLES) if i < j}
-SIDES = ("reference", "satellite")
 ERRORS = (*(f"{observable}_error" for observable in OBSERVABLES), *CORRELATIONS)
 POSITION_ERRORS, MOTION_ERRORS = {"ra_error", "dec_error"}, {"pmra_error", "pmdec_error"}
 QUANTITIES = (*UNITS, *CORRELATIONS, *(f"{side}_{name}" for side in SIDES for name in ERRORS))

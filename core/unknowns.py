@@ -163,7 +163,8 @@ def parse_unknowns(
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise ValueError(f"no unknowns; known are {', '.join(KNOWN)}")
-    of = {mission: list(_of_mission(mission, names)) for mission in missions}
+    divided = [name.partition(":") for name in names]
+    of = {mission: [block for first, _, block in divided if first == mission] for mission in missions}
     own = [name for name in names if name.partition(":")[0] not in of]
     blocks = list(_blocks(own, bins, columns or {}, corrections))
     for number, (mission, some) in enumerate(of.items(), 1):
@@ -180,12 +181,6 @@ def require_mission_name(name: str) -> None:
         raise ValueError(
             f"mission {name!r}: a name is letters, digits, _ and -, no digit first, and none of the unknowns"
         )
-
-
-def _of_mission(mission: str, names: Sequence[str]) -> Iterator[str]:
-    for name in names:
-        if name.partition(":")[0] == mission:
-            yield name.partition(":")[2]
 
 
 def _blocks(

@@ -3,8 +3,7 @@
 import numpy as np
 
 from core.errors import SIDES
-from core.expected_errors import errors_at_limit, errors_of_objects
-from core.scenario import catalogue_kind, error_kind, own_objects
+from core.scenario import catalogue_kind, error_kind, errors_at_limit, errors_of_objects, own_objects
 from sweep.contract import Point, SweepError
 
 KINDS = {"positions": ("proper motions", "orientation"), "proper motions": ("positions", "spin")}

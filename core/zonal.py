@@ -15,14 +15,13 @@ import numpy as np
 
 from core.arrays import Array
 from core.harmonics import toroidal, turned
+from core.link import KINDS
 
 REACH = 5.0
 """Degrees up to this over the width: the power beyond is exp(-12.5) of all, and goes to those below."""
 
 BASIS = 2**20
 """Numbers in the fields of as many objects as are prepared at a time: 8 MiB."""
-
-OBSERVABLES = (slice(0, 2), slice(2, 4))
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class Field:
     def sizes(self) -> Iterator[tuple[int, slice, float]]:
         """Yield the number, rows and RMS of the pairs of observables that have zonal errors."""
         for k, (observables, sigma) in enumerate(
-            zip(OBSERVABLES, (self.errors.sigma_pos, self.errors.sigma_pm), strict=True)
+            zip(KINDS, (self.errors.sigma_pos, self.errors.sigma_pm), strict=True)
         ):
             if sigma > 0.0:
                 yield k, observables, sigma

@@ -7,6 +7,9 @@ from typing import Any
 DESCRIPTION = "description"
 """The whole meaning, where ``long_name`` is only the beginning of it."""
 
+LOGARITHMIC_UNITS = ("mag", "dB", "dex")
+"""Units that are logarithms: an axis of them is drawn, and interpolated along, as it is."""
+
 _END = re.compile(r" \(|, |; |: ")
 
 
@@ -38,6 +41,11 @@ def short_meaning(meaning: str) -> str:
         if before and before.count("(") == before.count(")"):
             return before
     return meaning
+
+
+def units_of(attributes: Mapping[Any, Any]) -> str:
+    """Return the unit of a variable from its attributes, '' where it has none."""
+    return str(attributes.get("units", ""))
 
 
 def meaning_of(attributes: Mapping[Any, Any]) -> str:

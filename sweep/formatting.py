@@ -1,10 +1,15 @@
-"""Numbers with their errors, counts, NAME=VALUE and JSON as text."""
+"""Numbers with their errors, counts, NAME=VALUE, tables and JSON as text."""
 
+import csv
+import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 MOST_DECIMALS = 9
 
@@ -97,6 +102,30 @@ def split_assignment(text: str) -> tuple[str, str]:
     """
     name, _, value = (piece.strip() for piece in text.partition("="))
     return (name, value) if name and value else ("", "")
+
+
+def reading_table(title: str, headings: Sequence[str], rows: Iterable[Iterable[str]], left: str = "") -> "Table":
+    """Return a table for a terminal, all to the right but the column with the heading ``left``."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        title=Text(title) if title else None, title_justify="left", box=None, pad_edge=False, header_style="bold"
+    )
+    for heading in headings:
+        table.add_column(Text(heading), justify="left" if heading == left else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return table
+
+
+def to_csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+    """Return CSV; a cell that is a NaN is empty."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(["" if is_missing(cell) else cell for cell in row] for row in rows)
+    return out.getvalue()
 
 
 def to_json(value: Any) -> str:

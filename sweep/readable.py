@@ -125,10 +125,10 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
 
     try:
         whole = units.Unit(unit)
-        positive = [power for power in whole.powers if power > 0]
-        if positive != [1] or (own := _base(token[0])) is None:
+        base, power = _base(token[0])
+        if [power for power in whole.powers if power > 0] != [1] or base in NEVER:
             return ()
-        base, power = own
+        units.Unit(f"m{base}" if base in ONLY_SMALLER else f"k{base}")  # raises ValueError if it takes no prefix
         found = []
         for prefix, exponent in STEPS.items():
             if (
@@ -148,25 +148,17 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
     return tuple(found)
 
 
-def _base(name: str) -> tuple[str, int] | None:
-    """Return the unit without its prefix, and the prefix's power of ten; None for a unit that takes none."""
+def _base(name: str) -> tuple[str, int]:
+    """Return a unit without its prefix, and the prefix's power of ten; raises ValueError for one not in `STEPS`."""
     from astropy import units
 
     unit = units.Unit(name)
-    if isinstance(unit, units.PrefixUnit) or name in ("mas", "uas"):
-        (base,) = unit.represents.bases
-        scale = float(unit.to(base))
-        power = next((p for p in STEPS.values() if abs(scale / 10.0**p - 1.0) < 1e-9), 1)
-        name = str(base)
-    else:
-        power = 0
-    if name in NEVER or power == 1:
-        return None
-    try:
-        units.Unit(f"m{name}" if name in ONLY_SMALLER else f"k{name}")
-    except ValueError:
-        return None
-    return name, power
+    if not isinstance(unit, units.PrefixUnit) and name not in ("mas", "uas"):
+        return name, 0
+    (base,) = unit.represents.bases
+    scale = float(unit.to(base))
+    (power,) = (p for p in STEPS.values() if abs(scale / 10.0**p - 1.0) < 1e-9)
+    return str(base), power
 
 
 def _with_micro_sign(token: str) -> str:

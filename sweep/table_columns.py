@@ -41,7 +41,7 @@ def column_values(table: Any, name: str, unit: str, stated: str | None = None, r
     if column.ndim != 1 or kind not in "fiuUSO":
         raise ValueError(f"column {name!r} does not hold numbers")
     wanted = _unit_of(table, name, stated)
-    missing = _missing(column)
+    missing = missing_values(column)
     if kind in "USO":
         if unit != "deg":
             raise ValueError(f"column {name!r} does not hold numbers: row 1 has {str(column[0])!r}")
@@ -95,7 +95,8 @@ def _unit_of(table: Any, name: str, stated: str | None) -> Any:
     return said
 
 
-def _missing(column: Any) -> NDArray[np.bool_]:
+def missing_values(column: Any) -> NDArray[np.bool_]:
+    """Return where a column is masked or NaN; shape (N,)."""
     missing = np.broadcast_to(np.asarray(getattr(column, "mask", False), dtype=bool), (len(column),)).copy()
     if column.dtype.kind == "f":
         missing |= np.isnan(np.ma.getdata(getattr(column, "value", column)))

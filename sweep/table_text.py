@@ -3,8 +3,9 @@
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -95,10 +96,11 @@ def read_rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequenc
 
 
 def _layout(content: bytes) -> _Layout:
-    lines = _Lines(content)
+    lines = _lines(content)
     comments: list[str] = []
-    header = ""
-    for line in lines:
+    header, start, end = "", 0, 0
+    for line, after in lines:
+        start, end = end, after
         if line.startswith("#"):
             comments.append(line.lstrip("#"))
         elif line.strip():
@@ -106,7 +108,6 @@ def _layout(content: bytes) -> _Layout:
             break
     if not header.strip():
         raise ValueError("has no rows")
-    start = lines.before
     delimiter = _delimiter(header)
     names = _fields(header, delimiter)
     if any(_NUMBER.fullmatch(name) for name in names):  # a row already
@@ -118,26 +119,28 @@ def _layout(content: bytes) -> _Layout:
                 "beside it)"
             )
         return _Layout(commented, [_bracketed(name) for name in commented], delimiter, start)
-    units, start = _units_and_rules(lines, delimiter, len(names))
+    units, start = _units_and_rules(lines, end, delimiter, len(names))
     names = [name or f"column {k}" for k, name in enumerate(names, start=1)]
     return _Layout(names, units or [_bracketed(name) for name in names], delimiter, start)
 
 
-def _units_and_rules(lines: "_Lines", delimiter: str, n_columns: int) -> tuple[list[str] | None, int]:
+def _units_and_rules(
+    lines: Iterator[tuple[str, int]], start: int, delimiter: str, n_columns: int
+) -> tuple[list[str] | None, int]:
     """Return the units in the lines after the names, if there are any, and where the first row begins."""
-    units, start = None, lines.after
+    units = None
     after: list[list[str]] = []
-    for line in lines:
+    for line, end in lines:
         fields = _fields(line.lstrip("#"), delimiter)
         commented = line.startswith("#")
         if not line.strip() or (not commented and all(_RULE.fullmatch(f) for f in line.split())):
             if line.strip() and after:
                 units = after[-1]  # VizieR's: what stands above the rule
-            start = lines.after
+            start = end
         elif units is None and len(fields) == n_columns and _are_units(fields):
-            units, start = fields, lines.after
+            units, start = fields, end
         elif commented:
-            start = lines.after
+            start = end
         elif after or len(fields) != n_columns or any(_NUMBER.fullmatch(f) for f in fields):
             break
         else:
@@ -210,22 +213,12 @@ def _utf8(content: bytes) -> bytes:
     return content.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in content else content
 
 
-class _Lines:
-    """Iterates over the lines of a text; ``before`` and ``after`` are where the last one begins and ends."""
-
-    def __init__(self, content: bytes) -> None:
-        self.content, self.before, self.after, self.count = content, 0, 0, 0
-
-    def __iter__(self) -> "_Lines":
-        return self
-
-    def __next__(self) -> str:
-        if self.after >= len(self.content) or self.count >= PREFACE_LINES:
-            raise StopIteration
-        end = self.content.find(b"\n", self.after)
-        self.before, self.after = self.after, len(self.content) if end < 0 else end + 1
-        self.count += 1
-        return self.content[self.before : self.after].decode("utf-8")
+def _lines(content: bytes) -> Iterator[tuple[str, int]]:
+    """Yield the first lines of a text, and where each ends."""
+    end = 0
+    for line in islice(io.BytesIO(content), PREFACE_LINES):
+        end += len(line)
+        yield line.decode("utf-8"), end
 
 
 def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:

@@ -7,10 +7,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would fight for cores; NumPy comes later
 
 from tests.forked import Nursery
+
+settings.register_profile("any machine", deadline=None)  # a busy one takes longer, which proves nothing
+settings.load_profile("any machine")
 
 # Compiled modules are kept, whatever the environment says: tests start hundreds of processes, each of which would
 # compile them again.

@@ -137,7 +137,7 @@ assert link.unit.values[-1] == "mas"
         *("output", "", ""),
         [
             (
-                "core/parameters.py",
+                "core/outputs.py",
                 "\nOUTPUTS = (\n",
                 '    Output("sigma_worst", _EACH, "largest RMS error of a component"),\n',
             ),

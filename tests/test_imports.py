@@ -38,8 +38,8 @@ KNOWS_THE_CORE = {
     *("sweep.paper.calibrate", "sweep.plots.views", "sweep.plots.sky", "sweep.plots.tie", "sweep.search", "sweep.tie"),
 }
 KNOWS_THE_CONTRACT = {
-    *("core.parameters", "core.scenario", "core.checks", "core.experiment"),
-    *("core.function_curve", "core.user_mission", "core.expected_errors", "core.unused", "core.warn"),
+    *("core.parameters", "core.outputs", "core.scenario", "core.checks", "core.experiment"),
+    *("core.function_curve", "core.user_mission", "core.unused", "core.warn"),
     *("core.catalogues", "core.errors"),
 }
 # The search is a command beside the platform.

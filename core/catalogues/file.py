@@ -42,11 +42,11 @@ class File(CatalogueKind):
 
     def objects(self, point: Point) -> Catalogue:
         """Return the rows between the limits."""
-        return _between(*_key(point), point["v_min"], point["v_max"])[0]
+        return _between(_key(point), point["v_min"], point["v_max"])[0]
 
     def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]]:
         """Return the rows between the limits; they are named by their place in the table, label and magnitude."""
-        objects, rows = _between(*_key(point), point["v_min"], point["v_max"])
+        objects, rows = _between(_key(point), point["v_min"], point["v_max"])
 
         def name(k: int) -> str:
             label, v_mag = point["file"].label(int(rows[k])), objects.v_mag[k]
@@ -60,7 +60,7 @@ class File(CatalogueKind):
         if point["file"] is None:
             return "file: catalogue = 'file' needs a file, and other catalogues have none"
         limits = [name for name in ("v_min", "v_max") if point[name] is not None]
-        if limits and np.any(np.isnan(_whole(*_key(point)).v_mag)):
+        if limits and np.any(np.isnan(_whole(_key(point)).v_mag)):
             return f"{limits[-1]} needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
         return too_few(point, self.available(point), "objects of the file")
 
@@ -70,22 +70,16 @@ def _key(point: Point) -> Key:
 
 
 @lru_cache(maxsize=4)
-def _whole(table: Table, columns: Names, units: Names, pmra_cos_dec: bool | None) -> Catalogue:
+def _whole(key: Key) -> Catalogue:
     """Make a catalogue once in a process for every check and block; a table is known by its content."""
+    table, columns, units, pmra_cos_dec = key
     return catalogue_from_table(table, dict(columns), pmra_cos_dec, dict(units))
 
 
 @lru_cache(maxsize=4)
-def _between(
-    table: Table,
-    columns: Names,
-    units: Names,
-    pmra_cos_dec: bool | None,
-    v_min: float | None,
-    v_max: float | None,
-) -> tuple[Catalogue, NDArray[np.intp]]:
+def _between(key: Key, v_min: float | None, v_max: float | None) -> tuple[Catalogue, NDArray[np.intp]]:
     """Return the objects between two limits, and their rows."""
-    whole = _whole(table, columns, units, pmra_cos_dec)
+    whole = _whole(key)
     kept = np.full(len(whole), True)
     if v_min is not None:
         kept &= whole.v_mag >= v_min

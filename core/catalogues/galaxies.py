@@ -2,12 +2,9 @@
 
 import numpy as np
 
-from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Catalogue, galaxies
+from core.catalogue import GALAXY_FAINT_LIMIT_MAG, N_GALAXIES, Catalogue, galaxies
 from core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of
 from sweep.contract import Point
-
-N_GALAXIES = 116
-"""Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2."""
 
 BRIGHTEST_MAG = 9.0
 """No galaxy is as bright: seven times the scatter above the mean."""

@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from core.catalogue import SIDES
 from core.errors.magnitude import Magnitude, MagnitudeErrors
-from core.errors.model import SIDES, ErrorKind, ErrorModel, Errors
+from core.errors.model import ErrorKind, ErrorModel, Errors
 from core.errors.none import ErrorFree, NoErrors
 from core.errors.normal import Normal, NormalErrors
 from core.errors.own import CatalogueErrors, Own

@@ -6,7 +6,8 @@ import numpy as np
 
 from core.arrays import Array
 from core.catalogue import Catalogue
-from core.errors.model import ErrorKind, ErrorModel, Errors, four_rows
+from core.errors.model import ErrorKind, ErrorModel, Errors
+from core.errors.normal import NormalErrors
 from sweep.contract import Point
 
 
@@ -19,7 +20,8 @@ class FlooredErrors:
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return the root of both squares; shape (4, N)."""
-        return np.asarray(np.hypot(self.model.standard_errors(catalogue), self._floor(catalogue)))
+        floor = NormalErrors(*self.floor).standard_errors(catalogue)
+        return np.asarray(np.hypot(self.model.standard_errors(catalogue), floor))
 
     def correlation(self, catalogue: Catalogue) -> Array | None:
         """Return the correlations of the sums: smaller than those of the model, since floors are independent."""
@@ -31,10 +33,6 @@ class FlooredErrors:
         found = correlation * share[:, :, None] * share[:, None, :]
         found[:, range(4), range(4)] = 1.0
         return np.asarray(found)
-
-    def _floor(self, catalogue: Catalogue) -> Array:
-        each = np.ones(len(catalogue))
-        return four_rows(self.floor.pos_mas * each, self.floor.pm_mas_yr * each)
 
 
 def floor_of(point: Point, kind: ErrorKind, side: str) -> Errors | None:

@@ -6,14 +6,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from core.arrays import Array
-from core.catalogue import Catalogue
+from core.catalogue import SIDES, Catalogue
 from core.catalogues.kind import CatalogueKind
 from core.constants import MAS
 from sweep.contract import Point
 
 Objects = Callable[[], Catalogue | None]
 
-SIDES = ("reference", "satellite")
 FLOOR = ("floor_pos", "floor_pm")
 
 

@@ -1,7 +1,7 @@
 """Five-parameter astrometry of many objects as measured, where anything but the position may be missing."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -51,18 +51,9 @@ class Astrometry:
                 return None if array is None else array[..., part]
             return np.take(array, part, axis=-1)  # half the time of an index
 
-        return replace(
-            self,
-            values=of(self.values),
-            errors=of(self.errors),
-            epoch=of(self.epoch),
-            correlations=of(self.correlations),
-            radial_velocity=of(self.radial_velocity),
-            names=of(self.names),
-            columns={name: of(column) for name, column in self.columns.items()},
-            apparent=of(self.apparent),
-            frame=of(self.frame),
-        )
+        columns = {name: of(column) for name, column in self.columns.items()}
+        arrays = {name: of(array) for name, array in vars(self).items() if name != "columns"}
+        return Astrometry(**arrays, columns=columns)
 
     def covariance(self) -> Array:
         """Return the covariance of the five parameters, zero where one is missing; shape (N, 5, 5)."""
@@ -78,23 +69,19 @@ class Astrometry:
 def joined(*tables: Astrometry) -> Astrometry:
     """Return the rows of some tables as one, without names, radial velocities and further columns."""
 
-    def together(parts: list[Any]) -> Any:
-        return np.concatenate(parts, axis=-1)
+    def together(name: str, *shape: int, kind: type = float) -> Any:
+        """Concatenate an array of each table, zeros for a table without it."""
+        each = ((getattr(table, name), (*shape, len(table))) for table in tables)
+        return np.concatenate([np.zeros(size, kind) if given is None else given for given, size in each], axis=-1)
 
-    def filled(given: Any, table: Astrometry, *shape: int, kind: type = float) -> Any:
-        return np.zeros((*shape, len(table)), dtype=kind) if given is None else given
-
+    in_frames = any(table.frame is not None for table in tables)
     return Astrometry(
-        values=together([table.values for table in tables]),
-        errors=together([table.errors for table in tables]),
-        epoch=together([table.epoch for table in tables]),
-        correlations=together([filled(table.correlations, table, len(PAIRS)) for table in tables]),
-        apparent=together([filled(table.apparent, table, kind=bool) for table in tables]),
-        frame=(
-            together([filled(table.frame, table, kind=np.int64) for table in tables])
-            if any(table.frame is not None for table in tables)
-            else None
-        ),
+        values=together("values"),
+        errors=together("errors"),
+        epoch=together("epoch"),
+        correlations=together("correlations", len(PAIRS)),
+        apparent=together("apparent", kind=bool),
+        frame=together("frame", kind=np.int64) if in_frames else None,
     )
 
 

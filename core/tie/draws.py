@@ -43,7 +43,9 @@ class Simulation:
         """Yield so many draws; memory is that of a block of sources, or of one draw."""
         at_once = max(1, BLOCK // len(self.problem.satellite))
         for start in range(0, number, at_once):
-            yield from self._together(min(at_once, number - start), rng)
+            values = self._values(min(at_once, number - start), rng)
+            for one, sums in zip(values, self._sums(self._eliminated(values), len(values)), strict=True):
+                yield Draw(sums, partial(self._separations, one))
 
     @cached_property
     def normals(self) -> NormalSums:
@@ -67,11 +69,6 @@ class Simulation:
     @cached_property
     def _halves(self) -> tuple[Array, Array]:
         return _half(self._covariance), _half(self._found.covariance)
-
-    def _together(self, number: int, rng: np.random.Generator) -> Iterator[Draw]:
-        values = self._values(number, rng)
-        for i, sums in enumerate(self._sums(self._eliminated(values), number)):
-            yield Draw(sums, partial(self._separations, values[i]))
 
     def _values(self, number: int, rng: np.random.Generator) -> Array:
         """Return differences, (number, R, 5): M (K x - satellite's errors) + the rows' errors, zero where absent."""

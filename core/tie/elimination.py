@@ -46,14 +46,11 @@ class Eliminated:
             return self.weight, self.right, self.spread
         both = [(i, self.parameters.index(row)) for i, row in enumerate(rows) if row in self.parameters]
         into, at = [i for i, _ in both], [k for _, k in both]
-        n = len(self.right)
-        weight, right, spread = (
-            np.zeros((n, len(rows), len(rows))),
-            np.zeros((n, len(rows))),
-            np.zeros((n, len(rows), len(rows))),
-        )
-        weight[np.ix_(range(n), into, into)] = self.weight[np.ix_(range(n), at, at)]
-        spread[np.ix_(range(n), into, into)] = self.spread[np.ix_(range(n), at, at)]
+        sources, size = range(len(self.right)), len(rows)
+        weight, spread = np.zeros((2, len(sources), size, size))
+        for found, known in ((weight, self.weight), (spread, self.spread)):
+            found[np.ix_(sources, into, into)] = known[np.ix_(sources, at, at)]
+        right = np.zeros((len(sources), size))
         right[:, into] = self.right[:, at]
         return weight, right, spread
 

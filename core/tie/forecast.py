@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -17,8 +16,6 @@ from core.tie.solution import inverted
 from core.unknowns import Unknowns
 
 Criterion = Literal["A", "D"]
-
-EXHAUSTIVE_LIMIT = 200_000
 
 
 def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, apparent: bool = True) -> Problem:
@@ -87,16 +84,6 @@ def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> Choice:
         chosen.append(best)
         normals.append(normals[-1] + gain[best])
     return Choice(tuple(chosen), np.array(normals))
-
-
-def choose_exhaustively(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[int, ...]:
-    """Return the best set of so many sources, all sets tried; raises ValueError where there are too many sets."""
-    from math import comb
-
-    if comb(len(now), number) > EXHAUSTIVE_LIMIT:
-        raise ValueError(f"{comb(len(now), number)} sets of {number} of {len(now)} sources are too many to try all")
-    gain, total = new.normal - now.normal, now.normal.sum(axis=0)
-    return min(combinations(range(len(gain)), number), key=lambda one: goal.value(total + gain[list(one)].sum(axis=0)))
 
 
 def _regularised(normal: Array) -> float:

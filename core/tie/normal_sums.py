@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Array, Indices
-from core.blocks import Objects
 from core.constants import MAS
-from core.tie.elimination import Eliminated
 from core.tie.problem import Problem
 from core.tie.products import add_products
-from core.unknowns import Unknowns
 
 BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""
@@ -42,9 +39,8 @@ class NormalSums:
     def taken(self, part: NDArray[np.bool_] | Indices) -> "NormalSums":
         """Return the sums of some sources."""
         spread = None if self.spread is None else self.spread[part]
-        return NormalSums(
-            self.normal[part], self.right[part], self.squares[part], self.count[part], self.expected[part], spread
-        )
+        normal, right, squares, count, expected = (sums[part] for sums in self._plain)
+        return NormalSums(normal, right, squares, count, expected, spread)
 
     def weighted(self, factors: Array | NDArray[np.bool_]) -> "NormalSums":
         """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
@@ -65,28 +61,23 @@ class NormalSums:
         spread = None
         if self.spread is not None or other.spread is not None:
             spread = self.right_covariance + other.right_covariance
-        return NormalSums(
-            self.normal + other.normal,
-            self.right + other.right,
-            self.squares + other.squares,
-            self.count + other.count,
-            self.expected + other.expected,
-            spread,
-        )
+        pairs = zip(self._plain, other._plain, strict=True)
+        normal, right, squares, count, expected = (one + two for one, two in pairs)
+        return NormalSums(normal, right, squares, count, expected, spread)
 
     def followed_by(self, other: "NormalSums") -> "NormalSums":
         """Return the groups of both, one after the other."""
         spread = None
         if self.spread is not None and other.spread is not None:
             spread = np.concatenate([self.spread, other.spread])
-        return NormalSums(
-            np.concatenate([self.normal, other.normal]),
-            np.concatenate([self.right, other.right]),
-            np.concatenate([self.squares, other.squares]),
-            np.concatenate([self.count, other.count]),
-            np.concatenate([self.expected, other.expected]),
-            spread,
-        )
+        pairs = zip(self._plain, other._plain, strict=True)
+        normal, right, squares, count, expected = (np.concatenate(pair) for pair in pairs)
+        return NormalSums(normal, right, squares, count, expected, spread)
+
+    @property
+    def _plain(self) -> tuple[Array, Array, Array, Array, Array]:
+        """All but the covariance of b."""
+        return self.normal, self.right, self.squares, self.count, self.expected
 
     @property
     def right_covariance(self) -> Array:
@@ -99,8 +90,8 @@ def source_sums(problem: Problem) -> NormalSums:
     n, k = len(problem.satellite), len(problem.unknowns)
     sums = _empty(n, k, problem.weights != "covariance")
     for part in _blocks(n, BLOCK):
-        unknowns, objects, years, left = problem.sources(part)
-        rows, derivatives = unknowns.derivatives(objects, years)
+        objects, years, left = problem.sources(part)
+        rows, derivatives = problem.unknowns.derivatives(objects, years)
         weight, right, spread = left.onto(rows)
         matrix = np.moveaxis(derivatives, -1, 0)  # (n, K, rows)
         sums.normal[part] = matrix @ weight @ matrix.swapaxes(1, 2)
@@ -137,7 +128,7 @@ def _add_block(
     factors: Array | NDArray[np.bool_] | None,
 ) -> None:
     """Add sources to the sums of their groups (n,)."""
-    unknowns, objects, years, left = problem.sources(chosen)
+    objects, years, left = problem.sources(chosen)
     if factors is not None:
         left = left.scaled(factors[chosen])
     if np.any(group[1:] < group[:-1]):  # put in order after the elimination, which leaves less to be moved
@@ -145,35 +136,29 @@ def _add_block(
         group, objects, left = group[order], objects.taken(order), left.taken(order)
         years = years[order] if np.any(years) else years
     for piece in _pieces(group):
-        _add_piece(sums, int(group[piece.start]), unknowns, objects.taken(piece), years[piece], left.taken(piece))
-
-
-def _add_piece(
-    sums: NormalSums, one: int, unknowns: Unknowns, objects: Objects, years: Array, left: Eliminated
-) -> None:
-    """Add sources to the sums of one group."""
-    rows, derivatives = unknowns.derivatives(objects, years)
-    weight, right, spread = left.onto(rows)
-    sums.right[one] += derivatives.reshape(len(derivatives), -1) @ right.T.ravel()
-    if sums.spread is not None:
-        add_products(sums.spread[one], derivatives.copy(), spread)
-    add_products(sums.normal[one], derivatives, weight)
-    sums.squares[one] += left.squares.sum()
-    sums.count[one] += left.count.sum()
-    sums.expected[one] += left.expected.sum()
+        one, some = int(group[piece.start]), left.taken(piece)
+        rows, derivatives = problem.unknowns.derivatives(objects.taken(piece), years[piece])
+        weight, right, spread = some.onto(rows)
+        sums.right[one] += derivatives.reshape(len(derivatives), -1) @ right.T.ravel()
+        if sums.spread is not None:
+            add_products(sums.spread[one], derivatives.copy(), spread)
+        add_products(sums.normal[one], derivatives, weight)
+        sums.squares[one] += some.squares.sum()
+        sums.count[one] += some.count.sum()
+        sums.expected[one] += some.expected.sum()
 
 
 def source_counts(problem: Problem) -> Array:
     """Return the number of observations of each source less that of its free parameters; shape (S,)."""
     n = len(problem.satellite)
-    return np.concatenate([problem.sources(part)[3].count for part in _blocks(n, GATHERED)]) if n else np.zeros(0)
+    return np.concatenate([problem.sources(part)[2].count for part in _blocks(n, GATHERED)]) if n else np.zeros(0)
 
 
 def weight_sizes(problem: Problem) -> Array:
     """Return the sum of the diagonal of each source's W, in mas^-2 and (mas/yr)^-2; shape (S,)."""
     found = np.zeros(len(problem.satellite))
     for part in _blocks(len(found), GATHERED):
-        weight = problem.sources(part)[3].weight
+        weight = problem.sources(part)[2].weight
         found[part] = np.einsum("nkk->n", weight) * MAS**2
     return found
 
@@ -182,8 +167,8 @@ def source_discrepancies(problem: Problem, estimate: Array) -> Array:
     """Return Q_i of each source at a solution, without keeping its sums; shape (S,)."""
     squares = np.zeros(len(problem.satellite))
     for part in _blocks(len(squares), BLOCK):
-        unknowns, objects, years, left = problem.sources(part)
-        rows, derivatives = unknowns.derivatives(objects, years)
+        objects, years, left = problem.sources(part)
+        rows, derivatives = problem.unknowns.derivatives(objects, years)
         shift = np.tensordot(estimate, derivatives, axes=1)
         weight, right, _ = left.onto(rows)
         squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", right, shift)

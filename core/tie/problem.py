@@ -31,7 +31,7 @@ class Problem:
     weights: Weights = "covariance"
     known: tuple[Unknowns, Array] | None = None
 
-    def sources(self, part: Indices) -> tuple[Unknowns, Objects, Array, Eliminated]:
+    def sources(self, part: Indices) -> tuple[Objects, Array, Eliminated]:
         """Return the objects, years and eliminated rows of some sources."""
         chosen = _as_slice(part)
         own = self._needed.taken(chosen)
@@ -45,13 +45,13 @@ class Problem:
         if self.weights == "covariance" and len(rows) == len(part) and np.array_equal(source, np.arange(len(part))):
             simple = eliminate_simple(own, rows, taken_out)
             if simple is not None:
-                return self.unknowns, objects, years, simple
+                return objects, years, simple
         found = differences(own, rows, source, taken_out, self.unknowns.frames)
         try:
             left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
         except LinkError as error:
             raise LinkError(_named(str(error), self.satellite, part)) from None
-        return self.unknowns, objects, years, left
+        return objects, years, left
 
     def only(self, sources: Indices) -> "Problem":
         """Return the problem of some sources, in rising order or not, and their rows."""

@@ -56,13 +56,17 @@ class SourceTable:
     """The sources of a problem, with the sums of each where ``single`` holds, and of cells of the sky."""
 
     problem: Problem
-    divisions: int = DIVISIONS
     _last: list[tuple[Array | Flags, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def single(self) -> bool:
         """True if the sums of single sources fit."""
         return len(self.problem.satellite) * len(self.problem.unknowns) ** 2 <= KEPT_NUMBERS
+
+    @property
+    def kept(self) -> NormalSums | None:
+        """The sums of each source, None if they do not fit."""
+        return self.sums if self.single else None
 
     @cached_property
     def sums(self) -> NormalSums:
@@ -73,7 +77,7 @@ class SourceTable:
     def cells(self) -> NDArray[np.int16]:
         """The cell of each source, counted from 0 among those that have any."""
         values = self.problem.satellite.values
-        cells = sky_cells(values[0], values[1], self.divisions)
+        cells = sky_cells(values[0], values[1], DIVISIONS)
         number = np.cumsum(np.bincount(cells) > 0) - 1
         return number.astype(np.int16)[cells]
 

@@ -17,8 +17,8 @@ from sweep.analysis.quantity import (
     standard_error,
     unknown_parts,
 )
-from sweep.analysis.selection import place_in_words
-from sweep.attributes import meaning_of
+from sweep.analysis.selection import coordinates_along, place_in_words, places_along
+from sweep.attributes import meaning_of, units_of
 from sweep.contract import Array, SweepError
 from sweep.formatting import counted
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
@@ -60,12 +60,8 @@ def answer_in_short(dataset: xr.Dataset) -> list[str]:
     """
     if found := conclusion_in_words(dataset):
         return found
-    ranges = [answer for answer in answers(dataset) if answer.sentences]
-    return [f"{_named(answer)}: {answer.sentences[0]}" for answer in ranges[:MOST_SHORT]]
-
-
-def _named(answer: "Answer") -> str:
-    return f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name
+    ranges = [answer for answer in answers(dataset) if answer.sentences][:MOST_SHORT]
+    return [f"{a.name}{f' ({a.meaning})' if a.meaning else ''}: {a.sentences[0]}" for a in ranges]
 
 
 def headline(dataset: xr.Dataset) -> list[str]:
@@ -121,7 +117,7 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     values = array.values.astype(float)
     if not np.isfinite(values).any():
         return "No point has a value yet."
-    unit = str(array.attrs.get("units", ""))
+    unit = units_of(array.attrs)
     ends = []
     for flat in (np.nanargmin(values), np.nanargmax(values)):
         index = dict(zip(map(str, array.dims), map(int, np.unravel_index(flat, values.shape)), strict=True))
@@ -134,10 +130,10 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
 def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
     """Yield name, unit and dataset of a variable with one value a point: itself, or each of its components."""
     extra = [str(d) for d in dataset[variable].dims if d not in dataset["status"].dims]
-    unit = str(dataset[variable].attrs.get("units", ""))
-    for index in np.ndindex(*(dataset.sizes[d] for d in extra)):
-        part = dataset.isel(dict(zip(extra, index, strict=True)))
-        labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in zip(extra, index, strict=True)]
+    unit = units_of(dataset[variable].attrs)
+    for place in places_along(dataset, extra):
+        part = dataset.isel(place)
+        labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in place.items()]
         units = [str(part[f"{d}_unit"].item()) for d in extra if f"{d}_unit" in part.coords]
         own = units[0] if "," in unit and len(units) == 1 else unit
         yield f"{variable} ({', '.join(labels)})" if extra else variable, own, part
@@ -156,19 +152,20 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     yield _range(part, values, errors, unit)
     if sentence := _what_changes_it(dims, values):
         yield sentence
-    stated = [suffix for suffix in ERROR_WORDS if f"{variable}_{suffix}" in part]
-    draw = outer_draw_of(part.attrs)
-    known_ones = [suffix for suffix in stated if bool(part[f"{variable}_{suffix}"].notnull().any())]
-    parts = [ERROR_WORDS[suffix].replace("catalogue", draw) for suffix in known_ones]
-    if sentence := _accuracy(values[finite], errors[finite], " and ".join(parts)):
+    of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
+    known_ones = [words for words, error in of.items() if error is not None and bool(error.notnull().any())]
+    origin = " and ".join(known_ones).replace("catalogue", outer_draw_of(part.attrs))
+    if sentence := _accuracy(values[finite], errors[finite], origin):
         yield sentence
     for whole in unknown_parts(part, variable):
         sentence = whole.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
     predicted = part.get(prediction_name(part, variable))
     if predicted is not None:
-        compared = predicted.transpose(*dims).values
-        if sentence := _agreement(values, errors, compared, _left_out(part, variable)):
+        whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+        without_bias = whole_name not in part and errors_alone in part and "bias" in part
+        left_out = ", which leaves a bias out" if without_bias else ""
+        if sentence := _agreement(values, errors, predicted.transpose(*dims).values, left_out):
             yield sentence
     if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
         points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
@@ -196,8 +193,7 @@ def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
 
 def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:
     point = part.isel(dict(zip(part["status"].dims, map(int, index), strict=True)))
-    dims = list(map(str, part["status"].dims))
-    names = [n for d in dims for n in dict.fromkeys((d, *map(str, part.coords))) if n in part and part[n].dims == (d,)]
+    names = [name for d in part["status"].dims for name in coordinates_along(part, str(d))]
     return place_in_words({name: point[name].item() for name in names})
 
 
@@ -235,14 +231,6 @@ def _accuracy(values: Array, errors: Array, origin: str) -> str:
     return f"Its one-sigma error, from {origin}, is {share} % of it."
 
 
-def _left_out(part: xr.Dataset, variable: str) -> str:
-    """Return what a prediction leaves out, in words; '' where it has everything, or nothing is known of it."""
-    whole, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
-    if whole in part or errors_alone not in part:
-        return ""
-    return ", which leaves a bias out" if "bias" in part else ""
-
-
 def _all(count: int, noun: str) -> str:
     return f"both {noun}s" if count == 2 else f"all {counted(count, noun)}"
 
@@ -264,11 +252,11 @@ def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) ->
     deviations = np.abs(values[both] - predicted[both]) / errors[both]
     within = int(np.sum(deviations <= ERRORS_ALLOWED))
     largest = math.floor(10.0 * float(deviations.max()) + 0.5) / 10.0
-    apart = f"{largest:g} {'error' if largest == 1.0 else 'errors'}, or {text}"
+    apart = f"{largest:g} {'error' if largest == 1.0 else 'errors'}"
     if count == 1:
-        return f"It is {apart}, from its prediction{left_out}."
+        return f"It is {apart}, or {text}, from its prediction{left_out}."
     share = f"{_all(count, 'value')} are" if within == count else f"{within} of {count:,} values are"
     return (
         f"{share.capitalize()} within {ERRORS_ALLOWED:g} of their errors of the prediction{left_out}; "
-        f"the largest difference is {largest:g} {'error' if largest == 1.0 else 'errors'}, or up to {text}."
+        f"the largest difference is {apart}, or up to {text}."
     )

@@ -14,6 +14,7 @@ import xarray as xr
 from sweep.analysis.measured_claims import OutsideGridError, Points, claims_of, in_words, measure, unit_of
 from sweep.analysis.quantity import OLD_ERRORS, has_old_errors, standard_error, unknown_parts
 from sweep.analysis.verdicts import VERDICTS, Comparison, Measured, PublishedNumber, Verdict, judged
+from sweep.attributes import units_of
 from sweep.contract import SweepError
 from sweep.studies.study import Reading, printed_rounding
 
@@ -59,7 +60,7 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
         table = f"{name}_published"
         if table not in dataset:
             continue
-        unit = str(dataset[name].attrs.get("units", ""))
+        unit = units_of(dataset[name].attrs)
         points = Points.of(dataset, name)
         for index in np.argwhere(np.isfinite(dataset[table].values)):
             here = dict(zip(map(str, dataset[table].dims), map(int, index), strict=True))

@@ -1,7 +1,5 @@
 """Comparisons with published numbers for scripts (CSV, JSON), and what is said of them wherever they are shown."""
 
-import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -9,7 +7,7 @@ from dataclasses import asdict, fields
 from sweep.analysis.compare import summary
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.verdicts import PROBABILITY, Comparison
-from sweep.formatting import finite_or, rounded, to_json, with_error
+from sweep.formatting import finite_or, rounded, to_csv, to_json, with_error
 
 CHANCE = f"with a probability of {100 * PROBABILITY:g} %"
 POWER = f"power: the deviation from the published number that the verdict finds {CHANCE}"
@@ -34,12 +32,10 @@ def summary_line(comparisons: Sequence[Comparison]) -> str:
 
 def as_csv(comparisons: Sequence[Comparison]) -> str:
     """Return one row a comparison; a number that is not there is an empty cell."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([field.name for field in fields(Comparison)])
-    for c in comparisons:
-        writer.writerow([place_in_words(v) if k == "where" else finite_or(v, "") for k, v in asdict(c).items()])
-    return out.getvalue()
+    rows = (
+        [place_in_words(v) if k == "where" else finite_or(v, "") for k, v in asdict(c).items()] for c in comparisons
+    )
+    return to_csv([field.name for field in fields(Comparison)], rows)
 
 
 def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:
@@ -51,7 +47,8 @@ def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> s
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     """Return value, published, difference, that in percent, and allowance, with the digits that count."""
     decimals = _decimals(2.0 * c.rounding) if c.rounding > 0.0 else 0
-    published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else _exact(c.published, c.mc_error)
+    exact = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than ours needs
+    published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else exact
     if not math.isfinite(c.value):
         return "", published, "", "", ""
     if c.mc_error > 0.0:
@@ -74,11 +71,6 @@ def power_in_words(c: Comparison) -> str:
     if c.detectable == 0.0:
         return "any"
     return f"{100.0 * c.power:.2g} %" if c.published else f"{c.detectable:.2g}"
-
-
-def _exact(number: float, error: float) -> str:
-    """Return a number that has no rounding, with no more digits than ours beside it needs."""
-    return min(f"{number:g}", rounded(number, error), key=len)
 
 
 def _allowance(c: Comparison) -> str:

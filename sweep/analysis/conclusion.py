@@ -1,7 +1,7 @@
 """The conclusion of a study with its values filled in, from its results."""
 
 import math
-from collections.abc import Iterator
+from contextlib import suppress
 from string import Formatter
 
 import xarray as xr
@@ -19,32 +19,23 @@ PLUS_MINUS = " ± "
 """Between two values of a sentence: the second is the error of the first."""
 
 
-def conclusion_of(dataset: xr.Dataset) -> Conclusion | None:
-    """Return the conclusion that a dataset carries, None without one; raises SweepError if it cannot be read."""
-    text = dataset.attrs.get(CONCLUSION)
-    if text is None:
-        return None
-    try:
-        return Conclusion.model_validate_json(text)
-    except (ValueError, TypeError) as error:
-        raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
-
-
 def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
     """Return the sentences of the study's conclusion that this grid can fill, with the numbers of its results.
 
     A number that is not known yet is ``[not done yet]``.  A sentence whose condition is not met is not said; another
-    says so instead.  Sentences about points that this grid does not have are left out.
+    says so instead.  Sentences about points that this grid does not have are left out.  Raises SweepError for a
+    conclusion that cannot be read.
     """
-    conclusion = conclusion_of(dataset)
-    if conclusion is None:
+    if CONCLUSION not in dataset.attrs:
         return []
+    try:
+        conclusion = Conclusion.model_validate_json(dataset.attrs[CONCLUSION])
+    except (ValueError, TypeError) as error:
+        raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
     sentences = []
     for sentence in conclusion.sentences:
-        try:
+        with suppress(OutsideGridError):
             sentences.append(_filled(dataset, conclusion, sentence))
-        except OutsideGridError:
-            continue
     return sentences
 
 
@@ -79,20 +70,14 @@ def _is_error_of(value: tuple[Measured, str], error: Measured, unit: str) -> boo
 
 def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
     """Return the one number that a value stands for; raises OutsideGridError where this grid does not have it."""
-    measured = list(_known(dataset, value))
+    places = measure(dataset, value, value.quantity())
+    measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
     if not measured:
         return Measured({}, missing="not done yet")
     if missing := [one for one in measured if one.missing or not math.isfinite(one.value)]:
         return missing[0] if missing[0].missing else Measured({}, missing="not a finite number")
     pick = max if value.choose == "largest" else min
     return pick(measured, key=lambda one: one.value)
-
-
-def _known(dataset: xr.Dataset, value: ConclusionValue) -> Iterator[Measured]:
-    """Yield the numbers at all places that a value is chosen from, but those that the study excludes."""
-    for one in measure(dataset, value, value.quantity()):
-        if not one.missing.startswith("excluded") or value.choose is None:
-            yield one
 
 
 def _number(measured: Measured, unit: str, form: str) -> str:

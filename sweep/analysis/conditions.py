@@ -61,7 +61,14 @@ def parse_limit(text: str) -> Limit:
         raise SweepError(f"{shown(text)}: {shown(match['number'])} is not a number; {wanted}", "--where") from error
     if not math.isfinite(number):
         raise SweepError(f"{shown(text)}: the number must be finite", "--where")
-    return Limit(match["variable"], cast(Sign, match["sign"]), number, _unit(match["unit"] or "", text))
+    if unit := match["unit"] or "":
+        from astropy import units
+
+        try:
+            units.Unit(unit)
+        except (ValueError, TypeError) as error:
+            raise SweepError(f"{shown(text)}: {shown(unit)} is not a unit that astropy knows", "--where") from error
+    return Limit(match["variable"], cast(Sign, match["sign"]), number, unit)
 
 
 def parse_range(text: str) -> tuple[float, float]:
@@ -74,15 +81,3 @@ def parse_range(text: str) -> tuple[float, float]:
     if not colon or not ends[0] <= ends[1]:
         raise SweepError(f"{shown(text)}: a range is LOW:HIGH, two numbers of which one may be left out", "--range")
     return ends
-
-
-def _unit(text: str, whole: str) -> str:
-    if not text:
-        return ""
-    from astropy import units
-
-    try:
-        units.Unit(text)
-    except (ValueError, TypeError) as error:
-        raise SweepError(f"{shown(whole)}: {shown(text)} is not a unit that astropy knows", "--where") from error
-    return text

@@ -8,17 +8,17 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.conditions import Limit, parse_limit
-from sweep.analysis.lines import Lines, lines
-from sweep.attributes import described
+from sweep.analysis.lines import Lines, lines, require_done
+from sweep.analysis.quantity import require_quantity
+from sweep.attributes import LOGARITHMIC_UNITS, described, units_of
 from sweep.contract import Array, SweepError, small_sample_factor
+from sweep.studies.study import POINT
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
 """When a condition is met along a line: at no point or at all, from or up to one crossing, between several.  Left out
 are lines that the study excludes, and those whose unit is of another kind than the limit's.
 """
 NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
-
-LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 
 
 def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
@@ -64,16 +64,25 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
         "nearest": (value, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
         "nearest_at": (where, f"{over} of the nearest"),
     }
-    result = found.grid.assign(
-        {
-            name: (found.dims, rows[:, i].reshape(found.shape), described(unit, meaning))
-            for i, (name, (unit, meaning)) in enumerate(columns.items())
-        }
-    )
+    result = found.with_variables({name: (rows[:, i], *columns[name]) for i, name in enumerate(columns)})
     result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs)
     result["met"].attrs |= {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
     about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "over": over}
     return result.assign_attrs(about, condition=str(limit), errors=found.errors)
+
+
+def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
+    """Return the points of a table or a design at which a condition is met, all their results included.
+
+    Raises SweepError for an unknown quantity, one with further dimensions, and points that are not done.
+    """
+    require_quantity(dataset, limit.variable)
+    array = dataset[limit.variable]
+    if further := ", ".join(str(d) for d in array.dims if d != POINT):
+        raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
+    require_done(dataset)
+    threshold = limit.number_in(units_of(array.attrs))
+    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})
 
 
 def interpolate(
@@ -122,7 +131,7 @@ def interpolate(
         value = np.exp(weights @ u) if logarithm else weights @ u
         rows[line] = value, _error(weights, spread, found.samples) * (value if logarithm else 1.0)
     attributes = dataset[variable].attrs
-    unit = str(attributes.get("units", ""))
+    unit = units_of(attributes)
     place = xr.Variable((), at, dataset[over].attrs)
     error = f"one-sigma error of {variable}"
     return found.grid.assign_coords({over: place}).assign(

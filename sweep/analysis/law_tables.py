@@ -4,12 +4,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import xarray as xr
 
 from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
-from sweep.analysis.tables import GAP, Column, fitting
-from sweep.formatting import fixed, plain, to_json, with_error
+from sweep.analysis.selection import places_along
+from sweep.analysis.tables import GAP, Column, axis_coordinates, fitting
+from sweep.attributes import units_of
+from sweep.formatting import fixed, plain, reading_table, to_json, with_error
 from sweep.readable import prefixed, with_unit
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ RATE_WANTED = 2.0
 
 def rows(result: xr.Dataset) -> list[dict[str, Any]]:
     """Return one mapping a line, its place on the axes and the variables of the result, of any function of analysis."""
-    return [place | {str(n): one[n].item() for n in result.data_vars} for place, one in _lines(result)]
+    parts = (result.isel(place) for place in places_along(result, _dims(result)))
+    return [{str(n): one[n].item() for n in (*one.coords, *one.data_vars)} for one in parts]
 
 
 def as_json(result: xr.Dataset) -> str:
@@ -49,22 +51,14 @@ def as_text(result: xr.Dataset, width: int | None = None) -> "Table":
     """Return a table for reading, one row a line of the grid; of the columns those that go into ``width`` characters,
     and the conclusions in several lines where they are long.
     """
-    from rich.markup import escape
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        title=Text(str(result.attrs["title"])), title_justify="left", box=None, pad_edge=False, header_style="bold"
-    )
     columns, _ = fitting_columns(result, width)
-    for column in columns:
-        if column.name == CONCLUSION:
-            room = None if width is None else width - sum(c.width for c in columns) + column.width - GAP
-            table.add_column(Text(column.heading), max_width=room and max(room, FEWEST_LETTERS))
-        else:
-            table.add_column(Text(column.heading), justify="right", no_wrap=True)
-    for cells in zip(*(column.cells for column in columns), strict=True):
-        table.add_row(*map(escape, cells))
+    rows = zip(*(column.cells for column in columns), strict=True)
+    table = reading_table(str(result.attrs["title"]), [column.heading for column in columns], rows, left=CONCLUSION)
+    if columns[-1].name == CONCLUSION:
+        table.columns[-1].no_wrap = False
+        if width is not None:
+            room = width - sum(column.width for column in columns[:-1]) - GAP
+            table.columns[-1].max_width = max(room, FEWEST_LETTERS)
     return table
 
 
@@ -80,9 +74,7 @@ def fitting_columns(result: xr.Dataset, width: int | None = None) -> tuple[list[
 def columns_of(result: xr.Dataset) -> list[Column]:
     """Return the columns for reading: places on the axes, the law or the crossings, and what follows."""
     everything = rows(result)
-    places = [str(n) for n, c in result.coords.items() if c.dims]
-    dims = _dims(result)
-    places.sort(key=lambda name: (dims.index(str(result[name].dims[0])), name not in dims, name))
+    places = axis_coordinates(result, _dims(result))
     own = [_column(name, _unit(result, name), [plain(row[name]) for row in everything]) for name in places]
     words = [conclusion(result, row) for row in everything]
     return [*own, *_columns(result, everything), *([_column(CONCLUSION, "", words)] if any(words) else [])]
@@ -150,7 +142,7 @@ def _in_readable_unit(name: str, result: xr.Dataset, everything: Sequence[Row], 
 
 
 def _unit(result: xr.Dataset, name: str) -> str:
-    return str(result[name].attrs.get("units", ""))
+    return units_of(result[name].attrs)
 
 
 def _met(row: Row, unit: str, value_unit: str) -> str:
@@ -175,14 +167,6 @@ def _levelling(row: Row, last: float, unit: str) -> str:
     return (
         f"falls by less from {place}" if limit <= last else f"no plateau yet: not before {place}, by the law"
     ) + seen
-
-
-def _lines(result: xr.Dataset) -> Iterator[tuple[dict[str, Any], xr.Dataset]]:
-    """Yield the place and the part of each line, in the order of the dimensions of the variables."""
-    dims = _dims(result)
-    for index in np.ndindex(*(result.sizes[d] for d in dims)):
-        one = result.isel(dict(zip(dims, index, strict=True)))
-        yield {str(n): one[n].item() for n in one.coords}, one
 
 
 def _dims(result: xr.Dataset) -> list[str]:

@@ -70,9 +70,9 @@ def fit_power_law(
         "pivot": (found.over_unit, f"{over} of the amplitude"),
     }
     result = _collect(found, fits, columns)
-    wanted = np.array([_expected(dataset, found, line) if expected is None else expected for line in range(len(found))])
+    wanted = [_expected(dataset, found, line) if expected is None else expected for line in range(len(found))]
     if np.isfinite(wanted).any():
-        result["expected"] = (found.dims, wanted.reshape(found.shape), described("", "exponent expected"))
+        result["expected"] = (found.dims, np.reshape(wanted, found.shape), described("", "exponent expected"))
         error = result["exponent_error"]
         result["deviation"] = (result["exponent"] - result["expected"]) / error.where(error > 0.0)
         result["deviation"].attrs = described("", "exponent - expected, in errors of the exponent")
@@ -204,12 +204,7 @@ def _collect(
         "p_value": ("", "probability of a chi2 at least as large, if the law holds"),
         "points": ("", "points of the fit"),
     }
-    return found.grid.assign(
-        {
-            name: (found.dims, np.reshape(values[name], found.shape), described(unit, meaning))
-            for name, (unit, meaning) in meanings.items()
-        }
-    )
+    return found.with_variables({name: (values[name], *meaning) for name, meaning in meanings.items()})
 
 
 def _expected(dataset: xr.Dataset, found: Lines, line: int) -> float:

@@ -83,7 +83,8 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
         floor = _floor(start, end, rate)
         plateau = scale * np.sqrt(floor) if floor > 0.0 else np.nan
         limit = first + length * _limit(start, end, rate, fall * length)
-        return np.array([plateau, rate / length, _end_fall(start, end, rate) / length, limit])
+        end_fall = 0.5 * (start - end) / end / exprel(rate)
+        return np.array([plateau, rate / length, end_fall / length, limit])
 
     values = derived(found)
     with np.errstate(invalid="ignore"):
@@ -128,10 +129,6 @@ def _square(z: Array, start: float, end: float, rate: float) -> Array:
 def _floor(start: float, end: float, rate: float) -> float:
     """Return the square that the law tends to; NaN if it has no end to its fall."""
     return float(start + (end - start) / -np.expm1(-rate)) if rate > 0.0 else np.nan
-
-
-def _end_fall(start: float, end: float, rate: float) -> float:
-    return float(0.5 * (start - end) / end / exprel(rate))
 
 
 def _limit(start: float, end: float, rate: float, fall: float) -> float:

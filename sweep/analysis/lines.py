@@ -1,6 +1,6 @@
 """One quantity of a dataset along one axis: values, errors and places as arrays, for every line of the grid."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from sweep.analysis.quantity import (
     standard_error,
 )
 from sweep.analysis.selection import place_in_words
+from sweep.attributes import described, units_of
 from sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.studies.provenance import outer_draw_of
@@ -64,6 +65,14 @@ class Lines:
         """Length of each of ``dims``."""
         return tuple(self.grid.sizes[d] for d in self.dims)
 
+    def with_variables(self, columns: Mapping[str, tuple[Any, str, str]]) -> xr.Dataset:
+        """Return the grid with variables of values (lines,), unit and meaning each."""
+        variables = {
+            name: (self.dims, np.reshape(values, self.shape), described(unit, meaning))
+            for name, (values, unit, meaning) in columns.items()
+        }
+        return self.grid.assign(variables)
+
     def errors_of(self, line: int) -> Array:
         """Return the errors (k,) or the covariance (k, k) of the k used points of a line."""
         used = self.used[line]
@@ -97,7 +106,7 @@ def lines(
     found = Lines(
         variable=variable,
         over=over,
-        over_unit=str(dataset[over].attrs.get("units", "")),
+        over_unit=units_of(dataset[over].attrs),
         x=ordered[over].values.astype(float),
         value=_rows(template, others, dimension),
         error=_rows(xr.full_like(template, np.nan) if error is None else error, others, dimension),
@@ -139,7 +148,7 @@ def _grid(dataset: xr.Dataset, others: Sequence[str]) -> xr.Dataset:
 def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> tuple[str, ...]:
     """Return the unit of each line: that of the variable, or of the components that its own unit lists."""
     shape = tuple(dataset.sizes[d] for d in others)
-    own = str(dataset[variable].attrs.get("units", ""))
+    own = units_of(dataset[variable].attrs)
     unit = np.full(shape, own, dtype=object)
     kinds = [n for n in map(str, dataset.coords) if n.endswith("_unit")] if "," in own else []
     parts = []

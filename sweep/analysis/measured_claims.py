@@ -17,8 +17,9 @@ from sweep.analysis.quantity import (
     shares_random_numbers,
     standard_error,
 )
-from sweep.analysis.selection import place_in_words
+from sweep.analysis.selection import coordinates_along, place_in_words, places_along
 from sweep.analysis.verdicts import Measured
+from sweep.attributes import units_of
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status
 from sweep.studies.study import Claim, Derived, Ratio, Reading, Slope
@@ -56,7 +57,7 @@ def unit_of(dataset: xr.Dataset, quantity: Reading) -> str:
     units = f"{variable.dims[-1]}_unit" if quantity.component is not None else ""
     if units in dataset.coords:
         return str(dataset[units].isel(_component(dataset, quantity.variable, quantity.component)).item())
-    return str(variable.attrs.get("units", ""))
+    return units_of(variable.attrs)
 
 
 def measure(dataset: xr.Dataset, claim: Derived, quantity: Slope | Ratio | Reading) -> Iterator[Measured]:
@@ -87,6 +88,7 @@ class Points:
     variable: str
     value: xr.DataArray
     error: xr.DataArray
+    status: xr.DataArray
 
     @classmethod
     def of(cls, dataset: xr.Dataset, variable: str, component: str | None = None) -> "Points":
@@ -97,12 +99,7 @@ class Points:
         known = standard_error(part, variable)
         status = part["status"]
         error = xr.zeros_like(status, dtype=float) if known is None else known
-        return cls(part, variable, part[variable].broadcast_like(status), error.broadcast_like(status))
-
-    @property
-    def status(self) -> xr.DataArray:
-        """Status of every point."""
-        return self.dataset["status"]
+        return cls(part, variable, part[variable].broadcast_like(status), error.broadcast_like(status), status)
 
     def index(self, places: Mapping[str, Any]) -> dict[str, int]:
         """Return the index along the dimensions that values of axes fix."""
@@ -119,16 +116,15 @@ class Points:
     def combinations(self, fixed: Index, but: str = "") -> Iterator[dict[str, int]]:
         """Yield an index for each combination of the dimensions that are not fixed, without that of ``but``."""
         free = [str(d) for d in self.status.dims if d not in fixed and d != but]
-        for index in np.ndindex(*(self.status.sizes[d] for d in free)):
-            yield dict(fixed) | dict(zip(free, index, strict=True))
+        for place in places_along(self.status, free):
+            yield dict(fixed) | place
 
     def places(self, index: Index, but: Collection[str] = ()) -> dict[str, Any]:
         """Return the axes at an index, in the order of the grid (Zarr sorts them by name)."""
         axes: dict[str, Any] = {}
         for dimension in map(str, self.status.dims):
             if dimension in index and dimension not in but:
-                names = [dimension, *(str(n) for n in self.dataset.coords if n != dimension)]
-                along = [n for n in names if n in self.dataset.coords and self.dataset[n].dims == (dimension,)]
+                along = coordinates_along(self.dataset, dimension)
                 axes |= {name: self.dataset[name][index[dimension]].item() for name in along}
         return axes
 

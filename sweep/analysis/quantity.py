@@ -61,10 +61,16 @@ def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
     return [name for name in names if bool(dataset[name].notnull().any())] or list(names)
 
 
+def headline_variables(dataset: xr.Dataset) -> list[str]:
+    """Return the variables that an experiment calls headline, those with errors first."""
+    names = [str(name) for name, variable in dataset.data_vars.items() if variable.attrs.get("headline")]
+    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
+
+
 def headlines(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that an experiment calls headline, those with errors first."""
-    named = with_values(dataset, [name for name in quantities(dataset) if dataset[name].attrs.get("headline")])
-    return sorted(named, key=lambda name: standard_error(dataset, name) is None)
+    """Return those of `headline_variables` that are quantities with values."""
+    known = quantities(dataset)
+    return with_values(dataset, [name for name in headline_variables(dataset) if name in known])
 
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -72,16 +78,12 @@ def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
     done = dataset["status"] == Status.DONE
     draw = outer_draw_of(dataset.attrs)
     words = {"mc_error": "its Monte-Carlo error", "catalogue_error": f"the choice of {draw}s"}
-    noun = "realisations" if FUNCTION in dataset.attrs else f"{draw}s"
+    needed = "more realisations" if FUNCTION in dataset.attrs else f"{FEWEST_SAMPLES} {draw}s"
     return [
-        f"{variable}: {words[suffix]} is not in the error, as {_needed(dataset)} {noun} are needed to know it"
+        f"{variable}: {words[suffix]} is not in the error, as {needed} are needed to know it"
         for suffix in ERROR_SUFFIXES
         if f"{variable}_{suffix}" in dataset and bool((dataset[f"{variable}_{suffix}"].isnull() & done).any())
     ]
-
-
-def _needed(dataset: xr.Dataset) -> str:
-    return "more" if FUNCTION in dataset.attrs else str(FEWEST_SAMPLES)
 
 
 def has_old_errors(dataset: xr.Dataset) -> bool:
@@ -126,8 +128,10 @@ def error_of_sum(
     Where the two share random numbers it is that of their covariance, NaN if the dataset does not have it; elsewhere
     they are independent.  ``weights`` are numbers or arrays over the other dimensions.  None without errors.
     """
-    errors = [_without(standard_error(dataset.isel(place), variable), dataset, place) for place in (one, other)]
-    if errors[0] is None or errors[1] is None:
+    known = [standard_error(dataset.isel(place), variable) for place in (one, other)]
+    along = [name for name, coordinate in dataset.coords.items() if set(coordinate.dims) & {*one, *other}]
+    errors = [error.drop_vars(along, errors="ignore") for error in known if error is not None]
+    if not errors:
         return None
     first, second = weights
     differing = [d for d in one if one[d] != other[d]]
@@ -145,13 +149,6 @@ def error_of_sum(
         if shares_random_numbers(dataset, differing):
             variance = xr.full_like(variance, np.nan)
     return xr.DataArray(variance**0.5)
-
-
-def _without(error: xr.DataArray | None, dataset: xr.Dataset, place: Mapping[str, int]) -> xr.DataArray | None:
-    """Return an error without the coordinates along the dimensions of its place."""
-    if error is None:
-        return None
-    return error.drop_vars([str(n) for n, c in dataset.coords.items() if set(c.dims) & set(place)], errors="ignore")
 
 
 def prediction_name(names: Container[Hashable], variable: str) -> str:

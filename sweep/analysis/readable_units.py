@@ -8,6 +8,7 @@ from typing import Any
 import xarray as xr
 
 from sweep.analysis.quantity import COVARIANCE_SUFFIX, ERROR_SUFFIXES, PREDICTION_SUFFIXES, quantities
+from sweep.attributes import units_of
 from sweep.readable import prefixed
 
 BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
@@ -25,18 +26,18 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     changed: dict[str, xr.DataArray] = {}
     for name in quantities(dataset):
         values = dataset[name].values
-        unit = str(dataset[name].attrs.get("units", ""))
+        unit = units_of(dataset[name].attrs)
         if "," in unit or values.dtype.kind != "f":
             continue
         chosen = prefixed(values, unit)
         if chosen.factor == 1.0:
             continue
         for other in (name, *(f"{name}_{suffix}" for suffix in BESIDE)):
-            if other in dataset and str(dataset[other].attrs.get("units", "")) == unit:
+            if other in dataset and units_of(dataset[other].attrs) == unit:
                 changed[other] = _scaled(dataset[other], chosen.factor, chosen.unit)
         for axis in dataset.coords:
             if (other := f"{name}_{COVARIANCE_SUFFIX}_{axis}") in dataset:
-                changed[other] = _scaled(dataset[other], chosen.factor**2, _squared(chosen.unit))
+                changed[other] = _scaled(dataset[other], chosen.factor**2, f"({chosen.unit})2")
     return _component(dataset.assign(changed))
 
 
@@ -45,15 +46,12 @@ def _scaled(array: xr.DataArray, factor: Any, unit: str) -> xr.DataArray:
     return scaled.assign_attrs(array.attrs | {"units": unit})
 
 
-def _squared(unit: str) -> str:
-    return f"({unit})2"
-
-
 def _component(dataset: xr.Dataset) -> xr.Dataset:
     """Return the dataset, of one component of several that have units of their own, in the unit that suits this one."""
     for name in [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]:
         dimension = name.removesuffix("_unit")
-        own = [n for n in quantities(dataset) if _is_of_component(dataset, n)]
+        units = {n: units_of(dataset[n].attrs) for n in quantities(dataset)}
+        own = [n for n, unit in units.items() if "," in unit and "(" not in unit]  # not products of two components
         if dimension not in dataset.coords or not own:
             continue
         chosen = prefixed(dataset[own[0]].values, str(dataset[name].item()))
@@ -63,8 +61,3 @@ def _component(dataset: xr.Dataset) -> xr.Dataset:
         changed = {n: _scaled(dataset[n], chosen.factor, chosen.unit) for n in [*own, *family] if n in dataset}
         dataset = dataset.assign(changed).assign_coords({name: dataset[name].copy(data=chosen.unit)})
     return dataset
-
-
-def _is_of_component(dataset: xr.Dataset, name: str) -> bool:
-    """Return whether a quantity is in the unit of its component, and not in the product of two of them."""
-    return "," in (unit := str(dataset[name].attrs.get("units", ""))) and "(" not in unit

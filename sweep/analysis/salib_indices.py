@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Array
-from sweep.studies.designs import MORRIS_LEVELS, salib
+from sweep.studies.designs import MORRIS_LEVELS, salib, unit_cube
 
 RESAMPLES = 200
 ONE_SIGMA = 0.6826894921370859
@@ -23,7 +23,7 @@ def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> tuple[Arr
     from SALib.analyze import sobol
 
     options = {"calc_second_order": False, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
-    found = sobol.analyze(_problem(parameters), values, seed=seed + 1, **options)  # SALib takes 0 for no seed
+    found = sobol.analyze(unit_cube(parameters), values, seed=seed + 1, **options)  # SALib takes 0 for no seed
     first, first_error, total, total_error = (np.asarray(found[key]) for key in ("S1", "S1_conf", "ST", "ST_conf"))
     return first, first_error, total, total_error
 
@@ -41,11 +41,6 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> dict[str, Arr
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of groups that there are none
         options: dict[str, Any] = {"num_levels": MORRIS_LEVELS, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
-        found = morris.analyze(_problem(places.shape[1]), places, values, seed=seed + 1, **options)
+        found = morris.analyze(unit_cube(places.shape[1]), places, values, seed=seed + 1, **options)
     names = {"mu_star": "mu_star", "mu_star_error": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
     return {name: np.ma.getdata(found[key]).astype(float) for name, key in names.items()}
-
-
-def _problem(parameters: int) -> dict[str, Any]:
-    names = [f"x{k}" for k in range(parameters)]
-    return {"num_vars": parameters, "names": names, "bounds": [[0.0, 1.0]] * parameters}

@@ -1,6 +1,6 @@
 """Part of a dataset: at values of its axes, or where an axis is in a range."""
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,19 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
     dimension = str(dataset[axis].dims[0])
     both = [d for d in (dimension, f"{dimension}_other") if d in dataset.dims]
     return dataset.isel({d: np.flatnonzero(inside) for d in both})
+
+
+def places_along(dataset: xr.Dataset | xr.DataArray, dimensions: Iterable[Hashable]) -> Iterator[dict[str, int]]:
+    """Yield the index of every combination along some dimensions, in C order."""
+    names = list(map(str, dimensions))
+    for index in np.ndindex(*(dataset.sizes[name] for name in names)):
+        yield dict(zip(names, index, strict=True))
+
+
+def coordinates_along(dataset: xr.Dataset, dimension: str) -> list[str]:
+    """Return the coordinates along a dimension, its own first."""
+    names = dict.fromkeys([dimension, *map(str, dataset.coords)])
+    return [name for name in names if name in dataset.coords and dataset[name].dims == (dimension,)]
 
 
 def place_in_words(where: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ from sweep.analysis.quantity import (
 )
 from sweep.analysis.salib_indices import morris_effects, saltelli_indices
 from sweep.analysis.variance_grid import indices_of_grid
-from sweep.attributes import described
+from sweep.attributes import described, units_of
 from sweep.contract import Array, SweepError
 from sweep.planning.point_status import Status
 from sweep.studies.designs import DESIGNS
@@ -27,6 +27,8 @@ from sweep.studies.study import POINT, POINT_TABLE
 
 METHOD = "sensitivity_method"
 """The attribute of a dataset of indices that says how they were made."""
+
+INDICES = ("first", "first_error", "total", "total_error")
 
 MEANINGS = {
     "first": "first-order index: share of the variance that the parameter makes by itself",
@@ -99,7 +101,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     shape = values.shape[: len(others)]
     made = {i: method.estimate(values[i], None if errors is None else errors[i]) for i in np.ndindex(*shape)}
     names = list(next(iter(made.values())))
-    unit = "" if "first" in names else str(array.attrs.get("units", ""))
+    unit = "" if "first" in names else units_of(array.attrs)
     variables = {
         name: (
             (*others, "parameter"),
@@ -128,7 +130,14 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     if design in ("saltelli", "morris") and not whole:
         raise SweepError(f"indices of a {design} design need all of its points")
     if design == "saltelli":
-        return _Method("SALib, of a saltelli design", parameters, [POINT], _saltelli(len(parameters), seed), [NOISE])
+
+        def of_pairs(values: Array, _errors: Array | None) -> dict[str, Array]:
+            if not np.ptp(values) > 0.0:
+                return dict.fromkeys(INDICES, np.full(len(parameters), np.nan))
+            return dict(zip(INDICES, saltelli_indices(values, len(parameters), seed), strict=True))
+
+        notes = ["Monte-Carlo errors of the points count as interactions: they are in the total indices"]
+        return _Method("SALib, of a saltelli design", parameters, [POINT], of_pairs, notes)
     ranges = told.get("ranges", {})
     if design == "morris":
         places = [_places(dataset, name, ranges.get(name)) for name in parameters]
@@ -150,22 +159,6 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     notes = ["total indices need a full grid or a saltelli design"]
     notes += [] if design else _correlated(parameters, places)
     return _Method(f"regression on each parameter, of {design or 'given'} points", parameters, [POINT], given, notes)
-
-
-NOISE = "Monte-Carlo errors of the points count as interactions: they are in the total indices"
-"""What is to be known of indices of a Saltelli design."""
-
-
-def _saltelli(parameters: int, seed: int) -> Callable[[Array, Array | None], dict[str, Array]]:
-    def estimate(values: Array, _errors: Array | None) -> dict[str, Array]:
-        if not np.ptp(values) > 0.0:
-            return dict.fromkeys(INDICES, np.full(parameters, np.nan))
-        return dict(zip(INDICES, saltelli_indices(values, parameters, seed), strict=True))
-
-    return estimate
-
-
-INDICES = ("first", "first_error", "total", "total_error")
 
 
 def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:

@@ -1,9 +1,9 @@
 """Results as tables: for reading, for a script (CSV, JSON), for astronomers (ECSV)."""
 
-import csv
 import io
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from textwrap import indent
 from typing import TYPE_CHECKING, Any
@@ -12,9 +12,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, with_values
+from sweep.analysis.quantity import (
+    PREDICTION_SUFFIXES,
+    headline_variables,
+    prediction_name,
+    standard_error,
+    with_values,
+)
 from sweep.analysis.readable_units import in_readable_units
-from sweep.formatting import first_of, is_missing, plain, rounded, to_json, with_error
+from sweep.formatting import first_of, is_missing, plain, reading_table, rounded, to_csv, to_json, with_error
 from sweep.planning.point_status import Status
 from sweep.readable import in_ascii
 from sweep.studies.provenance import FUNCTION
@@ -63,6 +69,9 @@ class Column:
         return max(map(len, [*self.heading.split("\n"), *self.cells])) + GAP
 
 
+Long = dict[str, tuple[str, list[Any]]]
+"""Unit and values of each column of a table with one row a point."""
+
 ERROR = "error of {}"
 """The column, in tables that are made for reading, of the whole one-sigma error of a variable."""
 
@@ -70,7 +79,7 @@ MOST_ROWS = 200
 """Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
 
 
-def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> dict[str, tuple[str, list[Any]]]:
+def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> Long:
     """Return columns {name: (unit, values)} with one row a point, of all or of those at ``places``, counted in C order:
     the axes, then every variable without further dimensions; of a plain function also those with some, each value a
     list.
@@ -78,9 +87,9 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> d
     rows = slice(None) if places is None else places
     dimensions = axes_of(dataset)
     flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
-    columns: dict[str, tuple[str, list[Any]]] = {}
+    columns: Long = {}
     template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
-    for name in [*_axis_coordinates(dataset, dimensions), *flat.data_vars]:
+    for name in [*axis_coordinates(dataset, dimensions), *flat.data_vars]:
         variable = dataset[name]
         values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)[rows]
         columns[str(name)] = (variable.attrs.get("units", ""), _listed(values))
@@ -121,13 +130,9 @@ def axes_of(dataset: xr.Dataset) -> list[str]:
 def as_csv(dataset: xr.Dataset) -> str:
     """Return the long table as CSV; a missing value is an empty cell, units stand in the header as ``name [unit]``."""
     columns = long_table(dataset)
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()])
-    for row in zip(*(values for _, values in columns.values()), strict=True):
-        cells = (json.dumps(cell) if isinstance(cell, list) else cell for cell in row)
-        writer.writerow(["" if is_missing(cell) else cell for cell in cells])
-    return out.getvalue()
+    header = [f"{name} [{unit}]" if unit else name for name, (unit, _) in columns.items()]
+    rows = zip(*(values for _, values in columns.values()), strict=True)
+    return to_csv(header, ([json.dumps(cell) if isinstance(cell, list) else cell for cell in row] for row in rows))
 
 
 def as_ecsv(dataset: xr.Dataset) -> str:
@@ -137,12 +142,7 @@ def as_ecsv(dataset: xr.Dataset) -> str:
     table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
     for name, (unit, values) in long_table(dataset).items():
         mask = [is_missing(v) for v in values]
-        if values and isinstance(values[0], list):
-            table[name] = MaskedColumn(np.array(values), unit=unit or None)
-            continue
-        table[name] = (
-            MaskedColumn(values, mask=mask, unit=unit or None) if any(mask) else MaskedColumn(values, unit=unit or None)
-        )
+        table[name] = MaskedColumn(values, mask=mask if any(mask) else False, unit=unit or None)
     out = io.StringIO()
     table.write(out, format="ascii.ecsv")
     return out.getvalue()
@@ -177,23 +177,9 @@ def as_text(dataset: xr.Dataset, width: int | None = None) -> "Table":
     """Return the headline results for reading: value +- one-sigma error, prediction, published value and
     difference; of the first `MOST_ROWS` points, and of the columns those that go into ``width`` characters.
     """
-    from rich.markup import escape
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        title=Text(str(dataset.attrs.get("title", ""))),
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-        header_style="bold",
-    )
     columns, _ = fitting(headline_columns(dataset, MOST_ROWS), width)
-    for column in columns:
-        table.add_column(Text(column.heading), justify="right", no_wrap=True)
-    for row in zip(*(column.cells for column in columns), strict=True):
-        table.add_row(*map(escape, row))
-    return table
+    rows = zip(*(column.cells for column in columns), strict=True)
+    return reading_table(str(dataset.attrs.get("title", "")), [column.heading for column in columns], rows)
 
 
 def fitting(columns: list[Column], width: int | None) -> tuple[list[Column], list[Column]]:
@@ -215,13 +201,11 @@ def left_out_in_words(columns: list[Column]) -> str:
 
 def exactly_published(dataset: xr.Dataset) -> list[str]:
     """Return a sentence for each headline quantity that is everywhere as it was published."""
-    counts = {
-        name: int(dataset[f"{name}_published"].count()) for name in _headline(dataset) if _is_exact(dataset, name)
-    }
+    exact = [name for name in headline_variables(dataset) if _is_exact(dataset, name)]
+    counts = {name: int(dataset[f"{name}_published"].count()) for name in exact}
     return [
         f"{name}: {f'all {n} published values are' if n > 1 else 'the published value is'} met exactly"
         for name, n in counts.items()
-        if n
     ]
 
 
@@ -248,7 +232,7 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     published and difference; of all points or of the first ones.
     """
     dataset = in_readable_units(dataset)
-    names = [name for name in _headline(dataset) if name not in array_outputs(dataset)]
+    names = [name for name in headline_variables(dataset) if name not in array_outputs(dataset)]
     known = {name: error for name in names if (error := standard_error(dataset, name)) is not None}
     status = dataset["status"].values.reshape(-1)
     finished = bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED)))
@@ -256,33 +240,32 @@ def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Colum
     long = long_table(dataset.assign({ERROR.format(name): e for name, e in known.items()}), places)
     columns = [
         Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
-        for name in _axis_coordinates(dataset, axes_of(dataset))
+        for name in axis_coordinates(dataset, axes_of(dataset))
     ]
-    names = with_values(dataset, [name for name in _headline(dataset) if name in long])
+    names = with_values(dataset, [name for name in headline_variables(dataset) if name in long])
     for number, name in enumerate(names):
-        unit, values = long[name]
         later = OTHER if number else 0
-        if name in array_outputs(dataset):
-            cells = [_span(value) for value in values]
-            columns.append(Column(name, unit, cells, [str(value) for value in values], name, later + VALUE))
-            continue
-        errors = long[ERROR.format(name)][1] if name in known else [0.0] * len(values)
-        cells = [with_error(v, e) for v, e in zip(values, errors, strict=True)]
-        columns.append(Column(name, unit, cells, values, name, later + VALUE))
-        if (predicted := long.get(prediction_name(long, name))) is not None:
-            cells = [rounded(v, e) for v, e in zip(predicted[1], errors, strict=True)]
-            columns.append(Column("predicted", unit, cells, predicted[1], name, later + PREDICTED))
-            columns += [replace(part, of=name, rank=later + PARTS) for part in _parts(long, name, errors)]
-        if (published := long.get(f"{name}_published")) is not None and not all(map(is_missing, published[1])):
-            if _is_exact(dataset, name):
-                continue
-            rank = later + PUBLISHED
-            columns.append(Column("published", unit, [rounded(v) for v in published[1]], published[1], name, rank))
-            pairs = list(zip(values, published[1], strict=True))
-            cells = [_difference(*p) for p in pairs]
-            columns.append(Column("difference", "", cells, [_relative(*p) for p in pairs], name, rank))
+        columns += [replace(one, of=name, rank=later + one.rank) for one in _columns_of(dataset, long, name)]
     words = long["status"][1]
     return columns if finished else [*columns, Column("status", "", words, words)]
+
+
+def _columns_of(dataset: xr.Dataset, long: Long, name: str) -> Iterator[Column]:
+    """Yield the columns of one result."""
+    unit, values = long[name]
+    if name in array_outputs(dataset):
+        yield Column(name, unit, list(map(_span, values)), list(map(str, values)), rank=VALUE)
+        return
+    _, errors = long.get(ERROR.format(name), ("", [0.0] * len(values)))
+    yield Column(name, unit, list(map(with_error, values, errors)), values, rank=VALUE)
+    if (predicted := long.get(prediction_name(long, name))) is not None:
+        yield Column("predicted", unit, list(map(rounded, predicted[1], errors)), predicted[1], rank=PREDICTED)
+        yield from _parts(long, name, errors)
+    _, published = long.get(f"{name}_published", ("", []))
+    if not all(map(is_missing, published)) and not _is_exact(dataset, name):
+        yield Column("published", unit, list(map(rounded, published)), published, rank=PUBLISHED)
+        differences = list(map(_relative, values, published))
+        yield Column("difference", "", list(map(_in_percent, differences)), differences, rank=PUBLISHED)
 
 
 def arrays_in_words(dataset: xr.Dataset) -> list[str]:
@@ -303,7 +286,7 @@ def _span(values: Any) -> str:
     return f"{rounded(float(known.min()))} to {rounded(float(known.max()))}" if known.size else ""
 
 
-def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float]) -> list[Column]:
+def _parts(long: Long, name: str, errors: list[float]) -> list[Column]:
     """Return the parts of a prediction, of errors alone and of the bias, where there is a bias that can be seen."""
     whole, part = (long.get(f"{name}_{suffix}") for suffix in PREDICTION_SUFFIXES)
     if whole is None or part is None:
@@ -313,28 +296,22 @@ def _parts(long: dict[str, tuple[str, list[Any]]], name: str, errors: list[float
         return []
     bias = [math.sqrt(max(0.0, total**2 - alone**2)) for total, alone in pairs]
     return [
-        Column(heading, whole[0], [rounded(v, e) for v, e in zip(values, errors, strict=True)], values)
+        Column(heading, whole[0], list(map(rounded, values, errors)), values, rank=PARTS)
         for heading, values in (("of errors", part[1]), ("of bias", bias))
     ]
 
 
-def _axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
+def axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
+    """Return the coordinates along some dimensions in the order of these, the own one of each first."""
     names = [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
     place = {name: dimensions.index(str(dataset[name].dims[0])) for name in names}
     return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
 
 
-def _headline(dataset: xr.Dataset) -> list[str]:
-    """Return the headline results: first those with errors, as `main_quantity` chooses."""
-    names = [str(n) for n, v in dataset.data_vars.items() if v.attrs.get("headline")]
-    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
-
-
-def _difference(value: float, published: float) -> str:
-    relative = _relative(value, published)
-    if is_missing(relative):
+def _in_percent(difference: float) -> str:
+    if is_missing(difference):
         return ""
-    return "none" if relative == 0.0 else f"{100.0 * relative:+.1f} %"
+    return "none" if difference == 0.0 else f"{100.0 * difference:+.1f} %"
 
 
 def _relative(value: float, published: float) -> float:

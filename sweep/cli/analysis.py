@@ -94,7 +94,7 @@ def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], a
     """
     from sweep.analysis.conditions import parse_limit
     from sweep.analysis.crossings import find as find_crossings
-    from sweep.analysis.points import points_where
+    from sweep.analysis.crossings import points_where
     from sweep.analysis.quantity import require_axis, varied_parameters
 
     limit = parse_limit(where)

@@ -18,6 +18,7 @@ RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "rea
 ADDED = ("_published", "_published_rounding")
 """What the platform adds to an output's name, for numbers of its own."""
 
+TAKEN = "the platform gives this name in every dataset; take another"
 GOOD_NAME = re.compile(r"[^\W\d][\w.-]{0,99}")
 
 CALLS = {
@@ -109,6 +110,13 @@ def _not_of_a_signature(parameter: Parameter) -> Iterator[str]:
         yield f"choices are for strings, not for a {parameter.kind}"
 
 
+def name_problem(name: object) -> str | None:
+    """Return why something cannot be a name in a dataset, or None."""
+    if not isinstance(name, str) or not GOOD_NAME.fullmatch(name):
+        return "a name begins with a letter and has letters, digits and any of _ . - only"
+    return TAKEN if name in RESERVED else None
+
+
 def parameter_problems(parameter: Parameter) -> Iterator[str]:
     """Yield what is wrong with a parameter by itself."""
     if parameter.kind not in get_args(Kind):
@@ -171,10 +179,8 @@ def _names(
     decided = {parameter.name for parameter in parameters if parameter.default is None}
     first: dict[str, str] = {}
     for kind, name in given:
-        if not isinstance(name, str) or not GOOD_NAME.fullmatch(name):
-            yield f"{kind} {shown(name)}: a name begins with a letter and has letters, digits and any of _ . - only"
-        elif name in RESERVED:
-            yield f"{kind} {name!r}: the platform gives this name in every dataset; take another"
+        if wrong := name_problem(name):
+            yield f"{kind} {shown(name)}: {wrong}"
         elif name in added:
             yield f"{kind} {name!r}: this name is for {added[name]}; take another"
         elif name in first and not (name in decided and (first[name], kind) == ("parameter", "output")):

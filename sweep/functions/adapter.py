@@ -10,7 +10,7 @@ import numpy as np
 from sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
 from sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
 from sweep.functions.layout import SLOTS, Layout, layout_of_json
-from sweep.functions.realisations import Realisations
+from sweep.functions.realisations import Realisations, drawn
 from sweep.functions.results import Declared, Flat, flatten, split_points
 from sweep.functions.signature import Signature, name_of, signature_of
 
@@ -33,6 +33,12 @@ class PlainFunction:
         outputs, name = self.declaration.outputs, self.signature.name
         single = outputs[0].name if len(outputs) == 1 else "result" if name in ("function", *names) else name
         return Declared(name, single, outputs, names)
+
+    def realised(self, point: Point, n_sim: int, rng: np.random.Generator) -> list[Flat]:
+        """Return the results of ``n_sim`` realisations; raises ResultError as `flatten`."""
+        if self.signature.n_sim:
+            return split_points(self.call(**point, rng=rng, n_sim=n_sim), n_sim, self.declared, "realisations")
+        return [flatten(self.call(**point, rng=rng), self.declared) for _ in range(n_sim)]
 
 
 @dataclass(frozen=True)
@@ -69,21 +75,20 @@ class FunctionExperiment(Experiment):
 
     def with_layout(self, layout: Layout) -> "FunctionExperiment":
         """Return the experiment whose results are known to be such."""
-        made = self.realisations.outputs(layout) if self.rng else _outputs(layout, self.declared)
-        known = {coordinate.name: coordinate for coordinate in layout.coordinates}
+        random = Realisations(layout, self.declared)
         return replace(
             self,
             layout=layout,
-            outputs=made,
-            sums={"row": (COUNT + (self.realisations.width(layout) if self.rng else layout.width),)},
-            coordinates={name: coordinate.values for name, coordinate in known.items()},
+            outputs=random.outputs() if self.rng else _outputs(layout, self.declared),
+            sums={"row": (COUNT + (random.width if self.rng else layout.width),)},
+            coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
             nan_sums=("row",),
         )
 
     @cached_property
-    def realisations(self) -> Realisations:
-        """What is kept of random realisations."""
-        return Realisations(self.declared)
+    def realisations(self) -> Realisations | None:
+        """What is kept of random realisations, None before the layout is known and for a function without."""
+        return Realisations(self.layout, self.declared) if self.rng and self.layout is not None else None
 
     def block(self, points: Sequence[Point], n_sim: int, rng: Iterator[np.random.Generator]) -> list[Flat]:
         """Return the result of each point: of one evaluation, or of ``n_sim`` realisations with the next generator.
@@ -91,11 +96,11 @@ class FunctionExperiment(Experiment):
         Raises ResultError for what is no result, and whatever the function raises.
         """
         assert self.function is not None, "the record of an experiment computes nothing"
-        call, declared = self.function.call, self.function.declared
+        function, declared = self.function, self.function.declared
         if not self.rng:
-            return [flatten(call(**point), declared) for point in points]
-        signature, generator = self.function.signature, next(rng)
-        return [self.realisations.drawn(call, signature, declared, point, n_sim, generator) for point in points]
+            return [flatten(function.call(**point), declared) for point in points]
+        generator = next(rng)
+        return [drawn(function.realised(point, n_sim, generator), declared) for point in points]
 
     def many(self, points: Sequence[Point]) -> list[Flat]:
         """Return the results of points from one call of a vectorised function; raises as `block`."""
@@ -113,10 +118,9 @@ class FunctionExperiment(Experiment):
 
     def added(self, total: Array, row: Array) -> Array:
         """Return what is known of a point with one block more: a single evaluation as it is, moments merged."""
-        if not self.rng or total[0] == 0.0:
+        if self.realisations is None or total[0] == 0.0:
             return row
-        assert self.layout is not None, "rows have a layout"
-        return self.realisations.merged(self.layout, total, row)
+        return self.realisations.merged(total, row)
 
     def alone(self, rows: Array) -> Array:
         """Return what is known of points that have one block each: as it is."""
@@ -125,30 +129,28 @@ class FunctionExperiment(Experiment):
     @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""
-        return self.rng and self.layout is not None and self.realisations.kept_width(self.layout) > 0
+        return self.samples_width > 0
 
     @property
     def samples_width(self) -> int:
         """Number of floats of one kept realisation."""
-        return self.realisations.kept_width(self.layout) if self.rng and self.layout is not None else 0
+        return 0 if self.realisations is None else self.realisations.kept_width
 
     @property
     def further_width(self) -> int:
         """Number of floats that kept realisations add to what is known of a point."""
-        return self.realisations.further_width(self.layout) if self.rng and self.layout is not None else 0
+        return 0 if self.realisations is None else self.realisations.further_width
 
     def of_samples(self, samples: Array) -> Array:
         """Return what the kept realisations (n, samples_width) of a point add, (further_width,)."""
-        assert self.layout is not None, "samples have a layout"
-        return self.realisations.of_samples(self.layout, samples)
+        assert self.realisations is not None, "samples have a layout"
+        return self.realisations.of_samples(samples)
 
     def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
         """Return every output of rows as `added` makes them, texts by their digests."""
-        if self.layout is None:
-            return {}
-        if self.rng:
-            return self.realisations.results(self.layout, rows)
-        return self.layout.values(rows[:, COUNT:])
+        if self.realisations is not None:
+            return self.realisations.results(rows)
+        return {} if self.layout is None else self.layout.values(rows[:, COUNT:])
 
     def nan_outputs(self) -> list[str]:
         """Return all outputs: results are checked where they come in."""
@@ -195,16 +197,12 @@ def is_plain_function(found: object) -> TypeGuard[Callable[..., Any]]:
 def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
     """Return a plain function as an experiment; raises SweepError with all that keeps it from being one."""
     try:
-        return _known(function)
-    except TypeError:  # it has no hash
         return _made(function)
+    except TypeError:  # it has no hash
+        return _made.__wrapped__(function)
 
 
 @lru_cache(maxsize=64)
-def _known(function: Callable[..., Any]) -> FunctionExperiment:
-    return _made(function)
-
-
 def _made(function: Callable[..., Any]) -> FunctionExperiment:
     declaration = declaration_of(function)
     if not hasattr(function, ATTRIBUTE) and (found := problems(function, declaration)):

@@ -7,7 +7,7 @@ from functools import wraps
 from typing import Any, TypeVar, cast
 
 from sweep.contract import Output, ResultError, SweepError, shown
-from sweep.contract.declaration import GOOD_NAME, RESERVED, packages_problems, parameter_problems
+from sweep.contract.declaration import RESERVED, TAKEN, name_problem, packages_problems, parameter_problems
 from sweep.contract.units import unit_problem
 from sweep.functions.signature import Signature, signature_of
 from sweep.functions.statistics import statistic_problem
@@ -120,7 +120,8 @@ def problems(function: Callable[..., Any], declaration: Declaration) -> list[str
         signature = Signature("", ())
     names = [parameter.name for parameter in signature.parameters]
     for parameter in signature.parameters:
-        found += [f"parameter {parameter.name!r}: {text}" for text in _problems_of_parameter(parameter)]
+        texts = [*([TAKEN] if parameter.name in RESERVED else []), *parameter_problems(parameter)]
+        found += [f"parameter {parameter.name!r}: {text}" for text in texts]
     known: set[str] = set()
     for output in declaration.outputs:
         if not isinstance(output, Output):
@@ -139,17 +140,9 @@ def problems(function: Callable[..., Any], declaration: Declaration) -> list[str
     return found
 
 
-def _problems_of_parameter(parameter: Any) -> Iterator[str]:
-    if parameter.name in RESERVED:
-        yield "the platform gives this name in every dataset; take another"
-    yield from parameter_problems(parameter)
-
-
 def _problems_of_output(output: Output, signature: Signature, parameters: Sequence[str]) -> Iterator[str]:
-    if not isinstance(output.name, str) or not GOOD_NAME.fullmatch(output.name):
-        yield "a name begins with a letter and has letters, digits and any of _ . - only"
-    elif output.name in RESERVED:
-        yield "the platform gives this name in every dataset; take another"
+    if wrong := name_problem(output.name):
+        yield wrong
     elif output.name in parameters:
         yield "is the name of a parameter too"
     if wrong_unit := unit_problem(output.unit):
@@ -159,7 +152,7 @@ def _problems_of_output(output: Output, signature: Signature, parameters: Sequen
         yield f"dims = {shown(output.dims)}: must be different names"
         return
     for dim in dims:
-        if not GOOD_NAME.fullmatch(dim) or dim in RESERVED:
+        if name_problem(dim):
             yield f"the dimension {shown(dim)} cannot be named so"
     for dim in output.coords or {}:
         if dim not in dims:

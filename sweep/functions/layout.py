@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Output, shown, suggest
-from sweep.contract.declaration import GOOD_NAME, RESERVED
+from sweep.contract.declaration import name_problem
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
 
@@ -112,11 +112,8 @@ def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str,
     found = []
     names = [field.name for field in layout.fields]
     for kind, name in [("output", n) for n in names] + [("dimension", n) for n in layout.sizes]:
-        if not GOOD_NAME.fullmatch(name):
-            rule = "a name begins with a letter and has letters, digits and any of _ . - only"
-            found.append(f"the {kind} {shown(name)}: {rule}")
-        elif name in RESERVED:
-            found.append(f"the {kind} {name!r}: the platform gives this name in every dataset; take another")
+        if wrong := name_problem(name):
+            found.append(f"the {kind} {shown(name)}: {wrong}")
         elif name in parameters:
             found.append(f"the {kind} {name!r} has the name of a parameter; take another")
         elif kind == "dimension" and name in names:
@@ -138,8 +135,7 @@ def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
         if name not in given:
             phrases.append(f"{name!r} is missing{suggest(name, extra) if extra else ''}")
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
-    coordinates = ({c.name: c for c in layout.coordinates} for layout in (expected, found))
-    before, after = coordinates
+    before, after = ({c.name: c for c in layout.coordinates} for layout in (expected, found))
     compared: set[str] = set()
     for name in wanted.keys() & given.keys():
         phrases += _differences_of_field(wanted[name], given[name])

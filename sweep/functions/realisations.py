@@ -1,17 +1,15 @@
 """What is kept of the random realisations of a plain function: moments that merge, and those that quantiles need."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
-from sweep.contract import Array, Output, Point, ResultError
+from sweep.contract import Array, Output, ResultError
 from sweep.functions.layout import Field, Layout, differences, held
-from sweep.functions.results import Declared, Flat, flatten, split_points
-from sweep.functions.signature import N_SIM, RNG, Signature
+from sweep.functions.results import Declared, Flat
 from sweep.functions.statistics import (
     MOMENTS,
     merged,
@@ -28,11 +26,12 @@ NUMBERS = ("float", "int", "bool")
 
 @dataclass(frozen=True)
 class Realisations:
-    """What is made of realisations, by the outputs that a function ``declared``.
+    """What is made of realisations of a layout, by the outputs that a function ``declared``.
 
     A row has their number and the moments of each output; what quantiles add stands behind it.
     """
 
+    layout: Layout
     declared: tuple[Output, ...]
 
     @cached_property
@@ -40,90 +39,59 @@ class Realisations:
         """The outputs by name."""
         return {output.name: output for output in self.declared}
 
-    def width(self, layout: Layout) -> int:
-        """Return the numbers that moments of all outputs take."""
-        return MOMENTS * layout.width
+    @property
+    def width(self) -> int:
+        """The numbers that moments of all outputs take."""
+        return MOMENTS * self.layout.width
 
     def levels(self, field: Field) -> list[float]:
         """Return the quantiles that are made of an output."""
         named = (quantile_of(name) for name in statistics_of(self.by_name.get(field.name)))
         return [level for level in named if level is not None]
 
-    def kept_width(self, layout: Layout) -> int:
-        """Return the numbers of one realisation that are kept."""
-        return sum(math.prod(layout.shape(field)) for field in layout.fields if self.levels(field))
+    @cached_property
+    def kept_width(self) -> int:
+        """The numbers of one realisation that are kept."""
+        return sum(math.prod(self.layout.shape(field)) for field in self.layout.fields if self.levels(field))
 
-    def further_width(self, layout: Layout) -> int:
-        """Return the numbers that quantiles and their errors take."""
-        return sum(2 * len(self.levels(field)) * math.prod(layout.shape(field)) for field in layout.fields)
+    @cached_property
+    def further_width(self) -> int:
+        """The numbers that quantiles and their errors take."""
+        return sum(2 * len(self.levels(field)) * math.prod(self.layout.shape(field)) for field in self.layout.fields)
 
-    def drawn(
-        self,
-        call: Callable[..., Any],
-        signature: Signature,
-        declared: Declared,
-        point: Point,
-        n_sim: int,
-        rng: np.random.Generator,
-    ) -> Flat:
-        """Return a block of realisations as a row of moments, with those that quantiles need.
-
-        Raises ResultError as `flatten`, and where realisations differ in more than their values.
-        """
-        if signature.n_sim:
-            flats = split_points(call(**point, **{RNG: rng, N_SIM: n_sim}), n_sim, declared, "realisations")
-        else:
-            flats = [flatten(call(**point, **{RNG: rng}), declared) for _ in range(n_sim)]
-        if strange := [field for field in flats[0].layout.fields if field.type not in NUMBERS]:
-            raise ResultError(
-                f"{declared.function}: {strange[0].name!r} is of type {strange[0].type}; statistics are made of "
-                "numbers and truth values"
-            )
-        layout, values = _values(flats, declared)
-        moments, kept = [], []
-        for field in layout.fields:
-            part = values[field.name]
-            moments.append(moments_of(part).reshape(-1))
-            if self.levels(field):
-                kept.append(part)
-        row = np.concatenate(moments).astype("<f8").tobytes()
-        return Flat(layout, row, {}, np.concatenate(kept, axis=1) if kept else None)
-
-    def _parts(self, layout: Layout) -> Iterator[tuple[Field, slice, tuple[int, ...]]]:
+    def _parts(self) -> Iterator[tuple[Field, slice, tuple[int, ...]]]:
         """Yield the place of each output's moments in a row, and its shape."""
         start = 1
-        for field in layout.fields:
-            size = math.prod(layout.shape(field))
-            yield field, slice(start, start + MOMENTS * size), layout.shape(field)
-            start += MOMENTS * size
+        for field in self.layout.fields:
+            shape = self.layout.shape(field)
+            place = slice(start, start + MOMENTS * math.prod(shape))
+            yield field, place, shape
+            start = place.stop
 
-    def merged(self, layout: Layout, one: Array, other: Array) -> Array:
+    def merged(self, one: Array, other: Array) -> Array:
         """Return the rows of two sets of realisations as one."""
         row = np.empty_like(one)
         row[0] = one[0] + other[0]
-        for _, place, _ in self._parts(layout):
-            parts = (
-                (one[place].reshape(MOMENTS, -1), float(one[0])),
-                (other[place].reshape(MOMENTS, -1), float(other[0])),
-            )
-            row[place] = merged(*parts[0], *parts[1]).reshape(-1)
+        for _, place, _ in self._parts():
+            mine, theirs = (moments[place].reshape(MOMENTS, -1) for moments in (one, other))
+            row[place] = merged(mine, float(one[0]), theirs, float(other[0])).reshape(-1)
         return row
 
-    def of_samples(self, layout: Layout, samples: Array) -> Array:
+    def of_samples(self, samples: Array) -> Array:
         """Return the quantiles of kept realisations and their errors, flat."""
         found, start = [], 0
-        for field in layout.fields:
+        for field in self.layout.fields:
             if levels := self.levels(field):
-                size = math.prod(layout.shape(field))
+                size = math.prod(self.layout.shape(field))
                 found.append(quantiles(levels, samples[:, start : start + size]).reshape(-1))
                 start += size
         return np.concatenate(found)
 
-    def outputs(self, layout: Layout) -> tuple[Output, ...]:
+    def outputs(self) -> tuple[Output, ...]:
         """Return the statistics of all outputs, each followed by its error."""
-        headline = layout.headline(self.declared)
+        headline = self.layout.headline(self.declared)
         made = []
-        for field in layout.fields:
+        for field in self.layout.fields:
             meaning = field.meaning or field.name.replace("_", " ")
             for name in statistics_of(self.by_name.get(field.name)):
                 unit = "" if name == "count" else field.unit
@@ -141,12 +109,12 @@ class Realisations:
                     made.append(replace(value, name=f"{value.name}_mc_error", meaning=error, headline=False))
         return tuple(made)
 
-    def results(self, layout: Layout, rows: Array) -> dict[str, Array]:
+    def results(self, rows: Array) -> dict[str, Array]:
         """Return all statistics and errors, (points, *shape), of rows with what quantiles add behind them."""
         found: dict[str, Array] = {}
         n = rows[:, 0]
-        further = 1 + self.width(layout)
-        for field, place, shape in self._parts(layout):
+        further = 1 + self.width
+        for field, place, shape in self._parts():
             moments = rows[:, place].reshape(len(rows), MOMENTS, -1)
             for name in statistics_of(self.by_name.get(field.name)):
                 if quantile_of(name) is not None:
@@ -162,6 +130,24 @@ class Realisations:
         return found
 
 
+def drawn(flats: Sequence[Flat], declared: Declared) -> Flat:
+    """Return the realisations of a block as a row of moments, with those that quantiles need.
+
+    Raises ResultError where they differ in more than their values.
+    """
+    if strange := [field for field in flats[0].layout.fields if field.type not in NUMBERS]:
+        name, kind = strange[0].name, strange[0].type
+        raise ResultError(
+            f"{declared.function}: {name!r} is of type {kind}; statistics are made of numbers and truth values"
+        )
+    layout, values = _values(flats, declared.function)
+    own = Realisations(layout, declared.outputs)
+    kept = [values[field.name] for field in layout.fields if own.levels(field)]
+    moments = [moments_of(values[field.name]).reshape(-1) for field in layout.fields]
+    row = np.concatenate(moments).astype("<f8").tobytes()
+    return Flat(layout, row, {}, np.concatenate(kept, axis=1) if kept else None)
+
+
 def _in_words(name: str) -> str:
     """Return a statistic in words."""
     words = {"std": "standard deviation", "min": "least", "max": "largest", "count": "number of true"}
@@ -171,18 +157,16 @@ def _in_words(name: str) -> str:
     return words.get(name, name)
 
 
-def _values(flats: Sequence[Flat], declared: Declared) -> tuple[Layout, dict[str, Array]]:
+def _values(flats: Sequence[Flat], function: str) -> tuple[Layout, dict[str, Array]]:
     """Return the layout of realisations, all numbers floats, and their values by name, (n, size)."""
     first = flats[0].layout
     layout = replace(first, fields=tuple(replace(f, type="float") if f.type == "int" else f for f in first.fields))
     rows = []
     for flat in flats:
         if wrong := differences(layout, flat.layout):
-            raise ResultError(f"{declared.function}: one realisation differs from another: {'; '.join(wrong)}")
+            raise ResultError(f"{function}: one realisation differs from another: {'; '.join(wrong)}")
         if (row := held(flat.row, flat.layout, layout)) is None:
-            raise ResultError(
-                f"{declared.function}: an integer beyond 2**53 is no number that statistics can be made of"
-            )
+            raise ResultError(f"{function}: an integer beyond 2**53 is no number that statistics can be made of")
         rows.append(row)
     whole = np.frombuffer(b"".join(rows), dtype="<f8").reshape(len(rows), layout.width)
     return layout, {name: array.reshape(len(rows), -1).astype(float) for name, array in layout.values(whole).items()}

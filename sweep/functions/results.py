@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from sweep.contract import NotFiniteError, Output, ResultError, shown, suggest
 from sweep.contract.units import same_unit
 from sweep.functions.layout import Coordinate, Field, Layout, Type, problems_of_names
-from sweep.functions.value_types import TEXT_BYTES, text_digest
-from sweep.functions.values import Value, coordinate_of, is_xarray, value_of
+from sweep.functions.values import TEXT_BYTES, Value, coordinate_of, is_xarray, text_digest, value_of
 
 
 class Flat(NamedTuple):

@@ -32,10 +32,15 @@ class Signature:
 
 def name_of(function: Callable[..., Any]) -> str:
     """Return what a function is called: by `def`, by what a partial wraps, or by its class."""
-    while isinstance(function, functools.partial):
-        function = function.func
+    function = _wrapped(function)
     name = getattr(function, "__name__", type(function).__name__)
     return "function" if name == "<lambda>" else name
+
+
+def _wrapped(function: Callable[..., Any]) -> Any:
+    while isinstance(function, functools.partial):
+        function = function.func
+    return function
 
 
 def signature_of(function: Callable[..., Any]) -> Signature:
@@ -71,9 +76,7 @@ def signature_of(function: Callable[..., Any]) -> Signature:
 
 
 def _refusals(function: Callable[..., Any]) -> typing.Iterator[str]:
-    whole = function
-    while isinstance(whole, functools.partial):
-        whole = whole.func
+    whole = _wrapped(function)
     call = whole if inspect.isroutine(whole) else getattr(whole, "__call__", whole)  # noqa: B004
     if isinstance(whole, type):
         yield "is a class, not a function; wrap it in a function that returns results"

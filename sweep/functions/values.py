@@ -1,14 +1,23 @@
-"""One value that a plain function returns, with what it says itself: dimensions, coordinates, unit and meaning."""
+"""One value that a plain function returns: an array of one type, and the dimensions, coordinates, unit and meaning
+that it brings.
+"""
 
+import datetime
 import sys
+from collections.abc import Mapping
+from hashlib import blake2b
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import ResultError
+from sweep.contract import ResultError, shown
 from sweep.functions.layout import Coordinate, Type
-from sweep.functions.value_types import typed
+
+TEXT_BYTES = 16
+"""Bytes of the digest that stands for a text in a row."""
+
+WHAT_RESULTS_ARE = "results are numbers, strings, truth values, times, arrays of these, or xarray objects"
 
 
 class Value(NamedTuple):
@@ -70,4 +79,125 @@ def value_of(value: Any) -> Value:
     unit = ""
     if hasattr(value, "unit") and hasattr(value, "value") and hasattr(value, "to_value"):  # of astropy
         unit, value = str(value.unit), value.value
-    return Value(*typed(value), unit=unit)
+    return Value(*_typed(value), unit=unit)
+
+
+def _typed(value: Any) -> tuple[Type, NDArray[Any]]:  # noqa: PLR0911 (one for each type)
+    """Return the type of a value that is no xarray object, and it as an array; raises ResultError that says why not."""
+    if value is None:
+        raise ResultError("is None")
+    if isinstance(value, bool | np.bool_):
+        return "bool", np.array(bool(value))
+    if isinstance(value, int) and not isinstance(value, np.generic):
+        if not -(2**63) <= value < 2**63:
+            raise ResultError(f"is {shown(value)}; integers have 64 bits at most")
+        return "int", np.array(value, dtype="i8")
+    if isinstance(value, float):
+        return "float", np.array(float(value))
+    if isinstance(value, str):
+        return "text", _texts(np.array(str(value), dtype=object))
+    if isinstance(value, datetime.datetime | datetime.date):
+        return "datetime", np.array(_time(value))
+    if isinstance(value, Mapping):
+        raise ResultError("is a dict; results are not nested: return its entries under names of their own")
+    if isinstance(value, datetime.timedelta | np.timedelta64):
+        raise ResultError("is a duration; return a number and declare its unit")
+    if isinstance(value, list | tuple):
+        return _of_list(value)
+    if isinstance(value, np.ndarray | np.generic | complex) or hasattr(value, "__array__"):
+        return _of_array(np.asarray(value))
+    raise ResultError(f"is of type {type(value).__name__}; {WHAT_RESULTS_ARE}")
+
+
+def _of_list(value: list[Any] | tuple[Any, ...]) -> tuple[Type, NDArray[Any]]:
+    try:
+        array = np.asarray(value)
+        elements = np.array(value, dtype=object)
+    except ValueError as error:
+        raise ResultError("has parts of different lengths") from error
+    except OverflowError as error:
+        raise ResultError("has integers of more than 64 bits") from error
+    kinds = {type(element) for element in elements.reshape(-1).tolist()}
+    if kinds & {list, tuple}:
+        raise ResultError("has parts of different lengths")
+    if array.dtype.kind in "fO" and kinds == {int}:
+        raise ResultError("has integers of more than 64 bits")
+    if (array.dtype.kind == "U" or array.dtype.kind in "biuf") and len(kinds & {str, bool}) and len(kinds) > 1:
+        raise ResultError(f"mixes values of types {', '.join(sorted(kind.__name__ for kind in kinds))}")
+    return _of_array(elements if array.dtype.kind == "U" else array)
+
+
+def _of_array(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
+    if array.size == 0:
+        raise ResultError(f"has no values: its shape is {array.shape}")
+    kind = array.dtype.kind
+    if kind == "b":
+        return "bool", array
+    if kind in "iu":
+        if kind == "u" and array.max() >= 2**63:
+            raise ResultError(f"has {shown(int(array.max()))}; integers have 63 bits and a sign at most")
+        return "int", array.astype("i8")
+    if kind == "f":
+        if array.dtype.itemsize > 8:
+            raise ResultError(f"is of type {array.dtype}; numbers have 64 bits at most")
+        return "float", array.astype("f8")
+    if kind == "U":
+        return "text", _texts(array.astype(object))
+    if kind == "M":
+        return "datetime", _times(array)
+    if kind == "c":
+        raise ResultError("is complex; return its real and imaginary parts under names of their own")
+    if kind == "m":
+        raise ResultError("is a duration; return a number and declare its unit")
+    if kind == "O":
+        return _of_objects(array)
+    raise ResultError(f"is of type {array.dtype}; {WHAT_RESULTS_ARE}")
+
+
+def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
+    elements = array.reshape(-1).tolist()
+    if all(isinstance(element, str) for element in elements):
+        return "text", _texts(array)
+    if all(isinstance(element, datetime.date) for element in elements):
+        return "datetime", np.array([_time(element) for element in elements], dtype="M8[ns]").reshape(array.shape)
+    strange = next(e for e in elements if not isinstance(e, str))
+    if isinstance(strange, list | tuple | np.ndarray):
+        raise ResultError("has parts of different lengths")
+    raise ResultError(f"holds a value of type {type(strange).__name__}; {WHAT_RESULTS_ARE}")
+
+
+def _texts(array: NDArray[Any]) -> NDArray[Any]:
+    for text in array.reshape(-1).tolist():
+        text_digest(text)
+    return array
+
+
+def text_digest(text: str) -> bytes:
+    """Return what stands for a text in a row; raises ResultError for one that no file can hold."""
+    try:
+        return blake2b(text.encode(), digest_size=TEXT_BYTES).digest()
+    except UnicodeEncodeError as error:
+        raise ResultError(f"is {text!a}, which has a lone surrogate: no file can hold it") from error
+
+
+def _time(value: datetime.date) -> Any:
+    zone = getattr(value, "tzinfo", None)
+    if zone is not None:
+        raise ResultError(
+            f"is a time with the zone {zone}; results are in UTC without one: "
+            "return it .astimezone(timezone.utc).replace(tzinfo=None)"
+        )
+    exact = value.to_datetime64() if hasattr(value, "to_datetime64") else np.datetime64(value)
+    return _times(np.array(exact))[()]
+
+
+def _times(array: NDArray[Any]) -> NDArray[Any]:
+    """Return times in nanoseconds; raises ResultError for those that have none in 64 bits."""
+    try:
+        fine = array.astype("M8[ns]")
+        exact = np.array_equal(fine.astype(array.dtype), array, equal_nan=True)
+    except OverflowError:  # older NumPy wraps around instead
+        exact = False
+    if not exact:
+        raise ResultError("has times beyond the years 1678 to 2261, which nanoseconds of 64 bits can hold")
+    return fine

@@ -11,7 +11,6 @@ from core.calibration import (
     CONSTANTS,
     DIVA_SIGMA_MAS_YR,
     DIVA_V_MAG,
-    GALAXY_COUNT,
     IN_CODE,
     MODEL_ERROR,
     PAPER_MC_ERROR,
@@ -28,12 +27,12 @@ from core.calibration import (
     fit,
     published_model,
 )
-from sweep.formatting import WIDTH
+from core.catalogue import N_GALAXIES
+from sweep.formatting import WIDTH, reading_table
 from sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.console import Group
-    from rich.table import Table
 
 FORMULA: dict[Model, str] = {
     "amex": "amplitude_bright exp(slope_bright (V-9)) + amplitude_faint exp(slope_faint (V-15))",
@@ -50,7 +49,7 @@ def published_numbers(model: Model) -> dict[str, PublishedSigma]:
     }
     if model == "amex":
         for row in _rows("galaxies.csv"):
-            numbers[f"{GALAXY_COUNT} galaxies"] = _number("galaxies", GALAXY_COUNT, row["sigma_spin"])
+            numbers[f"{N_GALAXIES} galaxies"] = _number("galaxies", N_GALAXIES, row["sigma_spin"])
         for row in _rows("table2_radio_stars.csv"):
             scale = float(row["reference_error_scale"])
             label = f"{row['n_obj']} radio stars" + ("" if scale == 1.0 else f", VLBI errors x {scale:g}")
@@ -178,33 +177,30 @@ def _compared(numbers: dict[str, PublishedSigma], sigma: Any) -> list[dict[str, 
 def _curve_text(model: str, curve: dict[str, Any]) -> list[Any]:
     """Return the tables of a curve, and what they say, in lines of 80 characters."""
     equal = curve["equal_weights"]
-    constants = _table("constant", "fitted", "within\nlimits", "in the\ncode", "equal\nweights")
+    constants = []
     for name, row in curve["constants"].items():
         other = equal["constants"][name]
         fitted, alone = (f"{r['fitted']:.4g} ± {r['standard_error']:.2g}" for r in (row, other))
-        heading = f"{name} \\[{in_ascii(row['unit'])}]"
-        constants.add_row(heading, fitted, f"{curve['chosen'][name]:.4g}", f"{row['in_code']:g}", alone)
+        heading = f"{name} [{in_ascii(row['unit'])}]"
+        constants.append([heading, fitted, f"{curve['chosen'][name]:.4g}", f"{row['in_code']:g}", alone])
     chi2 = [f"{c['chi2']:.1f} / {c['dof']}" for c in (curve, equal)]
-    constants.add_row("chi2 / dof", chi2[0], "", f"{curve['in_code_chi2']:.1f}", chi2[1])
+    constants.append(["chi2 / dof", chi2[0], "", f"{curve['in_code_chi2']:.1f}", chi2[1]])
 
     floor = {row["what"]: row["residual"] for row in equal.get("perfect_satellite", ())}
-    headings = ("published\n\\[mas/yr]", "fitted", "in the\ncode", "equal\nweights")
-    numbers = _table("sigma(omega), residuals", *headings, *(["perfect\nsat."] if floor else []))
+    numbers = []
     for row, other in zip(curve["numbers"], equal["numbers"], strict=True):
         residuals = [row["residual"], row["in_code"] / row["published"] - 1.0, other["residual"]]
         residuals += [floor[row["what"]]] if row["what"] in floor else []
-        numbers.add_row(row["what"], f"{row['published']:.2g}", *(f"{100.0 * r:+.1f} %" for r in residuals))
-    formula = _lines(f"{model}: {curve['formula']}")
-    return [formula, constants, _lines(_agreement(curve)), numbers, _lines(*_checks(curve))]
-
-
-def _table(first: str, *headings: str) -> "Table":
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for heading in (first, *headings):
-        table.add_column(heading, justify="left" if heading == first else "right", no_wrap=True)
-    return table
+        numbers.append([row["what"], f"{row['published']:.2g}", *(f"{100.0 * r:+.1f} %" for r in residuals)])
+    last = ["in the\ncode", "equal\nweights"]
+    number, perfect = "sigma(omega), residuals", ["perfect\nsat."] if floor else []
+    return [
+        _lines(f"{model}: {curve['formula']}"),
+        reading_table("", ["constant", "fitted", "within\nlimits", *last], constants, left="constant"),
+        _lines(_agreement(curve)),
+        reading_table("", [number, "published\n[mas/yr]", "fitted", *last, *perfect], numbers, left=number),
+        _lines(*_checks(curve)),
+    ]
 
 
 def _lines(*sentences: str) -> str:

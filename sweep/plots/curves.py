@@ -4,8 +4,10 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
+from sweep.attributes import units_of
+from sweep.plots.labels import label, quantity_label
 from sweep.plots.points import told_apart
-from sweep.plots.style import COLOURS, finish, is_wide, label, legend, logarithmic, quantity_label
+from sweep.plots.style import COLOURS, finish, is_wide, legend, logarithmic
 from sweep.studies.study import POINT
 
 FEW_CURVES = 12
@@ -30,7 +32,7 @@ def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Ax
         y = array.isel(place).transpose(POINT, along).values.astype(float)
         _draw(axes, x, y[np.isfinite(y).any(axis=1)], COLOURS[number], words, many)
     for which, values in (("x", x), ("y", array.values)):
-        if is_wide(values, str(dataset[over].attrs.get("units", "")) if which == "x" else ""):
+        if is_wide(values, units_of(dataset[over].attrs) if which == "x" else ""):
             logarithmic(axes, which, values)
     axes.set_xlabel(label(dataset[over], over))
     axes.set_ylabel(quantity_label(dataset, variable))

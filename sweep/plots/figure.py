@@ -12,10 +12,11 @@ from sweep.analysis.sensitivity import is_sensitivity
 from sweep.contract import SweepError, shown, suggest
 from sweep.planning.point_status import Status
 from sweep.plots.kinds import GRID, SCALING
+from sweep.plots.labels import value_text
 from sweep.plots.scaling import is_scaling
 from sweep.plots.scatter import sampled
 from sweep.plots.sensitivity import sensitivity_figure
-from sweep.plots.style import value_text, wrapped
+from sweep.plots.style import wrapped
 from sweep.plots.tie.figure import draw_link, is_link
 from sweep.studies.study import POINT
 

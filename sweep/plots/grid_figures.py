@@ -10,7 +10,7 @@ from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, req
 from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError, shown, suggest
 from sweep.plots.curves import draw_curves
-from sweep.plots.law import draw_law, draw_law_residuals
+from sweep.plots.law import draw_law
 from sweep.plots.layout import Layout, arrange
 from sweep.plots.lines import draw_lines
 from sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
@@ -56,10 +56,7 @@ def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
         raise SweepError("a law is drawn for one further dimension at most; fix others with --at AXIS=VALUE")
     figure = Figure(figsize=figure_size(6.4, 8.0 if is_narrow() else 5.2), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2 if is_narrow() else 3, 1))
-    dataset = in_readable_units(dataset)
-    draw_law(upper, dataset, variables[0], axis)
-    upper.set_xlabel("")
-    draw_law_residuals(lower, dataset, variables[0], axis)
+    draw_law(upper, lower, in_readable_units(dataset), variables[0], axis)
     if layout.columns or layout.series or is_narrow():
         legend_below(figure)
     return figure
@@ -84,7 +81,7 @@ def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
         readable,
         variables,
         layout,
-        lambda axes, part, name: draw_map(axes, part, name, x, y, limits, bar=False),
+        lambda axes, part, name: draw_map(axes, part, name, x, y, limits),
         one_unit=True,
     )
     add_bar(figure, readable, variables[0])

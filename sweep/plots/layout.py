@@ -41,7 +41,11 @@ def arrange(dataset: xr.Dataset, variable: str, along: tuple[str, ...], series: 
     widest = by_separation[0] if others else None
     far = widest is not None and apart[widest] > FAR and array.sizes[widest] <= MOST_SERIES
     if not series:
-        layout = _panels_only(array, by_separation)
+        if len(others) > 2:
+            names = ", ".join(by_separation)
+            raise SweepError(f"{len(others)} dimensions are left for panels, {names}; fix some with --at AXIS=VALUE")
+        columns, rows = (*by_separation, None, None)[:2]
+        layout = Layout((), columns, rows, False)
     elif len(others) <= 1:
         layout = Layout((), widest, None, far) if far else Layout(tuple(others), None, None, False)
     else:
@@ -50,15 +54,6 @@ def arrange(dataset: xr.Dataset, variable: str, along: tuple[str, ...], series: 
         layout = Layout(tuple(d for d in others if d not in (widest, rows)), widest, rows, far)
     _require_few(array, layout)
     return layout
-
-
-def _panels_only(array: xr.DataArray, dims: list[str]) -> Layout:
-    if len(dims) > 2:
-        raise SweepError(
-            f"{len(dims)} dimensions are left for panels, {', '.join(dims)}; fix some with --at AXIS=VALUE"
-        )
-    columns, rows = (*dims, None, None)[:2]
-    return Layout((), columns, rows, False)
 
 
 def _separation(array: xr.DataArray, dimension: str) -> float:

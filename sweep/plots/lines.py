@@ -1,7 +1,6 @@
 """Curves: a quantity against an axis, with errors, prediction and published values."""
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -9,26 +8,14 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from sweep.analysis.quantity import prediction_name, standard_error
-from sweep.plots.style import (
-    BAND,
-    COLOURS,
-    MARKERS,
-    axis_label,
-    finish,
-    is_wide,
-    legend,
-    logarithmic,
-    quantity_label,
-    value_text,
-)
+from sweep.analysis.selection import places_along
+from sweep.attributes import units_of
+from sweep.plots.labels import axis_label, quantity_label, value_text
+from sweep.plots.style import BAND, COLOURS, finish, is_wide, legend, logarithmic, series
 
-PUBLISHED: Mapping[str, Any] = MappingProxyType(
-    {"linestyle": "none", "marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}
-)
-
-DASH: Mapping[str, Any] = MappingProxyType(
-    {"linestyle": "none", "marker": "_", "markersize": 14.0, "markeredgewidth": 1.2}
-)
+NO_LINE = {"linestyle": "none"}
+PUBLISHED: Mapping[str, Any] = NO_LINE | {"marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}
+DASH: Mapping[str, Any] = NO_LINE | {"marker": "_", "markersize": 14.0, "markeredgewidth": 1.2}
 """A prediction where the axis has names and no line can be drawn."""
 
 DODGE = 0.12
@@ -45,9 +32,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axe
     """
     dimension = str(dataset[over].dims[0])
     others = [str(d) for d in dataset[variable].dims if d != dimension]
-    everything = [
-        dataset.isel(dict(zip(others, index, strict=True))) for index in np.ndindex(*(dataset.sizes[d] for d in others))
-    ]
+    everything = [dataset.isel(place) for place in places_along(dataset, others)]
     seen = [one for one in everything if np.isfinite(one[variable].values).any()]  # the others are excluded
     offsets = _dodges(seen, variable)
     for number, one in enumerate(seen):
@@ -65,7 +50,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axe
     return axes
 
 
-def positions(array: xr.DataArray) -> tuple[np.ndarray[Any, Any], list[str] | None]:
+def _positions(array: xr.DataArray) -> tuple[np.ndarray[Any, Any], list[str] | None]:
     """Return where the values of an axis stand, and their names where they are no numbers."""
     if array.dtype.kind in "if":
         return array.values.astype(float), None
@@ -99,15 +84,15 @@ def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray
     return np.exp(moved) if logarithm else moved
 
 
-def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int, offset: float = 0.0) -> None:
-    colour, marker = COLOURS[number % len(COLOURS)], MARKERS[number % len(MARKERS)]
-    x, _ = positions(one[over])
+def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int, offset: float) -> None:
+    mark = series(number)
+    colour, x = mark["color"], _positions(one[over])[0]
     order = np.argsort(x, kind="stable")
     one, x = one.isel({one[over].dims[0]: order}), x[order]
     y, error = one[variable].values.astype(float), standard_error(one, variable)
     sigma = None if error is None else error.values
-    style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 3.5, "linestyle": "none"}
-    aside = _moved(x, offset, _is_numeric(one[over]) and is_wide(x, str(one[over].attrs.get("units", ""))))
+    style: dict[str, Any] = {**mark, "markersize": 3.5, "linestyle": "none"}
+    aside = _moved(x, offset, _is_numeric(one[over]) and is_wide(x, units_of(one[over].attrs)))
     axes.errorbar(aside, y, yerr=sigma, elinewidth=0.8, label=name or "simulated", zorder=3, **style)
     predicted, published = prediction_name(one, variable), f"{variable}_published"
     if _is_numeric(one[over]) and _has(one, predicted):
@@ -125,7 +110,7 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
     if _has(one, published):
         rounding = one.get(f"{published}_rounding")
         half = None if rounding is None else rounding.values
-        style = {**PUBLISHED, "color": colour, "marker": marker, "elinewidth": 0.6, "zorder": 2}
+        style = {**PUBLISHED, **mark, "elinewidth": 0.6, "zorder": 2}
         axes.errorbar(aside, one[published].values, yerr=half, **style)
 
 
@@ -139,11 +124,11 @@ def _is_numeric(axis: xr.DataArray) -> bool:
 
 
 def _scales(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
-    x, names = positions(dataset[over])
+    x, names = _positions(dataset[over])
     if names is not None:
         axes.set_xticks(x, names)
         axes.set_xlim(x.min() - 0.5, x.max() + 0.5)
-    elif is_wide(x, str(dataset[over].attrs.get("units", ""))):
+    elif is_wide(x, units_of(dataset[over].attrs)):
         logarithmic(axes, "x", x)
     values = dataset[variable].values
     if is_wide(values):

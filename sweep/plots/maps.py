@@ -13,36 +13,28 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from sweep.analysis.quantity import prediction_name, standard_error
-from sweep.plots.style import edges, explained_label, is_wide, logarithmic, quantity_label
+from sweep.attributes import units_of
+from sweep.plots.labels import explained_label, quantity_label
+from sweep.plots.style import edges, is_wide, logarithmic
 
 LEVELS = 8
 DECADES = 30.0
 
 
-def draw_map(
-    axes: Axes,
-    dataset: xr.Dataset,
-    variable: str,
-    x: str,
-    y: str,
-    limits: Normalize | None = None,
-    bar: bool = True,
-) -> Axes:
+def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: Normalize) -> Axes:
     """Draw a variable over two axes: colours at the points of the grid, solid contours, dashed ones of the prediction.
 
-    ``limits`` are those of the colours, for several panels of one scale, which have one ``bar`` together.  Points that
-    are not there are left white.
+    ``limits`` are those of the colours, which all panels of a figure share.  Points that are not there are left white.
     """
     dataset = dataset.sortby([x, y])
     part = dataset[variable].transpose(dataset[y].dims[0], dataset[x].dims[0])
     values = part.values
-    norm = limits or colour_limits(dataset, variable)
-    low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    low, high = float(limits.vmin or 0.0), float(limits.vmax or 0.0)
     across, up = dataset[x].values.astype(float), dataset[y].values.astype(float)
-    wide = {name: is_wide(places, _unit(dataset, name)) for name, places in ((x, across), (y, up))}
+    wide = {name: is_wide(places, units_of(dataset[name].attrs)) for name, places in ((x, across), (y, up))}
     cells = edges(across, wide[x]), edges(up, wide[y])
-    mesh = axes.pcolormesh(*cells, values, cmap="cividis", norm=norm, shading="flat", rasterized=True)
-    logarithm = isinstance(norm, LogNorm)
+    axes.pcolormesh(*cells, values, cmap="cividis", norm=limits, shading="flat", rasterized=True)
+    logarithm = isinstance(limits, LogNorm)
     levels = LogLocator(subs=(1.0, 2.0, 5.0)) if logarithm else MaxNLocator(LEVELS, steps=[1, 2, 2.5, 5, 10])
     inside = [level for level in levels.tick_values(low, high) if low < level < high]
     options: dict[str, Any] = {"levels": inside, "linewidths": 0.8}
@@ -62,8 +54,6 @@ def draw_map(
             logarithmic(axes, which, places)
     axes.set_xlabel(explained_label(dataset[x], x))
     axes.set_ylabel(explained_label(dataset[y], y))
-    if bar:
-        axes.figure.colorbar(mesh, ax=axes, label=quantity_label(dataset, variable))
     return axes
 
 
@@ -79,10 +69,6 @@ def add_bar(figure: Figure, dataset: xr.Dataset, variable: str) -> None:
     """Add the one bar of colours that all maps of a figure share."""
     meshes = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
     figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
-
-
-def _unit(dataset: xr.Dataset, axis: str) -> str:
-    return str(dataset[axis].attrs.get("units", ""))
 
 
 def _spans_decades(values: NDArray[np.float64]) -> bool:

@@ -11,17 +11,9 @@ from matplotlib.figure import Figure
 
 from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError
+from sweep.plots.labels import value_text
 from sweep.plots.layout import Layout, is_far
-from sweep.plots.style import (
-    figure_size,
-    in_lines,
-    is_narrow,
-    least_height,
-    legend_below,
-    most_columns,
-    value_text,
-    wanted_width,
-)
+from sweep.plots.style import figure_size, in_lines, is_narrow, least_height, legend_below, most_columns, wanted_width
 
 MOST_INSIDE = 4
 """A legend of more entries stands below the one panel, where it covers nothing."""
@@ -29,7 +21,7 @@ MOST_INSIDE = 4
 MOST_ACROSS = 4
 """More panels than these beside one another, of one dimension, go on in further rows."""
 
-BESIDE_INCHES = (0.4, 0.4)
+BESIDE_INCHES = 0.4
 """What labels and ticks take of the width and of the height of a panel; its titles have the rest."""
 
 Draw = Callable[[Axes, xr.Dataset, str], Any]
@@ -77,7 +69,7 @@ def draw_panels(
     places = [(i // across, i % across) for i in range(len(panels))] if folded else _without_gaps(panels)
     n_rows = 1 + max(row for row, _ in places)
     figure = Figure(figsize=_figure_size(len(panels), across, n_rows), layout="constrained")
-    room = [each - taken for each, taken in zip(_panel_size(across), BESIDE_INCHES, strict=True)]
+    room = [each - BESIDE_INCHES for each in _panel_size(across)]
     grid = figure.add_gridspec(n_rows, across)
     first: dict[tuple[Any, ...], Axes] = {}
     lowest = {column: max(row for row, other in places if other == column) for _, column in places}
@@ -150,20 +142,16 @@ def _panels(
     for column, (name, index) in enumerate(across):
         far_rows = several and rows is not None and is_far(dataset[name], rows)
         for row in _indices(dataset, rows):
-            own = {d: i for d, i, is_own in ((rows, row, far_rows), (columns, index, far)) if d is not None and is_own}
-            whole = in_readable_units(dataset.isel({d: i for d, i in own.items() if i is not None}))
-            rest = {
-                d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None and d not in own
-            }
-            part = whole.isel(rest)
+            place = {d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None}
+            own = {d: i for d, i in place.items() if (far_rows if d == rows else far)}
+            whole = in_readable_units(dataset.isel(own))
+            part = whole.isel({d: i for d, i in place.items() if d not in own})
             if not np.isfinite(part[name].values.astype(float)).any():
                 continue
-            titles = [
-                value_text(dataset, d, dataset[d][i].item()) if d is not None and i is not None else ""
-                for d, i in ((rows, row), (columns, index))
-            ]
+            titles = {d: value_text(dataset, d, dataset[d][i].item()) for d, i in place.items()}
             shares = ((name,) if several else ()) + tuple(own.items())
-            found.append(Panel(row or 0, column, part, name, titles[0], titles[1], shares))
+            of_row, of_column = (titles.get(d or "", "") for d in (rows, columns))
+            found.append(Panel(row or 0, column, part, name, of_row, of_column, shares))
     yield from sorted(found, key=lambda panel: (panel.row, panel.column))
 
 

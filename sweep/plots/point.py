@@ -6,7 +6,9 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from sweep.analysis.quantity import prediction_name, standard_error
-from sweep.plots.style import COLOURS, finish, quantity_label
+from sweep.attributes import units_of
+from sweep.plots.labels import quantity_label
+from sweep.plots.style import COLOURS, finish
 from sweep.readable import with_micro_signs, with_unit
 
 
@@ -22,7 +24,7 @@ def draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> Axes:
         "published": (f"{variable}_published", float(dataset[rounding].item()) if rounding in dataset else 0.0),
     }
     shown = {word: row for word, row in rows.items() if row[0] in dataset and bool(dataset[row[0]].notnull().all())}
-    unit = str(dataset[variable].attrs.get("units", ""))
+    unit = units_of(dataset[variable].attrs)
     for number, (word, (name, error)) in enumerate(shown.items()):
         value = float(dataset[name].item())
         style: dict[str, Any] = {"color": COLOURS[number], "marker": "osD"[number], "linestyle": "none"}

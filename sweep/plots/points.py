@@ -13,19 +13,11 @@ from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from sweep.analysis.quantity import standard_error
+from sweep.analysis.selection import places_along
+from sweep.attributes import units_of
 from sweep.contract import SweepError
-from sweep.plots.lines import positions
-from sweep.plots.style import (
-    COLOURS,
-    MARKERS,
-    finish,
-    is_wide,
-    label,
-    legend,
-    logarithmic,
-    quantity_label,
-    value_text,
-)
+from sweep.plots.labels import label, quantity_label, value_text
+from sweep.plots.style import COLOURS, finish, is_wide, legend, logarithmic, series
 from sweep.studies.study import POINT
 
 MOST_PARAMETERS = 12
@@ -115,7 +107,7 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
         one = dataset.isel(place)
         y = one[variable].values.astype(float)
         x = _places(axes, dataset, parameter, "x")
-        style = {"color": COLOURS[number], "label": text or variable, **_marks(len(x), MARKERS[number])}
+        style = {**series(number), "label": text or variable, **_marks(len(x))}
         if error is not None and len(x) <= FEW_POINTS:
             axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
         else:
@@ -133,7 +125,7 @@ def told_apart(
     """
     array = dataset[variable]
     others = [str(d) for d in array.dims if d not in along]
-    places = [dict(zip(others, index, strict=True)) for index in np.ndindex(*(array.sizes[d] for d in others))]
+    places = list(places_along(array, others))
     if len(places) > len(COLOURS):
         sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in others)
         raise SweepError(f"{variable} has {sizes} {where}, too many to tell apart; fix some with --at AXIS=VALUE")
@@ -149,8 +141,8 @@ def _places(
     """
     array = dataset[parameter]
     if array.dtype.kind in "if":
-        x, _ = positions(array)
-        _scale(axes, which, x, str(array.attrs.get("units", "")), few_ticks)
+        x: NDArray[np.float64] = array.values.astype(float)
+        _scale(axes, which, x, units_of(array.attrs), few_ticks)
         return x
     names = sorted(set(map(str, array.values.tolist())))
     (axes.set_xticks if which == "x" else axes.set_yticks)(range(len(names)), names)
@@ -170,10 +162,10 @@ def _scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bool 
         axis.set_minor_locator(NullLocator())
 
 
-def _marks(points: int, marker: str = "o") -> dict[str, Any]:
-    few = points <= FEW_POINTS
-    style: dict[str, Any] = {"linestyle": "none", "marker": marker, "markersize": 3.0 if few else 2.0}
-    return style | {"markeredgewidth": 0.0, "alpha": 0.8 if few else 0.4, "rasterized": points > MOST_VECTORS}
+def _marks(points: int) -> dict[str, Any]:
+    size, alpha = (3.0, 0.8) if points <= FEW_POINTS else (2.0, 0.4)
+    style: dict[str, Any] = {"linestyle": "none", "markersize": size, "alpha": alpha}
+    return style | {"markeredgewidth": 0.0, "rasterized": points > MOST_VECTORS}
 
 
 def _norm(values: NDArray[np.float64]) -> Normalize:

@@ -1,14 +1,12 @@
 """How a run scales with workers: speed-up and efficiency beside what is ideal."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, MARKERS, figure_size, finish, legend, logarithmic, wrapped
+from sweep.plots.style import BAND, COLOURS, figure_size, finish, legend, logarithmic, series, wrapped
 
 DIMENSIONS = {"kind", "workers"}
 VARIABLES = {"seconds", "efficiency"}
@@ -52,13 +50,8 @@ def _draw(axes: Axes, dataset: xr.Dataset, name: str, ideal: np.ndarray) -> Axes
         one = dataset.sel(kind=kind)
         value = one["efficiency"].transpose("workers", ...).values * ideal
         error = one["efficiency_error"].values * ideal if "efficiency_error" in one else None
-        style: dict[str, Any] = {
-            "color": COLOURS[number],
-            "marker": MARKERS[number],
-            "markersize": 4.0,
-            "linewidth": 1.0,
-        }
-        axes.errorbar(workers, value, yerr=error, elinewidth=0.8, label=f"{kind} scaling", **style)
+        style = {**series(number), "markersize": 4.0, "linewidth": 1.0, "elinewidth": 0.8}
+        axes.errorbar(workers, value, yerr=error, label=f"{kind} scaling", **style)
         if error is not None:
             axes.fill_between(workers, value - error, value + error, color=COLOURS[number], **BAND)
     logarithmic(axes, "x", workers)
@@ -69,7 +62,7 @@ def _draw(axes: Axes, dataset: xr.Dataset, name: str, ideal: np.ndarray) -> Axes
     else:
         axes.set_ylim(0.0, max(1.1, 1.05 * float(np.nanmax(dataset["efficiency"].values))))
     axes.set_xlabel("workers")
-    axes.set_ylabel(f"{name}" if name == "efficiency" else "speed-up over one worker")
+    axes.set_ylabel("efficiency" if name == "efficiency" else "speed-up over one worker")
     finish(axes)
     legend(axes)
     return axes

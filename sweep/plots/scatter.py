@@ -9,8 +9,9 @@ from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, finish, label, legend, symbol, unit_text
-from sweep.readable import prefixed
+from sweep.plots.labels import label, symbol
+from sweep.plots.style import COLOURS, finish, legend
+from sweep.readable import prefixed, written
 
 CONFIDENCES = (0.683, 0.954)
 
@@ -37,38 +38,32 @@ def draw_scatter(
     x, y = x[known], y[known]
     if len(x) < 3:
         raise SweepError(f"{variable} has {len(x)} samples here; at least 3 are needed")
-    stored = [_unit(dataset, dimension, name) for name in components]
+    own = dataset.get(f"{dimension}_unit")
+    stored = ["" if own is None else str(own.sel({dimension: name}).item()) for name in components]
     same = stored[0] == stored[1]
     chosen = prefixed([float(x.std()), float(y.std())], stored[0])
     factor, units = (chosen.factor, [chosen.unit] * 2) if same else (1.0, stored)
     x, y = factor * x, factor * y
     mean, covariance = np.array([x.mean(), y.mean()]), np.cov(x, y)
-    style: dict[str, Any] = {
-        "linestyle": "none",
-        "marker": ".",
-        "markersize": 2.0,
-        "markeredgewidth": 0.0,
-        "alpha": 0.35,
-    }
-    axes.plot(x, y, color=COLOURS[0], rasterized=True, label=f"{len(x)} estimates", **style)
+    dots: dict[str, Any] = {"color": COLOURS[0], "markersize": 2.0, "markeredgewidth": 0.0, "alpha": 0.35}
+    axes.plot(x, y, ".", rasterized=True, label=f"{len(x)} estimates", **dots)
     for confidence, line in zip(CONFIDENCES, ("solid", "dashed"), strict=True):
         text = f"{100 * confidence:.0f} % of their normal law"
-        axes.add_patch(_ellipse(mean, covariance, confidence, linestyle=line, label=text))
+        style = {"edgecolor": COLOURS[1], "linestyle": line}
+        axes.add_patch(confidence_ellipse(mean, covariance, confidence, label=text, **style))
     error = np.sqrt(np.diag(covariance) / len(x))
     point: dict[str, Any] = {"color": COLOURS[1], "marker": "o", "markersize": 3.0, "linestyle": "none"}
     axes.errorbar(mean[0], mean[1], xerr=error[0], yerr=error[1], label="mean", **point)
     if "bias" in dataset and dimension in dataset["bias"].dims:
         truth = mean - [factor * dataset["bias"].sel({dimension: name}).item() for name in components]
-        axes.plot(
-            *truth, linestyle="none", marker="x", markersize=9.0, markeredgewidth=1.4, color="black", label="truth"
-        )
+        axes.plot(*truth, "x", markersize=9.0, markeredgewidth=1.4, color="black", label="truth")
     axes.set_xlabel(label(dataset[variable], components[0], units[0]))
     axes.set_ylabel(label(dataset[variable], components[1], units[1]))
     if units[0] == units[1]:
         axes.set_aspect("equal", adjustable="datalim")
     finish(axes)
     sigmas = [
-        rf"$\sigma$({symbol(name)}) = {s:.3g} ± {s / np.sqrt(2 * len(x)):.1g} {unit_text(unit)}"
+        rf"$\sigma$({symbol(name)}) = {s:.3g} ± {s / np.sqrt(2 * len(x)):.1g} {written(unit)}"
         for name, s, unit in zip(components, np.sqrt(np.diag(covariance)), units, strict=True)
     ]
     correlation = rf"correlation ${covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]):+.2f}$"
@@ -89,15 +84,9 @@ def component_dimension(dataset: xr.Dataset, variable: str) -> str:
     return next(str(d) for d in dataset[variable].dims if d != "sample" and d not in axes)
 
 
-def _ellipse(mean: np.ndarray, covariance: np.ndarray, confidence: float, **style: object) -> Ellipse:
+def confidence_ellipse(centre: np.ndarray, covariance: np.ndarray, confidence: float, **style: object) -> Ellipse:
+    """Return the outline that holds a share of a normal law of two numbers."""
     values, vectors = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(values * chdtri(2, 1.0 - confidence))
+    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - confidence))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    return Ellipse(
-        (mean[0], mean[1]), width, height, angle=angle, fill=False, edgecolor=COLOURS[1], linewidth=1.2, **style
-    )
-
-
-def _unit(dataset: xr.Dataset, dimension: str, component: str) -> str:
-    units = f"{dimension}_unit"
-    return str(dataset[units].sel({dimension: component}).item()) if units in dataset.coords else ""
+    return Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, **style)

@@ -1,15 +1,16 @@
 """Sensitivity indices: a mark with its error for each parameter, or curves along a dimension of the output."""
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.analysis.sensitivity import METHOD
+from sweep.attributes import units_of
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, MARKERS, finish, label, legend, symbol, unit_text
+from sweep.plots.labels import label, symbol
+from sweep.plots.style import BAND, COLOURS, finish, legend, series
+from sweep.readable import written
 
 WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
 
@@ -40,19 +41,17 @@ def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
     for number, kind in enumerate(kinds):
         places = np.arange(len(order)) + 0.14 * (0.5 * (len(kinds) - 1) - number)
         error = dataset[f"{kind}_error"].values[order] if f"{kind}_error" in dataset else None
-        style: dict[str, Any] = {"linestyle": "none", "marker": MARKERS[number], "markersize": 4.5, "elinewidth": 1.0}
-        axes.errorbar(
-            dataset[kind].values[order], places, xerr=error, color=COLOURS[number], label=WORDS[kind], **style
-        )
+        style = {**series(number), "linestyle": "none", "markersize": 4.5, "elinewidth": 1.0}
+        axes.errorbar(dataset[kind].values[order], places, xerr=error, label=WORDS[kind], **style)
     axes.set_yticks(range(len(names)), ["+".join(symbol(part) for part in str(name).split("+")) for name in names])
     axes.set_ylim(-0.6, len(names) - 0.4)
-    unit = str(dataset[kinds[0]].attrs.get("units", ""))
+    unit = units_of(dataset[kinds[0]].attrs)
     if "first" in kinds:
         low, high = axes.get_xlim()  # with the errors of all marks in it
         axes.set_xlim(min(-0.02, low), max(1.02, high))
         axes.set_xlabel("share of the variance")
     else:
-        axes.set_xlabel(f"effect over the range [{unit_text(unit)}]" if unit else "effect over the range")
+        axes.set_xlabel(f"effect over the range [{written(unit)}]" if unit else "effect over the range")
     axes.axvline(0.0, color="0.6", linewidth=0.6)
     finish(axes)
     legend(axes)
@@ -65,9 +64,8 @@ def _curves(axes: Axes, dataset: xr.Dataset, kinds: list[str], over: str) -> Non
         colour = COLOURS[number % len(COLOURS)]
         for kind, line in zip(kinds[:2], ("solid", "dashed"), strict=False):
             y = one[kind].values
-            axes.plot(
-                x, y, color=colour, linestyle=line, linewidth=1.2, label=symbol(name) if line == "solid" else None
-            )
+            text = symbol(name) if line == "solid" else None
+            axes.plot(x, y, color=colour, linestyle=line, linewidth=1.2, label=text)
             if f"{kind}_error" in one:
                 half = np.nan_to_num(one[f"{kind}_error"].values)
                 axes.fill_between(x, y - half, y + half, color=colour, **BAND)

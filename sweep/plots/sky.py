@@ -10,7 +10,8 @@ from matplotlib.patheffects import withStroke
 from core.arrays import Array
 from core.constants import DEGREE, GALACTIC_AXES
 from core.frames import position
-from sweep.plots.style import COLOURS, MARKERS, label
+from sweep.plots.labels import label
+from sweep.plots.style import COLOURS
 
 MINUS = "\N{MINUS SIGN}"
 
@@ -50,29 +51,22 @@ def add_sky(figure: Figure, place: Any = 111, frame: SkyFrame = ICRS) -> Any:
     return axes
 
 
-def draw_sky(axes: Any, dataset: xr.Dataset, colour_by: str | None = None) -> Any:
-    """Draw positions ``ra`` and ``dec`` in degrees on axes of `add_sky`, and the Galactic plane with its centre.
-
-    ``colour_by`` names a variable of numbers for the colours, or of names for colours and markers.
+def draw_sky(axes: Any, dataset: xr.Dataset) -> Any:
+    """Draw positions ``ra`` and ``dec`` (deg) on axes of `add_sky`, coloured by ``v_mag`` where it is there, and the
+    Galactic plane with its centre.
     """
     ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
     x, y = on_map(ra), dec * DEGREE
     size = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
-    common: dict[str, Any] = {"s": size, "linewidths": 0.0, "zorder": 3}
-    if colour_by is None:
-        axes.scatter(x, y, color=COLOURS[0], rasterized=len(ra) > 2000, **common)
-    elif dataset[colour_by].dtype.kind in "fiu":
-        values = dataset[colour_by].values.astype(float)
-        order = np.argsort(-values, kind="stable")  # small magnitudes, the bright ones, on top and dark
-        points = axes.scatter(x[order], y[order], c=values[order], cmap="viridis", rasterized=len(ra) > 2000, **common)
-        text = label(dataset[colour_by], colour_by)
-        axes.figure.colorbar(points, ax=axes, orientation="horizontal", shrink=0.5, pad=0.02, aspect=30, label=text)
+    style: dict[str, Any] = {"s": size, "linewidths": 0.0, "zorder": 3, "rasterized": len(ra) > 2000}
+    if "v_mag" not in dataset:
+        axes.scatter(x, y, color=COLOURS[0], **style)
     else:
-        names = [str(n) for n in dataset[colour_by].values.tolist()]
-        for number, name in enumerate(dict.fromkeys(names)):
-            chosen = np.array([n == name for n in names])
-            style = common | {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
-            axes.scatter(x[chosen], y[chosen], label=f"{name} ({chosen.sum()})", **style | {"s": 18.0})
+        values = dataset["v_mag"].values.astype(float)
+        order = np.argsort(-values, kind="stable")  # small magnitudes, the bright ones, on top and dark
+        points = axes.scatter(x[order], y[order], c=values[order], cmap="viridis", **style)
+        text = label(dataset["v_mag"], "v_mag")
+        axes.figure.colorbar(points, ax=axes, orientation="horizontal", shrink=0.5, pad=0.02, aspect=30, label=text)
     _plane(axes)
     axes.legend(loc="lower right", bbox_to_anchor=(1.06, -0.06), frameon=False)
     return axes

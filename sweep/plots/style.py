@@ -1,24 +1,22 @@
-"""How pictures look: colours that everyone can tell apart, labels with symbol and unit, files that do not change."""
+"""How pictures look: colours that everyone can tell apart, sizes, scales, legends, files that do not change."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from sweep.attributes import LOGARITHMIC_UNITS
 from sweep.contract import SweepError
-from sweep.readable import written
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 """Safe for the colour-blind.  Source: Okabe & Ito 2008."""
@@ -27,40 +25,37 @@ LEGEND_INCHES = (0.6, 0.065)
 """Width of an entry of a legend, and of each of its letters."""
 
 MARKERS = "osD^vP*X"
-BAND: Mapping[str, Any] = MappingProxyType({"alpha": 0.22, "linewidth": 0.0})
-FORMATS = (".png", ".svg", ".pdf")
+BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
+FORMATS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
+"""Endings of pictures, and what would make two files of one picture differ."""
 
-RC: Mapping[Any, Any] = MappingProxyType(
-    {
-        "svg.hashsalt": "linksweep",  # the same picture, the same file
-        "font.size": 9.0,
-        "axes.titlesize": 9.0,
-        "legend.fontsize": 8.0,
-        "axes.linewidth": 0.6,
-        "xtick.major.width": 0.6,
-        "ytick.major.width": 0.6,
-        "xtick.minor.width": 0.4,
-        "ytick.minor.width": 0.4,
-        "axes.formatter.use_mathtext": True,
-        "mathtext.fontset": "dejavusans",
-    }
-)
+RC: Mapping[Any, Any] = {
+    "svg.hashsalt": "linksweep",  # the same picture, the same file
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "legend.fontsize": 8.0,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "axes.formatter.use_mathtext": True,
+    "mathtext.fontset": "dejavusans",
+}
 """What differs from the defaults of matplotlib."""
 
-PAPER: Mapping[Any, Any] = MappingProxyType(
-    {
-        **{"font.size": 8.0, "axes.titlesize": 8.0, "axes.labelsize": 8.0, "figure.titlesize": 8.5},
-        **{"xtick.labelsize": 7.0, "ytick.labelsize": 7.0, "legend.fontsize": 7.0},
-    }
-)
-TALK: Mapping[Any, Any] = MappingProxyType(
-    {
-        **{"font.size": 14.0, "axes.titlesize": 14.0, "axes.labelsize": 14.0, "figure.titlesize": 15.0},
-        **{"xtick.labelsize": 12.0, "ytick.labelsize": 12.0, "legend.fontsize": 12.0},
-        **{"axes.linewidth": 1.0, "lines.markersize": 8.0},
-    }
-)
-STYLES: Mapping[str, Mapping[Any, Any]] = MappingProxyType({"paper": PAPER, "talk": TALK})
+STYLES: Mapping[str, Mapping[Any, Any]] = {
+    "paper": {
+        **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 8.0),
+        **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 7.0),
+        "figure.titlesize": 8.5,
+    },
+    "talk": {
+        **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 14.0),
+        **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 12.0),
+        **{"figure.titlesize": 15.0, "axes.linewidth": 1.0, "lines.markersize": 8.0},
+    },
+}
 """Sizes of letters in points, as they are printed or shown: a figure is made as wide as it will be."""
 
 MM_PER_INCH = 25.4
@@ -79,6 +74,9 @@ INSIDE_PT = 25.0
 STACKED_INCHES = 6.0
 """A narrower figure has one part below the other."""
 
+LAST = ("predicted", "published")
+"""What is the same for all series stands at the end of a legend."""
+
 LEGEND_LINE = 1.6
 """Height of a line of a legend over the size of its letters."""
 
@@ -89,14 +87,6 @@ FEW_TICKS = 8.0
 
 WIDE_RATIO = 5.0
 """Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
-
-LOGARITHMIC_UNITS = ("mag", "dB", "dex")
-
-GREEK = (
-    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),
-    *("pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
-)
-_NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
 @contextmanager
@@ -136,23 +126,31 @@ def wanted_width() -> float | None:
     return _width.get()
 
 
+def in_letters(times: float) -> float:
+    """Return so many times the size of letters, in inches."""
+    return times * float(mpl.rcParams["font.size"]) / 72.0
+
+
+def line_inches() -> float:
+    """Return the height of a line below the panels."""
+    return in_letters(LEGEND_LINE)
+
+
 def most_columns(columns: int) -> int:
     """Return how many panels go side by side, of those that are wanted."""
     wanted = _width.get()
-    if wanted is None:
-        return columns
-    return max(1, min(columns, int(wanted * 72.0 / (PANEL_PT * float(mpl.rcParams["font.size"])))))
+    return columns if wanted is None else max(1, min(columns, int(wanted / in_letters(PANEL_PT))))
 
 
 def least_height() -> float:
     """Return how high a panel is at least, in inches, where a width is asked for."""
-    return max(1.7, PANEL_PT * float(mpl.rcParams["font.size"]) / 72.0)
+    return max(1.7, in_letters(PANEL_PT))
 
 
 def is_narrow() -> bool:
     """Return whether figures are too narrow for a legend in a panel."""
     wanted = _width.get()
-    return wanted is not None and wanted * 72.0 < INSIDE_PT * float(mpl.rcParams["font.size"])
+    return wanted is not None and wanted < in_letters(INSIDE_PT)
 
 
 def is_stacked() -> bool:
@@ -167,7 +165,7 @@ def wrapped(text: str, figure: Figure) -> str:
 
 def in_lines(text: str, inches: float, least: int = 12) -> str:
     """Return a text in lines that are as long as a width allows, but at least so many letters."""
-    letters = max(int(inches * 72.0 / (LETTER_WIDTH * float(mpl.rcParams["font.size"]))), least)
+    letters = max(int(inches / in_letters(LETTER_WIDTH)), least)
     lines = []
     for part in text.split("\n"):
         line, *words = part.split(" ")
@@ -190,9 +188,8 @@ def require_format(path: Path) -> None:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, SVG or PDF, whichever ``path`` ends with, without a date; raises SweepError."""
     require_format(path)
-    dates = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {"Software": None}}
     try:
-        figure.savefig(path, dpi=160, metadata=dates[path.suffix.lower()])
+        figure.savefig(path, dpi=160, metadata=FORMATS[path.suffix.lower()])
     except OSError as error:
         raise SweepError(f"cannot draw there: {error.strerror or error}", str(path)) from error
 
@@ -205,69 +202,6 @@ def save_text(text: str, path: Path) -> None:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
-def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
-    """Return how a name is set: the symbol of its attributes, Greek letters and single ones as such with an index."""
-    if attributes and (own := attributes.get("symbol")):
-        return str(own)
-    match = _NAME.fullmatch(name)
-    if match is None:
-        return name.replace("_", " ")
-    letter, digits, index = match.groups()
-    power = digits if letter == "chi" else ""  # of all others a number tells one from the next
-    index = "_".join(part for part in (digits.removeprefix(power), index) if part)
-    letter = rf"\{letter}" if letter in GREEK else letter
-    index = index and (index if len(index) == 1 else rf"\mathrm{{{index.replace('_', ',')}}}")
-    return f"${letter}{f'_{{{index}}}' if index else ''}{f'^{power}' if power else ''}$"
-
-
-def unit_text(unit: str) -> str:
-    """Return a unit as axes show it."""
-    return written(unit)
-
-
-def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
-    """Return the label of an axis: symbol and unit."""
-    unit = str(array.attrs.get("units", "")) if unit is None else unit
-    return f"{symbol(name, array.attrs)} [{unit_text(unit)}]" if unit else symbol(name, array.attrs)
-
-
-def axis_label(dataset: xr.Dataset, axis: str) -> str:
-    """Return the label of an axis; those that walk with it and have the same values stand beside it."""
-    dimension = dataset[axis].dims
-    names = [str(n) for n, c in dataset.coords.items() if c.dims == dimension and n != axis and c.dtype.kind in "if"]
-    same = [n for n in names if np.array_equal(dataset[n].values, dataset[axis].values)]
-    return " = ".join([label(dataset[axis], axis), *(label(dataset[n], n) for n in same)])
-
-
-def explained_label(array: xr.DataArray, name: str) -> str:
-    """Return the label of an axis with its name in words before its symbol."""
-    words, shown = name.replace("_", " "), label(array, name)
-    return shown if shown.startswith((words, f"{words} [")) else f"{words} {shown}"
-
-
-def quantity_label(dataset: xr.Dataset, variable: str) -> str:
-    """Return the label of a variable; of one component of it, if that is what the dataset holds."""
-    array = dataset[variable]
-    unit = str(array.attrs.get("units", ""))
-    chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]
-    if "," not in unit or not chosen:
-        return label(array, variable)
-    units = [str(dataset[f"{n}_unit"].item()) for n in chosen]
-    inside = ", ".join(symbol(str(dataset[n].item())) for n in chosen)
-    text = f"{symbol(variable, array.attrs)}({inside})"
-    return f"{text} [{unit_text(units[0])}]" if len(units) == 1 and units[0] else text
-
-
-def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
-    """Return a value of an axis as a legend names it."""
-    if isinstance(value, bool):
-        return f"{symbol(axis, dataset[axis].attrs)}: {'yes' if value else 'no'}"
-    if isinstance(value, str):
-        return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
-    unit = unit_text(str(dataset[axis].attrs.get("units", "")))
-    return f"{symbol(axis, dataset[axis].attrs)} = {value:g}" + (f" {unit}" if unit else "")
-
-
 def is_wide(values: Any, unit: str = "") -> bool:
     """Return whether numbers need a logarithmic axis."""
     known = np.asarray(values, dtype=float)
@@ -275,6 +209,11 @@ def is_wide(values: Any, unit: str = "") -> bool:
     if unit in LOGARITHMIC_UNITS or not known.size or known.min() <= 0.0:
         return False
     return bool(known.max() > WIDE_RATIO * known.min())
+
+
+def series(number: int) -> dict[str, Any]:
+    """Return colour and marker of the ``number``-th series of a panel."""
+    return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
 
 
 def finish(axes: Axes, grid: bool = True) -> None:
@@ -320,7 +259,7 @@ def _tick(value: float) -> str:
     return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
 
 
-def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published")) -> None:
+def legend_below(figure: Figure) -> None:
     """Draw one legend below all axes instead of one in each, where there is more than one thing to tell apart."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
@@ -329,7 +268,7 @@ def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published"
         if (own := axes.get_legend()) is not None:
             own.remove()
     if len(entries) > 1:
-        order = [text for text in entries if text not in last] + [text for text in last if text in entries]
+        order = [text for text in entries if text not in LAST] + [text for text in LAST if text in entries]
         scale = float(mpl.rcParams["font.size"]) / 9.0
         width = scale * (LEGEND_INCHES[0] + LEGEND_INCHES[1] * max(map(_shown_letters, order)))
         columns = max(1, min(len(order), int(figure.get_figwidth() / width)))
@@ -338,11 +277,6 @@ def legend_below(figure: Figure, last: Sequence[str] = ("predicted", "published"
         if _width.get() is not None:  # the panels keep their height
             lines = -(-len(order) // columns)
             figure.set_figheight(figure.get_figheight() + lines * line_inches())
-
-
-def line_inches() -> float:
-    """Return the height of a line below the panels."""
-    return LEGEND_LINE * float(mpl.rcParams["font.size"]) / 72.0
 
 
 def _shown_letters(text: str) -> int:

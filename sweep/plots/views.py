@@ -123,9 +123,8 @@ def _sky(ra_deg: Array, dec_deg: Array, title: str) -> xr.Dataset:
 def _relative_error(name: str, v: Array) -> Array:
     """Return the relative error of a calibrated curve at magnitudes, from the covariance of its log constants."""
     models: dict[str, Model] = {"amex": "amex", "gaia": "gaia"}
-    if name not in models:
+    if (model := models.get(name)) is None:
         return np.full(v.shape, np.nan)
-    model = models[name]
     found = fit(model, list(published_numbers(model).values()), all_skies(model, CALIBRATION_CATALOGUES))
     curve = IN_CODE[model]
     parts = [(a * np.exp(slope * (v - pivot)), slope * (v - pivot)) for a, slope, pivot in curve.terms]

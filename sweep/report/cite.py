@@ -12,7 +12,7 @@ FILE = "CITATION.cff"
 
 def citations(version: str) -> list[str]:
     """Return what to cite, in words: the paper, then the software in the version that made the results."""
-    document = yaml.safe_load(_text())
+    document = _document()
     software = f"{_people(document['authors'])}. {document['title']}, version {version}. {document['license']}"
     preferred = document.get("preferred-citation")
     return [*([_article(preferred)] if preferred else []), software]
@@ -20,14 +20,14 @@ def citations(version: str) -> list[str]:
 
 def message() -> str:
     """Return what the authors ask of those who cite."""
-    return str(yaml.safe_load(_text())["message"])
+    return str(_document()["message"])
 
 
-def _text() -> str:
-    """Return the file: in the wheel it is beside the package's modules, in a checkout above them."""
+def _document() -> Any:
+    """Return what is in the file: in the wheel it is beside the package's modules, in a checkout above them."""
     installed = Path(str(files("sweep") / FILE))
     path = installed if installed.is_file() else Path(__file__).parents[2] / FILE
-    return path.read_text(encoding="utf-8")
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
 def _article(entry: Mapping[str, Any]) -> str:

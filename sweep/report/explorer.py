@@ -8,8 +8,8 @@ import xarray as xr
 from bokeh.resources import Resources
 
 from sweep.analysis.quantity import prediction_name, quantities, standard_error
-from sweep.attributes import meaning_of
-from sweep.readable import Prefixed, prefixed, written
+from sweep.attributes import LOGARITHMIC_UNITS, meaning_of, units_of
+from sweep.readable import prefixed, written
 from sweep.studies.study import POINT
 
 DIGITS = 7
@@ -17,8 +17,6 @@ DIGITS = 7
 
 MOST_NUMBERS = 200_000
 """So many numbers a page may hold for its interactive views together, some 2 MB."""
-
-LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 
 BESIDE = ("published", "published_rounding")
 
@@ -67,10 +65,13 @@ def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
 
 def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
     attributes = dataset[name].attrs
-    unit, factors = str(attributes.get("units", "")), xr.DataArray(1.0)
+    unit, factors = units_of(attributes), xr.DataArray(1.0)
     components: dict[str, Any] = {}
-    if "," in unit and (dimension := _unit_dimension(dataset, name)) is not None:
-        chosen = _component_units(dataset, name, dimension)
+    own = [str(d) for d in dataset[name].dims if f"{d}_unit" in dataset.coords]  # a unit for each component
+    if "," in unit and len(own) == 1:
+        (dimension,) = own
+        units = dataset[f"{dimension}_unit"].values.tolist()
+        chosen = [prefixed(dataset[name].isel({dimension: i}).values, str(unit)) for i, unit in enumerate(units)]
         factors = xr.DataArray([one.factor for one in chosen], dims=dimension)
         unit, components = "", {"unit_dim": dimension, "units": [written(one.unit) for one in chosen]}
     return {
@@ -81,17 +82,6 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         "dims": list(map(str, dataset[name].dims)),
         **{suffix: _numbers((part * factors).transpose(*part.dims).values) for suffix, part in parts.items()},
     }
-
-
-def _unit_dimension(dataset: xr.Dataset, name: str) -> str | None:
-    """Return the one dimension along which a quantity has a unit of its own for each component."""
-    found = [str(d) for d in dataset[name].dims if f"{d}_unit" in dataset.coords]
-    return found[0] if len(found) == 1 else None
-
-
-def _component_units(dataset: xr.Dataset, name: str, dimension: str) -> list[Prefixed]:
-    units = dataset[f"{dimension}_unit"].values.tolist()
-    return [prefixed(dataset[name].isel({dimension: i}).values, str(unit)) for i, unit in enumerate(units)]
 
 
 def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> list[str]:
@@ -108,7 +98,7 @@ def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
     array = dataset[name]  # xarray counts along a dimension without a coordinate
     numeric = array.dtype.kind in "iuf"
     values = _numbers(array.values) if numeric else list(map(str, array.values.tolist()))
-    unit = str(array.attrs.get("units", ""))
+    unit = units_of(array.attrs)
     return {
         "name": name,
         "dim": str(array.dims[0]),

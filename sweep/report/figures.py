@@ -15,17 +15,20 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from sweep.analysis.answer import ERRORS_ALLOWED
+from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.contract import SweepError
 from sweep.plots.caption import caption, description
-from sweep.plots.differences import SUFFIX, add_band, differences
 from sweep.plots.figure import draw_figure
 from sweep.plots.kinds import LINK
 from sweep.plots.scatter import sampled
-from sweep.plots.style import settings
+from sweep.plots.style import BAND, COLOURS, settings
 from sweep.plots.tie.figure import link_figures
 from sweep.studies.study import POINT
 
 POINTS_PER_INCH = 72.0
+
+SUFFIX = "from_prediction"
 
 ONE_PANEL, SHRINK = 6.4, 0.8
 """Pictures are made for paper: those of one panel, at most so many inches wide, are made so much smaller with the same
@@ -65,8 +68,28 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
         ordered = POINT not in dataset["status"].dims
         if ordered and len(chosen) == 1 and (residual := differences(untitled, name)) is not None:
             words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
-            found.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", add_band))
+            found.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", _add_band))
     return found
+
+
+def differences(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
+    """Return a variable minus its prediction, in units of its one-sigma errors, as a dataset to draw; None where the
+    variable has no errors or no prediction.
+    """
+    error, name = standard_error(dataset, variable), prediction_name(dataset, variable)
+    if error is None or name not in dataset or not np.nan_to_num(dataset[name].values).any():
+        return None
+    found = ((dataset[variable] - dataset[name]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
+    attributes = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
+    kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
+    return kept.assign({f"{variable}_{SUFFIX}": found.drop_attrs(deep=False).assign_attrs(attributes)})
+
+
+def _add_band(figure: Figure) -> None:
+    """Mark zero, and the band in which a difference is no more than chance."""
+    for axes in figure.axes:
+        axes.axhline(0.0, color="black", linewidth=0.6)
+        axes.axhspan(-ERRORS_ALLOWED, ERRORS_ALLOWED, color=COLOURS[6], **BAND)
 
 
 def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:

@@ -1,5 +1,6 @@
 """What a page says about a link of real tables, or about a forecast."""
 
+from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -49,26 +50,12 @@ def link_section(store: str, dataset: xr.Dataset, number: int) -> Section:
     return Section(
         store=store,
         title=title,
-        question="",
-        gaps=[],
-        short=[],
         answers=answers,
-        changed="",
-        comparisons=[],
-        verdicts="",
         pictures=link_pictures(dataset, number),
-        explorer={"quantities": []},
-        not_explored=[],
-        numbers=0,
-        results=_unknowns(dataset) if is_tie else _stages(dataset),
+        results=_unknowns(dataset) if is_tie else _error_table("stage", dataset, dataset["stage"].values, "error"),
         caption=f"{dataset.attrs['sign'].replace('-', ' − ')}, with every kind of error" if is_tie else "Formal errors",
         tables=_link_tables(dataset) if is_tie else _forecast_tables(dataset),
-        comparison=None,
-        notes=[],
-        failures={},
-        failures_not_named=0,
         provenance=known,
-        study="",
         version=version("linksweep"),
     )
 
@@ -79,9 +66,7 @@ def _link_answer(link: xr.Dataset) -> Answer:
     for block in dict.fromkeys(link["block"].values.tolist()):
         part = link.isel(unknown=link["block"].values == block)
         if part.sizes["unknown"] <= 3:
-            values = ", ".join(
-                with_error(v, e) for v, e in zip(part["estimate"].values, part["error"].values, strict=True)
-            )
+            values = ", ".join(map(with_error, part["estimate"].values, part["error"].values))
             vectors.append(f"{str(block).replace('_', ' ')}: ({values}) {part['unit'].values[0]}, {main} errors.")
     ratio = float(link["chi2"] / link["chi2_expected"]) if float(link["chi2_expected"]) > 0.0 else np.nan
     sentences = [
@@ -112,16 +97,10 @@ def _forecast_answer(plan: xr.Dataset) -> Answer:
 
 def _unknowns(link: xr.Dataset) -> Table:
     kinds = [str(kind) for kind in link["error_kind"].values]
-    rows: list[list[tuple[str, Any]]] = []
-    for k, name in enumerate(link["unknown"].values):
-        values = [float(link["estimate"].values[k]), *(float(v) for v in link["errors"].values[:, k])]
-        cells: list[tuple[str, Any]] = [(f"{value:.5f}", value) for value in values]
-        rows.append([_word(name), *cells, _word(link["unit"].values[k])])
+    numbers = np.vstack([link["estimate"].values, link["errors"].values]).T.tolist()
+    unknowns = zip(link["unknown"].values, numbers, link["unit"].values, strict=True)
+    rows = [[_word(name), *(_number(v, ".5f") for v in values), _word(unit)] for name, values, unit in unknowns]
     return Table(["unknown", "estimate", *(f"{kind} error" for kind in kinds), "unit"], rows)
-
-
-def _stages(plan: xr.Dataset) -> Table:
-    return _error_table("stage", plan, [str(stage) for stage in plan["stage"].values], plan["error"].values)
 
 
 def _link_tables(link: xr.Dataset) -> dict[str, Table]:
@@ -157,17 +136,18 @@ def _forecast_tables(plan: xr.Dataset) -> dict[str, Table]:
     found = {}
     if "error_with_epoch" in plan:
         names = [f"{epoch:g}" for epoch in plan["new_epoch"].values]
-        found["One more position of each source"] = _error_table("epoch", plan, names, plan["error_with_epoch"].values)
+        found["One more position of each source"] = _error_table("epoch", plan, names, "error_with_epoch")
     if "step_source" in plan:
-        names = ["none", *(str(name) for name in plan["step_source"].values[1:])]
+        names = ["none", *plan["step_source"].values[1:]]
         caption = f"Chosen one after the other for {plan.attrs['goal']}"
-        found[caption] = _error_table("observed", plan, names, plan["step_error"].values)
+        found[caption] = _error_table("observed", plan, names, "step_error")
     return found
 
 
-def _error_table(what: str, plan: xr.Dataset, names: list[str], errors: Any) -> Table:
+def _error_table(what: str, plan: xr.Dataset, names: Iterable[str], errors: str) -> Table:
     units = zip(plan["unknown"].values, plan["unit"].values, strict=True)
-    rows = [[_word(name), *(_number(float(v), ".5f") for v in row)] for name, row in zip(names, errors, strict=True)]
+    values = zip(names, plan[errors].values.tolist(), strict=True)
+    rows = [[_word(name), *(_number(v, ".5f") for v in row)] for name, row in values]
     return Table([what, *(f"{name} [{unit}]" for name, unit in units)], rows)
 
 

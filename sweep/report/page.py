@@ -55,10 +55,10 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
             raise SweepError(error.problems, error.where or name) from error
         room -= sections[-1].numbers
     scripts = [library(), _file("page.js"), _file("explorer.js")]
+    pages = PackageLoader("sweep.report", TEMPLATES)
     environment = Environment(
-        loader=PackageLoader("sweep.report", TEMPLATES), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=pages, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.lstrip_blocks = True
     versions = list(dict.fromkeys(one.version for one in sections))
     body = environment.get_template("page.html.j2").render(
         sections=sections,

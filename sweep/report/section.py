@@ -3,9 +3,9 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import xarray as xr
@@ -71,27 +71,27 @@ class Section:
 
     store: str
     title: str
-    question: str
-    gaps: list[str]
-    short: list[str]
     answers: list[Answer]
-    changed: str
-    comparisons: list[Comparison]
-    verdicts: str
     pictures: list[Picture]
-    explorer: Mapping[str, Any]
-    not_explored: list[str]
-    numbers: int
     results: Table
     caption: str
     tables: Mapping[str, Table]
-    comparison: Table | None
-    notes: list[str]
-    failures: Mapping[str, str]
-    failures_not_named: int
-    provenance: dict[str, str]
-    study: str
+    provenance: Mapping[str, str]
     version: str
+    question: str = ""
+    gaps: Sequence[str] = ()
+    short: Sequence[str] = ()
+    changed: str = ""
+    comparisons: Sequence[Comparison] = ()
+    verdicts: str = ""
+    explorer: Mapping[str, Any] = field(default_factory=lambda: {"quantities": []})
+    not_explored: Sequence[str] = ()
+    numbers: int = 0
+    comparison: Table | None = None
+    notes: Sequence[str] = ()
+    failures: Mapping[str, str] = field(default_factory=dict)
+    failures_not_named: int = 0
+    study: str = ""
 
 
 def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
@@ -142,7 +142,8 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         failures=failures,
         failures_not_named=failed(dataset) - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},
-        study=str(attributes.get("study", "")) or _document(attributes),
+        study=str(attributes.get("study", ""))  # a run from Python has no file
+        or json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1),
         version=str(versions.get("linksweep", "unknown")),
     )
 
@@ -172,11 +173,6 @@ def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
     if FUNCTION in attributes:
         return label.replace("each catalogue", "each point").replace("catalogues of each point", "outer draws")
     return label.replace("catalogue", outer_draw_of(attributes))
-
-
-def _document(attributes: Mapping[Any, Any]) -> str:
-    """Return the study of a run from Python, which has no file."""
-    return json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1)
 
 
 def _results(columns: list[Column], left_out: int) -> Table:

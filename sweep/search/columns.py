@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Array, Flags, Indices
+from core.table_catalogue import ALONG_RA
 from sweep.contract import suggest
-from sweep.table_columns import column_values, in_time, rows_listed
+from sweep.table_columns import column_values, in_time, missing_values, rows_listed
 
 UNITS: Mapping[str, str] = {
     "ra": "deg",
@@ -32,8 +33,6 @@ NAMES = ("name", "objname", "object", "designation", "main_id", "id")
 """Columns with an object's own name, in any case of letters."""
 
 COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id", NAME)
-
-ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
 
 
 class ColumnReader:
@@ -102,9 +101,8 @@ class ColumnReader:
         values = self._plain(key, column, "iuf")
         if values is None:
             return None
-        missing = self._mask(column)
+        missing = missing_values(column)
         if values.dtype.kind == "f":
-            missing = missing | np.isnan(values)
             whole = np.where(missing, 0.0, values)
             fraction = ~(np.abs(whole) < 2.0**53) | (whole != np.floor(whole))
             self.check(fraction, f"a {self.label(key)} that is no integer")
@@ -121,7 +119,7 @@ class ColumnReader:
         values = self._plain(key, column, "USOiu")
         if values is None:
             return None
-        missing = self._mask(column).tolist()
+        missing = missing_values(column).tolist()
         return np.array(
             ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing, strict=True)],
             dtype=np.str_,
@@ -135,12 +133,7 @@ class ColumnReader:
             wanted = "strings" if "U" in kinds else "numbers"
             self.problems.append(f"{self.label(key)} is not a column of {wanted} but of {kind}")
             return None
-        return (
-            np.asarray(getattr(column, "data", column)) if not hasattr(column, "mask") else np.ma.getdata(column.data)
-        )
-
-    def _mask(self, column: Any) -> Flags:
-        return np.broadcast_to(np.asarray(getattr(column, "mask", False), dtype=bool), (len(self.table),))
+        return np.asarray(np.ma.getdata(getattr(column, "data", column)))
 
 
 def rows_text(bad: Flags, what: str, values: NDArray[Any] | None = None) -> str:

@@ -118,28 +118,19 @@ def _of_tables(
     """Return the match radii of the galaxy tables and how each table is read; raises SweepError with all problems."""
     names = [*star_names, *galaxy_names]
     problems: list[str] = []
-    values: dict[str, dict[str, float]] = {}
     arcsec = _between(0.0, MAX_RADIUS / ARCSEC, "arcsec")
-    for option, texts, allowed, common_for, convert in (
-        ("--radius", radius, galaxy_names, galaxy_names, arcsec),
-        ("--error", error, names, galaxy_names, arcsec),
-        ("--ref-epoch", ref_epoch, star_names, star_names, _between(*EPOCHS, "yr")),
-    ):
-        try:
-            values[option] = _per_table(option, texts, allowed, common_for, convert)
-        except SweepError as bad:
-            problems += bad.problems
+    years = _between(*EPOCHS, "yr")
+    radii = _per_table("--radius", radius, galaxy_names, galaxy_names, arcsec, problems)
+    errors = _per_table("--error", error, names, galaxy_names, arcsec, problems)
+    epochs = _per_table("--ref-epoch", ref_epoch, star_names, star_names, years, problems)
     columns = _maps("--column", column, COLUMNS, names, star_names, problems)
     units = _maps("--unit", unit, UNITS, names, star_names, problems)
     if problems:
         raise SweepError(problems)
     readings = {
-        name: Reading(
-            columns[name], units[name], values["--error"].get(name), values["--ref-epoch"].get(name), missing_pm
-        )
-        for name in names
+        name: Reading(columns[name], units[name], errors.get(name), epochs.get(name), missing_pm) for name in names
     }
-    return values["--radius"], readings
+    return radii, readings
 
 
 def _maps(
@@ -185,14 +176,18 @@ def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
 
 
 def _per_table(
-    option: str, values: Sequence[str], names: Sequence[str], common_for: Sequence[str], convert: Callable[[str], float]
+    option: str,
+    values: Sequence[str],
+    names: Sequence[str],
+    common_for: Sequence[str],
+    convert: Callable[[str], float],
+    problems: list[str],
 ) -> dict[str, float]:
     """Return {name: value} of an option that is given as NAME=VALUE for one of ``names``, or VALUE for ``common_for``.
 
-    Raises SweepError for an unknown name, a value that ``convert`` refuses with ValueError, or one given twice.
+    An unknown name, a value that ``convert`` refuses with ValueError, and one given twice go to ``problems``.
     """
     found: dict[str, float] = {}
-    problems: list[str] = []
     for text in values:
         name, equals, value = text.rpartition("=")
         if equals and name not in names:
@@ -204,7 +199,5 @@ def _per_table(
                 found[name] = convert(value)
             except ValueError as error:
                 problems.append(f"{option} {text}: {error}")
-    if problems:
-        raise SweepError(problems)
     common = found.pop("", None)
     return found if common is None else {**dict.fromkeys(common_for, common), **found}

@@ -58,27 +58,12 @@ def _plot_background(axes: Any, background: tuple[Array, Array]) -> None:
     share = f", 1 in {step} drawn" if step > 1 else ""
     # rows of a catalogue often run along the sky, so a random choice and not every step-th
     chosen = np.random.default_rng(0).permutation(len(background[0]))[: len(background[0]) // step]
-    axes.plot(
-        *_on_map(background[0][chosen], background[1][chosen]),
-        linestyle="none",
-        marker=".",
-        markersize=1.2,
-        markeredgewidth=0.0,
-        color=BACKGROUND,
-        rasterized=True,
-        zorder=1,
-    )
+    style = {"linestyle": "none", "marker": ".", "markeredgewidth": 0.0, "color": BACKGROUND}
+    places = _on_map(*(coordinate[chosen] for coordinate in background))
+    axes.plot(*places, **style, markersize=1.2, rasterized=True, zorder=1)
     # a point of the map is too small to be seen in the legend
-    axes.plot(
-        [],
-        [],
-        linestyle="none",
-        marker=".",
-        markersize=4.0,
-        markeredgewidth=0.0,
-        color=BACKGROUND,
-        label=f"galaxy catalogues ({_count(len(background[0]))}{share})",
-    )
+    label = f"galaxy catalogues ({_count(len(background[0]))}{share})"
+    axes.plot([], [], **style, markersize=4.0, label=label)
 
 
 def _on_map(longitude: Array, latitude: Array) -> tuple[Array, Array]:

@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from core.arrays import Array, Flags, Indices
 from core.constants import DEGREE
+from core.table_catalogue import ALONG_RA
 from sweep.contract import SweepError
-from sweep.search.columns import ALONG_RA, NAME, TYC, ColumnReader
+from sweep.search.columns import NAME, TYC, ColumnReader
 from sweep.table_reader import read_table
 
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
+"""The columns of magnitudes, best first."""
 
 TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 """Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""
@@ -59,11 +61,6 @@ class SkyTable:
 
     def __len__(self) -> int:
         return len(self.numbers["ra"])
-
-    @property
-    def magnitude(self) -> str | None:
-        """Name of the magnitude that is used: vt_mag before phot_g_mean_mag."""
-        return next((name for name in MAGNITUDES if name in self.numbers), None)
 
 
 def table_name(path: Path) -> str:

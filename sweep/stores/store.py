@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from sweep.contract import Array, SweepError
-from sweep.functions.value_types import TEXT_BYTES
+from sweep.functions.values import TEXT_BYTES
 from sweep.stores import failures, snapshot
 from sweep.stores.checksums import group_document, sealed
 from sweep.stores.chunked_rows import DamagedError

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Collection, Iterator, Mapping
 
-from sweep.functions.value_types import text_digest
+from sweep.functions.values import text_digest
 from sweep.stores.checksums import group_document, sealed, unsealed
 from sweep.stores.location import Location
 

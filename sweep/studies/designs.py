@@ -62,7 +62,7 @@ def _saltelli(n: int, dimensions: int, seed: int) -> Array:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
         generator = np.random.default_rng(seed)
-        return np.asarray(sobol.sample(_unit_cube(dimensions), n, calc_second_order=False, seed=generator))
+        return np.asarray(sobol.sample(unit_cube(dimensions), n, calc_second_order=False, seed=generator))
 
 
 def _morris(n: int, dimensions: int, seed: int) -> Array:
@@ -70,7 +70,7 @@ def _morris(n: int, dimensions: int, seed: int) -> Array:
     from SALib.sample import morris
 
     generator = np.random.default_rng(seed)
-    return np.asarray(morris.sample(_unit_cube(dimensions), n, num_levels=MORRIS_LEVELS, seed=generator))
+    return np.asarray(morris.sample(unit_cube(dimensions), n, num_levels=MORRIS_LEVELS, seed=generator))
 
 
 DESIGNS: Mapping[str, Design] = {
@@ -103,6 +103,7 @@ def remarks(origin: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _unit_cube(dimensions: int) -> dict[str, Any]:
+def unit_cube(dimensions: int) -> dict[str, Any]:
+    """Return the problem of SALib of so many parameters between 0 and 1."""
     names = [f"x{k}" for k in range(dimensions)]
     return {"num_vars": dimensions, "names": names, "bounds": [[0.0, 1.0]] * dimensions}

@@ -60,15 +60,10 @@ class TableOptions:
     zero_errors: Zeros = "error"
     pmra_cos_dec: bool = True
 
-    def check(self) -> None:
-        """Raise SweepError for an epoch that is none."""
-        if self.epoch is not None:
-            require_epoch(self.epoch, "epoch of a table")
 
-
-def require_epoch(epoch: float, what: str) -> None:
-    """Raise SweepError for what is no Julian year."""
-    if not EPOCHS[0] <= epoch <= EPOCHS[1]:
+def require_epoch(epoch: float | None, what: str) -> None:
+    """Raise SweepError for what is no Julian year, if it is given."""
+    if epoch is not None and not EPOCHS[0] <= epoch <= EPOCHS[1]:
         raise SweepError(f"{what} {epoch:g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
 
 

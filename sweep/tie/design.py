@@ -24,6 +24,13 @@ from sweep.tie.solution import Link, solve_link
 
 ERRORS = ("scaled", "formal", "jackknife")
 
+DECIDING = (
+    *("unknowns", "degree", "bins", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors"),
+    *("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch"),
+    *("position_jitter", "motion_jitter", "candidates"),
+)
+"""The parameters, beside the tables, that decide which rows belong to which sources."""
+
 
 @dataclass(frozen=True)
 class Design:
@@ -59,7 +66,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
         setup = replace(setup, problem=problem)
     solved = None
     if len(problem.rows):
-        solved = solve_link(_with_rows_only(setup), str(clip), ERRORS)
+        solved = solve_link(_taken(setup, np.unique(problem.source)), str(clip), ERRORS)
     matched = len(np.unique(problem.source))
     if point["release"] != "table":
         shift = RELEASES[point["release"]].epoch - RELEASES[point["from_release"]].epoch
@@ -79,24 +86,8 @@ def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
         raise SweepError("satellite is required: the table of the satellite")
     if reference is not None and point["zero_motion"]:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
-    named = (
-        *(
-            "unknowns",
-            "degree",
-            "bins",
-            "by",
-            "epoch",
-            "weights",
-            "known_spin",
-            "aberration",
-            "positions",
-            "zero_errors",
-        ),
-        *("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch"),
-        *("position_jitter", "motion_jitter", "candidates", "zero_errors"),
-    )
     table = (point["satellite"].path, point["satellite"].digest)
-    return (table, reference, point["zero_motion"], tuple((name, point[name]) for name in named))
+    return (table, reference, point["zero_motion"], tuple((name, point[name]) for name in DECIDING))
 
 
 @lru_cache(maxsize=4)
@@ -142,17 +133,13 @@ def _within(setup: Setup, point: Mapping[str, Any]) -> Setup:
         return setup
     columns = setup.problem.satellite.columns
     if column not in columns:
-        raise SweepError(f"magnitude = {column!r}: the satellite has no such column of numbers; there are "
-                         f"{', '.join(columns) or 'none'}")  # fmt: skip
+        known = ", ".join(columns) or "none"
+        raise SweepError(f"magnitude = {column!r}: the satellite has no such column of numbers; there are {known}")
     magnitude = columns[column]
     kept = (magnitude >= (-np.inf if low is None else low)) & (magnitude <= (np.inf if high is None else high))
     if not np.any(kept):
         raise SweepError(f"no source has a {column} within the limits g_min and g_max")
     return _taken(setup, np.flatnonzero(kept))
-
-
-def _with_rows_only(setup: Setup) -> Setup:
-    return _taken(setup, np.unique(setup.problem.source))
 
 
 def _taken(setup: Setup, sources: Indices) -> Setup:

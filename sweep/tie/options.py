@@ -52,12 +52,11 @@ class Options:
             raise SweepError(f"sign {self.sign!r}: it is {' or '.join(SIGNS)}")
         if self.weights not in get_args(Weights):
             raise SweepError(f"weights {self.weights!r}: they are covariance, variance or equal")
-        if self.epoch is not None:
-            require_epoch(self.epoch, "epoch of the orientation")
+        require_epoch(self.epoch, "epoch of the orientation")
         if not np.isfinite(self.aberration) or self.aberration < 0.0:
             raise SweepError(f"aberration {self.aberration:g} uas/yr: it is finite and not negative")
         for options in (self.satellite_options, self.reference_options, *self.mission_options.values()):
-            options.check()
+            require_epoch(options.epoch, "epoch of a table")
         if self.degree is not None and self.degree < 1:
             raise SweepError(f"degree {self.degree}: it is at least 1")
         for name in self.missions:

@@ -76,6 +76,24 @@ _EACH, _RATIO = ("component",), ("unknown",)  # the first has units
 _POWER, _CHANCE = ("field", "power_degree"), ("field_tested", "power_degree")
 _BIN = ("bin", "axis")
 
+
+def _with_errors(
+    name: str,
+    unit: str,
+    meaning: str,
+    dims: tuple[str, ...] = (),
+    headline: bool = False,
+    symbol: str = "",
+    predicted: bool = True,
+) -> list[Output]:
+    """Declare a result of the draws, its Monte-Carlo error and, where there is one, its closed form."""
+    beside = {"mc_error": "its Monte-Carlo error"} | ({"predicted": "closed form without a clip"} if predicted else {})
+    return [
+        Output(name, unit, meaning, dims, headline, symbol, nan=True),
+        *(Output(f"{name}_{key}", unit, text, dims, nan=True) for key, text in beside.items()),
+    ]
+
+
 OUTPUTS = (
     Output("n_sources", "", "sources of the tables that match, or the limits leave"),
     Output("n_kept", "", "sources that the clip keeps, of the tables as they are", nan=True),
@@ -85,44 +103,26 @@ OUTPUTS = (
     Output("error_jackknife", "", "its error from the solutions without each source", _EACH, nan=True),
     Output("chi2_ratio", "", "chi2 of the tables over its average", nan=True),
     Output("largest_share", "", "of the weight of a block of unknowns that one source holds", nan=True),
-    Output("sigma", "", "RMS of estimate - truth of the draws", _EACH, nan=True),
-    Output("sigma_mc_error", "", "its Monte-Carlo error", _EACH, nan=True),
-    Output("sigma_predicted", "", "closed form without a clip", _EACH, nan=True),
-    Output("bias", "", "mean of estimate - truth of the draws", _EACH, nan=True),
-    Output("bias_mc_error", "", "its Monte-Carlo error", _EACH, nan=True),
-    Output("coverage", "", "fraction of draws within their formal error of the truth", _RATIO, nan=True),
-    Output("coverage_mc_error", "", "its Monte-Carlo error", _RATIO, nan=True),
-    Output("coverage_scaled", "", "fraction of draws within their scaled error of the truth", _RATIO, nan=True),
-    Output("coverage_scaled_mc_error", "", "its Monte-Carlo error", _RATIO, nan=True),
-    Output(
-        "sigma_orientation",
-        "mas",
-        "RMS error of the orientation, over draws and axes",
-        (),
-        True,
-        r"$\sigma_\epsilon$",
-        True,
+    *_with_errors("sigma", "", "RMS of estimate - truth of the draws", _EACH),
+    *_with_errors("bias", "", "mean of estimate - truth of the draws", _EACH, predicted=False),
+    *_with_errors("coverage", "", "fraction of draws within their formal error of the truth", _RATIO, predicted=False),
+    *_with_errors(
+        "coverage_scaled", "", "fraction of draws within their scaled error of the truth", _RATIO, predicted=False
     ),
-    Output("sigma_orientation_mc_error", "mas", "its Monte-Carlo error", nan=True),
-    Output("sigma_orientation_predicted", "mas", "closed form without a clip", nan=True),
-    Output("sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes", (), True, r"$\sigma_\omega$", True),
-    Output("sigma_spin_mc_error", "mas/yr", "its Monte-Carlo error", nan=True),
-    Output("sigma_spin_predicted", "mas/yr", "closed form without a clip", nan=True),
+    *_with_errors(
+        "sigma_orientation", "mas", "RMS error of the orientation, over draws and axes", (), True, r"$\sigma_\epsilon$"
+    ),
+    *_with_errors("sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes", (), True, r"$\sigma_\omega$"),
     Output("power", "", f"of harmonics of degree 1 to {HIGHEST_STORED}, of the tables as they are", _POWER, nan=True),
     Output("power_noise", "", "what their formal errors give on average", _POWER, nan=True),
     Output("power_probability", "", "that noise gives as significant a power", _CHANCE, nan=True),
-    Output("power_drawn", "", "mean power of estimate - truth of the draws", _POWER, nan=True),
-    Output("power_drawn_mc_error", "", "its Monte-Carlo error", _POWER, nan=True),
-    Output("power_drawn_predicted", "", "closed form without a clip", _POWER, nan=True),
+    *_with_errors("power_drawn", "", "mean power of estimate - truth of the draws", _POWER),
     Output("spin_by_bin", "mas/yr", "spin in each bin, of the tables as they are", _BIN, nan=True),
     Output("spin_by_bin_error", "mas/yr", "its scaled error", _BIN, nan=True),
-    Output("sigma_by_bin", "mas/yr", "RMS of estimate - truth of the draws", _BIN, nan=True),
-    Output("sigma_by_bin_mc_error", "mas/yr", "its Monte-Carlo error", _BIN, nan=True),
-    Output("sigma_by_bin_predicted", "mas/yr", "closed form without a clip", _BIN, nan=True),
+    *_with_errors("sigma_by_bin", "mas/yr", "RMS of estimate - truth of the draws", _BIN),
     Output("n_drawn", "", "sources that are simulated"),
     Output("n_kept_drawn", "", "mean number of those that the clip keeps"),
-    Output("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", nan=True),
-    Output("chi2_ratio_drawn_mc_error", "", "its Monte-Carlo error", nan=True),
+    *_with_errors("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", predicted=False),
 )
 
 SAMPLE_OUTPUTS = (Output("drawn", "", "estimate of a draw, reference - satellite", _EACH, nan=True),)

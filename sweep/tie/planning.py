@@ -110,7 +110,7 @@ def _check(add: Sequence[float], error: float, number: int, criterion: str, opti
         raise SweepError(f"{number} sources to choose, but no epochs to observe them at")
     if criterion not in ("A", "D"):
         raise SweepError(f"criterion {criterion!r}: it is A or D")
-    if "release" in options or "sign" in options:
+    if "sign" in options:
         raise SweepError("a forecast has no sign: it is about errors")
 
 

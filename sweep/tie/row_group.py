@@ -41,9 +41,8 @@ class RowGroup:
         """Read the rows; raises SweepError for wrong ones, with their numbers in the row group."""
         own = self.astrometry()
         assert self.unknowns is not None, "the first pass finds them"
-        known = None
-        if (spin := self.options.known_spin) is not None:
-            known = known_spin(spin, own, SIGNS[self.options.sign])
+        spin = self.options.known_spin
+        known = None if spin is None else known_spin(spin, own, SIGNS[self.options.sign])
         source, weights = np.arange(len(own)), self.options.weights
         rows = with_jitter(zero_motion(len(own)), self.options.jitter_of(None))
         return Problem(own, rows, source, self.unknowns, self.epoch, weights, known)

@@ -62,9 +62,9 @@ class RowGroupTable:
     run: Map
 
     @property
-    def single(self) -> bool:
+    def kept(self) -> None:
         """The sums of single sources are not kept."""
-        return False
+        return
 
     @cached_property
     def _last(self) -> list[tuple[Array | Flags, NormalSums]]:
@@ -73,7 +73,9 @@ class RowGroupTable:
     def cell_sums(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells of the sky, each source with a factor of its weight."""
         if not self._last or not np.array_equal(self._last[0][0], factors):
-            parts: list[Any] = [None if np.all(part == 1.0) else part for part in self._divided(factors)]
+            limits = pairwise([*(group.first for group in self.groups), self.n_sources])
+            divided = (factors[low:high] for low, high in limits)
+            parts: list[Any] = [None if np.all(part == 1.0) else part for part in divided]
             sums = reduce(NormalSums.plus, self.run(row_group.cell_sums, zip(self.groups, parts, strict=True)))
             self._last[:] = [(factors.copy(), sums.taken(sums.count > 0))]
         return self._last[0][1]
@@ -85,7 +87,8 @@ class RowGroupTable:
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
-        return Sources(self.solve, self._discrepancies, self._filled(row_group.counts, kind=np.float32))
+        counts = self._filled(row_group.counts, kind=np.float32)
+        return Sources(self.solve, partial(self._filled, row_group.discrepancies), counts)
 
     def separations(self) -> tuple[Array, Array]:
         """Return the normalised separation and the separation of each source."""
@@ -97,10 +100,6 @@ class RowGroupTable:
         _, places, sums = reduce(partial(row_group.heavier, number), self._each(row_group.heaviest, number))
         return places, sums
 
-    def _discrepancies(self, estimate: Array) -> Array:
-        found: Array = self._filled(row_group.discrepancies, estimate)
-        return found
-
     def _filled(self, function: Any, *arguments: Any, rows: int | None = None, kind: Any = np.float64) -> Any:
         """Return what a function returns of each source, without a second copy of it."""
         found = np.empty(self.n_sources if rows is None else (rows, self.n_sources), dtype=kind)
@@ -110,10 +109,6 @@ class RowGroupTable:
 
     def _each(self, function: Any, *arguments: Any) -> Iterator[Any]:
         return self.run(function, ((group, *arguments) for group in self.groups))
-
-    def _divided(self, factors: Array | Flags) -> list[Array | Flags]:
-        limits = [*(group.first for group in self.groups), self.n_sources]
-        return [factors[low:high] for low, high in pairwise(limits)]
 
 
 def set_up_row_groups(
@@ -126,12 +121,14 @@ def set_up_row_groups(
     options.check()
     path = Path(satellite).resolve()
     sizes, names = row_groups(path)
-    needed = tuple(names if isinstance(options.known_spin, (str, Path)) else _needed(names, options))
+    if not isinstance(options.known_spin, (str, Path)):
+        further = () if options.bins is None else (options.bins[0],)
+        names = columns_needed(names, options.satellite_options, further)
     digest = row_group.digest_once(path)
     firsts = np.concatenate([[0], np.cumsum(sizes)])
     plain = replace(options, missions={}, mission_options={})
     groups = tuple(
-        RowGroup(path, digest, number, int(first), needed, plain)
+        RowGroup(path, digest, number, int(first), tuple(names), plain)
         for number, (first, size) in enumerate(zip(firsts, sizes, strict=False))
         if size
     )
@@ -169,10 +166,6 @@ def _median_epoch(found: Sequence[tuple[Array, Indices]]) -> float:
         return default_epoch(epochs)
     middle = [(last[-1] - 1) // 2, last[-1] // 2]  # one, or the two beside the middle
     return default_epoch(epochs[np.searchsorted(last, middle, side="right")])
-
-
-def _needed(names: list[str], options: Options) -> list[str]:
-    return columns_needed(names, options.satellite_options, () if options.bins is None else (options.bins[0],))
 
 
 def _unknowns(group: RowGroup, samples: list[dict[str, Array]], notes: list[str]) -> Unknowns:

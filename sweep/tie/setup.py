@@ -71,10 +71,8 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     sources = np.arange(len(left.astrometry)) if all_sources else np.unique(matched)
     place = np.full(len(left.astrometry), -1)
     place[sources] = np.arange(len(sources))
-    everything = len(sources) == len(left.astrometry)
-    own = left.astrometry if everything else left.astrometry.taken(sources)
     names = _names(left, parts[0], sources)
-    own = replace(own, names=names)
+    own = replace(_taken(left.astrometry, sources), names=names)
     rows = parts[0].rows if len(parts) == 1 else joined(*(part.rows for part in parts))
     source = place[matched]
     epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch

@@ -74,11 +74,9 @@ def solve_link(
             found = clipped(parse_clip(clip), sources, kept.separations)
             covariances, notes = _covariances(kept, found, errors, resamples, seed)
             squares = sources.discrepancies(found.solution.estimate) if per_source else None
-            effect = _influence(kept, sources, found, setup.problem.unknowns)
+            effect, places, share = _influence(kept, sources, found, setup.problem.unknowns)
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
-    share = effect.share if isinstance(effect, Influence) else effect[1]
-    places = np.arange(len(share)) if isinstance(effect, Influence) else effect[0]
     notes += _large_shares(setup.problem.unknowns.names, setup.names[places], share)
     return Link(
         setup=setup,
@@ -86,7 +84,7 @@ def solve_link(
         found=found,
         covariances=covariances,
         main=errors[0],
-        influence=effect if isinstance(effect, Influence) else None,
+        influence=effect,
         discrepancy=squares,
         count=sources.count,
         notes=(*setup.notes, *found.notes, *notes),
@@ -95,20 +93,22 @@ def solve_link(
 
 def _influence(
     table: SourceTable | RowGroupTable, sources: Sources, found: Clipped, unknowns: Unknowns
-) -> Influence | tuple[Indices, Array]:
-    """Return the influence of each source, or the shares of the heaviest ones and which these are."""
-    kept = (found.factors > 0.0) & (sources.count > 0)
-    if isinstance(table, SourceTable) and table.single:
-        return influence(table.sums, found.solution, unknowns, kept)
+) -> tuple[Influence | None, Indices, Array]:
+    """Return the influence of each source, if their sums are kept, and the shares of all or the heaviest and which
+    these are.
+    """
+    if table.kept is not None:
+        effect = influence(table.kept, found.solution, unknowns, (found.factors > 0.0) & (sources.count > 0))
+        return effect, np.arange(len(effect.share)), effect.share
     places, sums = table.heaviest(HEAVIEST)
-    return places, shares(sums, found.solution, unknowns) * found.factors[places, None]
+    return None, places, shares(sums, found.solution, unknowns) * found.factors[places, None]
 
 
 def _covariances(
     table: SourceTable | RowGroupTable, found: Clipped, errors: Sequence[str], resamples: int, seed: int
 ) -> tuple[dict[str, Array], list[str]]:
     solution, notes = found.solution, []
-    sums = table.sums if isinstance(table, SourceTable) and table.single else None
+    sums = table.kept
     if sums is not None and not np.all(np.isin(found.factors, (0.0, 1.0))):
         sums = sums.weighted(found.factors)
     elif sums is not None:

@@ -196,7 +196,7 @@ def greedy(first, second):
 pair_lists = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), unique=True, max_size=40)
 
 
-@settings(deadline=None, derandomize=True)
+@settings(derandomize=True)
 @given(pair_lists)
 def test_one_to_one_is_the_greedy_loop(pairs):
     first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
@@ -225,7 +225,7 @@ def placed(matches: Matches, stars, catalogues):
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=150, derandomize=True)
 @given(grid_sky, grid_sky, grid_sky, st.booleans(), st.randoms(use_true_random=False))
 def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, identified, random):
     stars, _ = on_grid(list({point[:2]: point for point in a}.values()), False)

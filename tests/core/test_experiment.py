@@ -12,13 +12,13 @@ from astropy.table import Table
 from core.catalogue import Catalogue
 from core.constants import GALACTIC_AXES, MAS
 from core.design import GLIDE_LABELS, LABELS
-from core.expected_errors import errors_at_limit, has_errors
 from core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
 from core.link import LinkError
 from core.missions import MISSIONS
-from core.parameters import OUTPUTS, PARAMETERS
+from core.outputs import OUTPUTS
+from core.parameters import PARAMETERS
 from core.quasars import quasar_count
-from core.scenario import error_model
+from core.scenario import error_model, errors_at_limit, has_errors
 from core.simulate import simulate
 from core.user_mission import mission_from_table
 from sweep.contract import Named

@@ -85,7 +85,7 @@ def drawn(side, normals):
     return (unit * side.sigma).T
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_obj=st.integers(4, 60),

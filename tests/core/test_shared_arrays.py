@@ -28,7 +28,7 @@ def sky(n_obj, seed=1):
         lambda ra, dec, *_: np.array(triad(ra, dec)),
     ],
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(n_obj=st.integers(1, PART))
 def test_the_bits_of_an_object_do_not_depend_on_how_many_there_are(of_objects, n_obj):
     objects = sky(PART)

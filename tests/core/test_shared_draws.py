@@ -80,7 +80,7 @@ def test_every_shared_parameter_has_another_value_here():
     assert all(OTHER[name] != link.parameter(name).default for name in SHARED)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     changes=st.lists(st.sets(st.sampled_from(sorted(SHARED)), max_size=6), min_size=1, max_size=4),
     sizes=st.lists(st.integers(3, 150), min_size=4, max_size=4),
@@ -168,7 +168,6 @@ def test_chunks_add_up(n_sim):
     assert max(chunks(n_sim)) <= ROWS
 
 
-@settings(deadline=None)
 @given(
     rows=st.integers(1, ROWS),
     n_obj=st.integers(0, 300),

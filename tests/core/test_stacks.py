@@ -51,7 +51,7 @@ def assert_same_bits(found, expected):
             assert found[name][k].tobytes() == values.tobytes(), name
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(changes=POINTS, n_sim=st.sampled_from([2, 3, 20, 100]), n_cat=st.integers(2, 5))
 def test_each_catalogue_has_the_bits_that_it_has_by_itself(changes, n_sim, n_cat):
     point = link.defaults() | changes

@@ -187,7 +187,7 @@ anything = st.recursive(
 
 
 @pytest.mark.slow
-@settings(max_examples=300, derandomize=True, deadline=None)
+@settings(max_examples=300, derandomize=True)
 @given(st.dictionaries(st.sampled_from([*GAIA_2001, "position_ratio", "faint_limit", "source"]), anything), st.data())
 def test_anything_is_a_mission_or_told_to_be_none(table, data):
     base = data.draw(st.sampled_from([{}, TABLE, GAIA_2001, AMEX]))

@@ -5,8 +5,9 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, unit_text
+from sweep.plots.style import figure_size, finish, series
 from sweep.plots.tie.names import readable
+from sweep.readable import written
 
 
 def bin_figure(dataset: xr.Dataset) -> Figure:
@@ -30,10 +31,9 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
             factor * values[:, number],
             yerr=factor * errors[:, number],
             linestyle="none",
-            marker=MARKERS[number],
             markersize=4.5,
-            color=COLOURS[number],
             label=rf"$\omega_{component}$",
+            **series(number),
         )
     for edge in sorted({*left.tolist(), *right.tolist()}):
         is_open = edge not in low and edge not in high
@@ -41,7 +41,7 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
     axes.axhline(0.0, color="0.5", linewidth=0.8, zorder=0)
     axes.set_xticks(middle, [_range(a, b) for a, b in zip(low, high, strict=True)])
     axes.set_xlabel(str(dataset.attrs.get("bin_column", "bin")))
-    axes.set_ylabel(f"spin [{unit_text(unit)}]")
+    axes.set_ylabel(f"spin [{written(unit)}]")
     finish(axes, grid=False)
     axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

@@ -1,13 +1,13 @@
 """Which pictures the dataset of a link or a forecast can have, and which suits it."""
 
-from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import xarray as xr
 from matplotlib.figure import Figure
 
 from sweep.contract import SweepError, shown, suggest
-from sweep.plots.kinds import LINK, Kind
+from sweep.plots.kinds import LINK
 
 
 def is_link(dataset: xr.Dataset) -> bool:
@@ -21,29 +21,21 @@ def draw_link(dataset: xr.Dataset, kind: str | None = None) -> Figure:
     if kind is not None:
         if kind not in kinds:
             raise SweepError(f"no kind {shown(kind)} of a {dataset.attrs['result']}{suggest(kind, list(kinds))}")
-        return _titled(_drawn(kinds[kind], dataset), dataset)
+        return _titled(kinds[kind].load()(dataset), dataset)
     for figure in link_figures(dataset).values():
         return figure
-    return _drawn(next(iter(kinds.values())), dataset)  # raises SweepError that says what is missing
+    first: Figure = next(iter(kinds.values())).load()(dataset)  # raises SweepError that says what is missing
+    return first
 
 
-def link_figures(dataset: xr.Dataset, kinds: Sequence[str] = (), titled: bool = True) -> dict[str, Figure]:
-    """Return all figures that a link or a forecast can have, or those of ``kinds`` that it can, by kind."""
+def link_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
+    """Return all figures that a link or a forecast can have, by kind."""
     found = {}
     for name, kind in LINK[dataset.attrs["result"]].items():
-        if kinds and name not in kinds:
-            continue
-        try:
-            figure = _drawn(kind, dataset)
-        except SweepError:  # says what the dataset lacks
-            continue
-        found[name] = _titled(figure, dataset) if titled else figure
+        with suppress(SweepError):  # says what the dataset lacks
+            figure: Figure = kind.load()(dataset)
+            found[name] = _titled(figure, dataset) if titled else figure
     return found
-
-
-def _drawn(kind: Kind, dataset: xr.Dataset) -> Figure:
-    figure: Figure = kind.load()(dataset)
-    return figure
 
 
 def _titled(figure: Figure, dataset: xr.Dataset) -> Figure:

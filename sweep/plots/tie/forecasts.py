@@ -1,18 +1,21 @@
 """What further observations would do: errors against the epoch of new ones, and which sources to observe."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, in_lines, is_stacked, unit_text
-from sweep.plots.tie.names import readable, unknown_symbol
+from sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series
+from sweep.plots.tie.names import by_unit, readable, unknown_symbol
+from sweep.readable import written
 
 RANKED = 20
+CURVE: dict[str, Any] = {"markersize": 4.0, "linewidth": 1.2}
 LINES: tuple[Literal["dashed", "dotted", "dashdot"], ...] = ("dashed", "dotted", "dashdot")
 
 
@@ -20,29 +23,27 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     """Return the errors of the unknowns against the epoch of one more position of every source."""
     if "error_with_epoch" not in dataset:
         raise SweepError("no epochs here: give --add with the epochs of new observations")
-    units = dataset["unit"].values
-    panels = [np.flatnonzero(units == unit) for unit in dict.fromkeys(units.tolist())]
+    panels = by_unit(dataset)
     epochs = dataset["new_epoch"].values
     order = np.argsort(epochs)
     figure = Figure(figsize=figure_size(1.2 + 4.4 * len(panels), 4.4), layout="constrained")
     stages = list(zip(dataset["stage"].values, dataset["error"].values, LINES, strict=False))
-    for axes, panel in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        factor, unit = readable(dataset["error"].values[:, panel], str(units[panel[0]]))
+    grid = figure.subplots(1, len(panels), squeeze=False)[0]
+    for axes, (stored, panel) in zip(grid, panels.items(), strict=True):
+        factor, unit = readable(dataset["error"].values[:, panel], stored)
         for number, k in enumerate(panel[: len(COLOURS)]):
             axes.plot(
                 epochs[order],
                 factor * dataset["error_with_epoch"].values[order, k],
-                color=COLOURS[number],
-                marker=MARKERS[number],
-                markersize=4.0,
-                linewidth=1.2,
                 label=unknown_symbol(str(dataset["unknown"].values[k])),
+                **series(number),
+                **CURVE,
             )
             for _, errors, line in stages:
                 axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
         each = figure.get_figwidth() / len(panels) - 0.4
         axes.set_xlabel(in_lines("epoch of the new position of each source [yr]", each))
-        axes.set_ylabel(f"formal error [{unit_text(unit)}]")
+        axes.set_ylabel(f"formal error [{written(unit)}]")
         axes.ticklabel_format(axis="x", useOffset=False)
         if len(epochs) <= 8:
             axes.set_xticks(epochs[order], [f"{epoch:g}" for epoch in epochs[order]])
@@ -59,9 +60,9 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
 def ranking_figure(dataset: xr.Dataset) -> Figure:
     """Return the sources whose observation alone helps most, and the error after each one that was chosen."""
     values = dataset["criterion_alone"].values
-    now = float(dataset["criterion"].values[dataset["stage"].values.tolist().index(_base(dataset))])
-    goal = [name.strip() for name in str(dataset.attrs["goal"]).split(",")]
-    number = int(np.sum(np.isin(dataset["block"].values, goal)))
+    base = str(dataset.attrs["release"]) or "now"  # the stage that new observations are added to
+    now = float(dataset["criterion"].values[dataset["stage"].values.tolist().index(base)])
+    number = len(_places_of_goal(dataset))
     gain = 1.0 - (values / now if dataset.attrs["criterion"] == "A" else np.exp(0.5 * (values - now) / number))
     if not np.any(gain > 0.0):
         raise SweepError("no ranking here: no new observation, so no source helps; give --add with epochs")
@@ -89,17 +90,13 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
 
 
 def _draw_steps(axes: Axes, dataset: xr.Dataset, chosen: list[str]) -> None:
-    goal = [name.strip() for name in str(dataset.attrs["goal"]).split(",")]
     start = dataset["step_error"].values[0]
-    places = np.flatnonzero(np.isin(dataset["block"].values, goal))[: len(COLOURS)]
-    for number, k in enumerate(places):
+    for number, k in enumerate(_places_of_goal(dataset)[: len(COLOURS)]):
         axes.plot(
             dataset["step_error"].values[:, k] / start[k],
-            color=COLOURS[number],
-            marker=MARKERS[number],
-            markersize=4.0,
-            linewidth=1.2,
             label=unknown_symbol(str(dataset["unknown"].values[k])),
+            **series(number),
+            **CURVE,
         )
     axes.set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
     axes.set_xlabel("observed, one after the other")
@@ -107,6 +104,7 @@ def _draw_steps(axes: Axes, dataset: xr.Dataset, chosen: list[str]) -> None:
     axes.legend(frameon=False)
 
 
-def _base(dataset: xr.Dataset) -> str:
-    """Return the stage that new observations are added to: the release, or what there is now."""
-    return str(dataset.attrs["release"]) or "now"
+def _places_of_goal(dataset: xr.Dataset) -> NDArray[np.intp]:
+    """Return the places of the unknowns that observations are chosen for."""
+    goal = [name.strip() for name in str(dataset.attrs["goal"]).split(",")]
+    return np.flatnonzero(np.isin(dataset["block"].values, goal))

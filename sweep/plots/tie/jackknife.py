@@ -5,12 +5,12 @@ from itertools import combinations
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
-from scipy.special import chdtri
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, figure_size, finish, is_stacked, unit_text
+from sweep.plots.scatter import confidence_ellipse
+from sweep.plots.style import COLOURS, figure_size, finish, is_stacked
 from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbol, vectors
+from sweep.readable import written
 
 CONFIDENCE = 0.683
 NAMED = 5
@@ -57,11 +57,13 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
                 covariance = dataset["covariances"].values[number][np.ix_([i, j], [i, j])]
                 if np.all(np.isfinite(covariance)):
                     centre = factor * dataset["estimate"].values[[i, j]]
-                    style = {"edgecolor": COLOURS[(number + 1) % len(COLOURS)], "linestyle": LINES[number % len(LINES)]}
-                    axes.add_patch(_ellipse(centre, factor**2 * covariance, label=f"{kind}, 68 %", **style))
+                    outline = confidence_ellipse(centre, factor**2 * covariance, CONFIDENCE, label=f"{kind}, 68 %")
+                    colour, line = COLOURS[(number + 1) % len(COLOURS)], LINES[number % len(LINES)]
+                    outline.set(edgecolor=colour, linestyle=line, zorder=4)
+                    axes.add_patch(outline)
             axes.set_aspect("equal", adjustable="datalim")
             for which, k in ((axes.set_xlabel, i), (axes.set_ylabel, j)):
-                which(f"{unknown_symbol(str(dataset['unknown'].values[k]))} [{unit_text(unit)}]")
+                which(f"{unknown_symbol(str(dataset['unknown'].values[k]))} [{written(unit)}]")
             axes.margins(0.12)
             axes.autoscale_view()
             finish(axes)
@@ -74,10 +76,3 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         for axes, (i, j) in zip(grid[row], combinations(places, 2), strict=True):
             name_points(axes, factor * stretched[far, i], factor * stretched[far, j], names[far].tolist())
     return figure
-
-
-def _ellipse(centre: np.ndarray, covariance: np.ndarray, **style: object) -> Ellipse:
-    values, vectors = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - CONFIDENCE))
-    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    return Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, zorder=4, **style)

@@ -11,7 +11,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from core.arrays import Array
-from sweep.plots.style import symbol
+from sweep.plots.labels import symbol
 
 MICRO_BELOW = 0.5
 """Numbers in mas that are all smaller are shown in micro-arcseconds."""
@@ -42,6 +42,12 @@ def unknown_symbol(label: str) -> str:
         above = rf"^\mathrm{{{part.capitalize()}}}" if part else ""
         return rf"${kind}_{{{degree},{order}}}{above}$"
     return r"$\varpi_0$" if label == "parallax_zero_point" else symbol(label)
+
+
+def by_unit(dataset: xr.Dataset) -> dict[str, NDArray[np.intp]]:
+    """Return the places of the unknowns of each unit."""
+    units = dataset["unit"].values
+    return {str(unit): np.flatnonzero(units == unit) for unit in dict.fromkeys(units.tolist())}
 
 
 def vectors(dataset: xr.Dataset) -> dict[str, list[int]]:

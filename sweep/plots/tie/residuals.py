@@ -11,8 +11,9 @@ from core.arrays import Array
 from core.constants import DEGREE
 from sweep.contract import SweepError
 from sweep.plots.sky import add_sky, on_map
-from sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked, unit_text
+from sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked
 from sweep.plots.tie.names import readable
+from sweep.readable import written
 
 MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
@@ -39,7 +40,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     """Return maps of the differences before and the residuals after the fit, of positions and of motions."""
     if "difference" not in dataset:
         raise SweepError("no residuals here: they are not kept of tables with so many rows")
-    pairs = [(name, pair) for name, pair in (("positions", (0, 1)), ("motions", (3, 4))) if _has(dataset, pair)]
+    pairs = [(name, pair) for name, pair in (("positions", [0, 1]), ("motions", [3, 4])) if _n_rows(dataset, pair)]
     if not pairs:
         raise SweepError("no residuals on the sky: no row has a position or a motion")
     width, height = figure_size(11.0, 3.3 * len(pairs) + 0.3)
@@ -53,13 +54,12 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
         scales = [_typical(arrows) for arrows in both]
         if scales[0] < COMMON_SCALE * scales[1] or scales[1] == 0.0:
             scales = [max(scales)] * 2
-        for column, (arrows, scale, when) in enumerate(
-            zip(both, scales, ("before the fit", "after the fit"), strict=True)
-        ):
+        for column, (arrows, scale) in enumerate(zip(both, scales, strict=True)):
             axes = add_sky(figure, places[2 * row + column])
             words = _draw(axes, arrows, scale, unit)
             averages = f", means of {len(arrows.ra)} cells" if _n_rows(dataset, pair) > MOST_ARROWS else ""
-            axes.set_title(in_lines(f"{what} {when}{averages}{words}", width if stacked else 0.5 * width), pad=10.0)
+            title = f"{what} {('before', 'after')[column]} the fit{averages}{words}"
+            axes.set_title(in_lines(title, width if stacked else 0.5 * width), pad=10.0)
             if row < len(pairs) - 1 or (stacked and not column):
                 axes.set_xlabel("")
             if column and not stacked:
@@ -67,17 +67,12 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     return figure
 
 
-def _has(dataset: xr.Dataset, pair: tuple[int, int]) -> bool:
-    return _n_rows(dataset, pair) > 0
+def _n_rows(dataset: xr.Dataset, pair: list[int]) -> int:
+    return int(np.sum(np.isfinite(dataset["difference"].values[:, pair]).all(axis=1)))
 
 
-def _n_rows(dataset: xr.Dataset, pair: tuple[int, int]) -> int:
-    return int(np.sum(np.isfinite(dataset["difference"].values[:, list(pair)]).all(axis=1)))
-
-
-def _arrows(dataset: xr.Dataset, name: str, pair: tuple[int, int]) -> _Arrows:
-    columns = list(pair)
-    values, errors = dataset[name].values[:, columns], dataset["difference_error"].values[:, columns]
+def _arrows(dataset: xr.Dataset, name: str, pair: list[int]) -> _Arrows:
+    values, errors = dataset[name].values[:, pair], dataset["difference_error"].values[:, pair]
     rows = np.isfinite(values).all(axis=1)
     source = dataset["row_source_index"].values[rows]
     ra, dec = dataset["ra"].values[source], dataset["dec"].values[source]
@@ -97,9 +92,8 @@ def _averaged(ra: Array, dec: Array, values: Array, errors: Array) -> _Arrows:
     weights = 1.0 / errors**2
     sums = [np.bincount(index, w * v) / np.bincount(index, w) for w, v in zip(weights.T, values.T, strict=True)]
     middle = np.arcsin((cells // (2 * BANDS) + 0.5) / BANDS * 2.0 - 1.0) / DEGREE
-    return _Arrows(
-        (cells % (2 * BANDS) + 0.5) * 180.0 / BANDS, middle, sums[0], sums[1], np.zeros(len(cells), dtype=bool)
-    )
+    across = (cells % (2 * BANDS) + 0.5) * 180.0 / BANDS
+    return _Arrows(across, middle, sums[0], sums[1], np.zeros(len(cells), dtype=bool))
 
 
 def _typical(arrows: _Arrows) -> float:
@@ -116,7 +110,7 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
     cut = length > LONGEST * scale
     shown = np.where(cut, LONGEST * scale / np.maximum(length, 1e-300), 1.0)
     angles = _angles(axes, x, y, arrows.east, arrows.north)
-    direction = np.radians(angles)
+    drawn_length, direction = length * shown, np.radians(angles)
     for chosen, colour in ((~arrows.dropped, COLOURS[0]), (arrows.dropped, COLOURS[1])):
         if not np.any(chosen):
             continue
@@ -124,8 +118,8 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
         drawn = axes.quiver(
             x[chosen],
             y[chosen],
-            (length * shown * np.cos(direction))[chosen],
-            (length * shown * np.sin(direction))[chosen],
+            (drawn_length * np.cos(direction))[chosen],
+            (drawn_length * np.sin(direction))[chosen],
             color=colour,
             angles=angles[chosen],
             scale=scale / TYPICAL,
@@ -139,7 +133,7 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
         if colour == COLOURS[0] or np.all(arrows.dropped):
             factor, readable_unit = readable(np.array([scale]), unit)
             key = _round(scale)
-            text = f"{factor * key:g} {unit_text(readable_unit)}"
+            text = f"{factor * key:g} {written(readable_unit)}"
             axes.quiverkey(drawn, 0.04, 0.02, key, text, labelpos="E", coordinates="axes", fontproperties={"size": 8})
     words = f"; {np.sum(cut)} arrow{'s' if np.sum(cut) > 1 else ''} cut" if np.any(cut) else ""
     return words + (f"; {np.sum(arrows.dropped)} dropped in red" if np.any(arrows.dropped) else "")

@@ -29,25 +29,14 @@ def separation_figure(dataset: xr.Dataset) -> Figure:
     edges = np.geomspace(0.05, top * 1.0001, number + 1) if far else np.linspace(0.0, LINEAR_UP_TO, number + 1)
     figure = Figure(figsize=figure_size(6.4, 4.2), layout="constrained")
     axes = figure.add_subplot()
-    axes.stairs(
-        np.histogram(before, edges)[0], edges, fill=True, color=COLOURS[4], alpha=0.55, label="before the fit, $X$"
-    )
-    axes.stairs(
-        np.histogram(after, edges)[0],
-        edges,
-        color=COLOURS[1],
-        linewidth=1.4,
-        label=r"after the fit, $\sqrt{2\,Q_i/n_i}$",
-    )
+    counts, counts_after = (np.histogram(one, edges)[0] for one in (before, after))
+    axes.stairs(counts, edges, fill=True, color=COLOURS[4], alpha=0.55, label="before the fit, $X$")
+    words = r"after the fit, $\sqrt{2\,Q_i/n_i}$"
+    axes.stairs(counts_after, edges, color=COLOURS[1], linewidth=1.4, label=words)
     x = np.geomspace(edges[0], edges[-1], 400) if far else np.linspace(0.0, edges[-1], 400)
     step = x * np.log(edges[1] / edges[0]) if far else edges[1] - edges[0]
-    axes.plot(
-        x,
-        len(before) * step * x * np.exp(-0.5 * x**2),
-        color="black",
-        linewidth=1.2,
-        label="Rayleigh: the errors are right",
-    )
+    expected = len(before) * step * x * np.exp(-0.5 * x**2)
+    axes.plot(x, expected, color="black", linewidth=1.2, label="Rayleigh: the errors are right")
     axes.axvline(limit, color="0.4", linestyle="dashed", linewidth=1.0, label=rf"$\sqrt{{2\ln N}}$ = {limit:.2f}")
     if far:
         axes.set_xscale("log")

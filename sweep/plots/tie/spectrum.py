@@ -7,7 +7,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.special import ndtri
 
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, MARKERS, figure_size, finish, logarithmic
+from sweep.plots.style import figure_size, finish, logarithmic, series
 
 THRESHOLD = 3.0
 MOST_SIGMA = 10.0
@@ -27,18 +27,13 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         upper, lower = grid[:, column]
         for number, field in enumerate(fields[part]):
             one = dataset.sel(field=field)
-            style = {"color": COLOURS[number], "marker": MARKERS[number], "markersize": 5.0}
+            style = {**series(number), "markersize": 5.0}
             shift = 0.06 * (2 * number - 1)
             kind = field.partition(" ")[2]
-            upper.plot(degree + shift, 1000.0 * np.sqrt(one["power"].values), linestyle="none", label=kind, **style)
-            upper.plot(
-                degree + shift,
-                1000.0 * np.sqrt(one["power_noise"].values),
-                color=COLOURS[number],
-                linestyle="dashed",
-                linewidth=1.0,
-                label=f"noise, {kind}",
-            )
+            signal, noise = (1000.0 * np.sqrt(one[name].values) for name in ("power", "power_noise"))
+            upper.plot(degree + shift, signal, linestyle="none", label=kind, **style)
+            line = {"color": style["color"], "linestyle": "dashed", "linewidth": 1.0}
+            upper.plot(degree + shift, noise, label=f"noise, {kind}", **line)
             significance = -ndtri(np.clip(one["power_probability"].values, 1e-300, 1.0))
             lower.plot(degree + shift, np.minimum(significance, MOST_SIGMA), linestyle="none", **style)
         shown = dataset[["power", "power_noise"]].sel(field=fields[part]).to_array().values
@@ -47,9 +42,8 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         lower.axhline(THRESHOLD, color="0.4", linestyle="dashed", linewidth=1.0)
         lower.set_ylim(-2.6, MOST_SIGMA + 0.8)
         lower.set_ylabel(r"significance [$\sigma$]")
-        lower.text(
-            0.99, 0.93, f"{MOST_SIGMA:g}: or more", transform=lower.transAxes, ha="right", va="center", fontsize=7
-        )
+        text = f"{MOST_SIGMA:g}: or more"
+        lower.text(0.99, 0.93, text, transform=lower.transAxes, ha="right", va="center", fontsize=7)
         lower.set_xlabel("degree $l$")
         lower.xaxis.set_major_locator(MaxNLocator(integer=True))
         lower.set_xlim(degree.min() - 0.5, degree.max() + 0.5)

@@ -6,8 +6,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, figure_size, finish, logarithmic, unit_text
+from sweep.plots.style import BAND, COLOURS, figure_size, finish, logarithmic
 from sweep.plots.tie.names import readable, unknown_symbol, vectors
+from sweep.readable import written
 
 MOST_NAMES = 20
 
@@ -29,7 +30,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
             label = unknown_symbol(str(dataset["unknown"].values[k]))
             axes.plot(steps, line, ".-", color=COLOURS[number], linewidth=1.0, markersize=3.0, label=label)
             axes.fill_between(steps, line - error, line + error, color=COLOURS[number], **BAND)
-        axes.set_ylabel(f"{name.replace('_', ' ')} [{unit_text(unit)}]")
+        axes.set_ylabel(f"{name.replace('_', ' ')} [{written(unit)}]")
         axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = dataset["step_chi2"].values / dataset["step_dof"].values

@@ -36,19 +36,11 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         gone = used & ~kept
         size = 14.0 if len(names) < 300 else 4.0
         some = kept & (own > 0.0)
-        axes.scatter(
-            own[some], ratio[some], s=size, color=COLOURS[0], alpha=0.6, linewidths=0.0, label=f"{some.sum()} kept"
-        )
+        dots = {"s": size, "color": COLOURS[0], "alpha": 0.6, "linewidths": 0.0}
+        axes.scatter(own[some], ratio[some], label=f"{some.sum()} kept", **dots)
         if np.any(gone):
-            axes.scatter(
-                np.full(gone.sum(), left),
-                ratio[gone],
-                s=16.0,
-                color=COLOURS[1],
-                marker="x",
-                linewidths=0.8,
-                label=f"{gone.sum()} dropped, of no weight",
-            )
+            crosses = {"s": 16.0, "color": COLOURS[1], "marker": "x", "linewidths": 0.8}
+            axes.scatter(np.full(gone.sum(), left), ratio[gone], label=f"{gone.sum()} dropped, of no weight", **crosses)
         axes.axhline(1.0, color="black", linewidth=0.8, zorder=1)
         axes.axvline(LARGE_SHARE, color="0.4", linestyle="dotted", linewidth=1.0, zorder=1)
         axes.set_xscale("log")

@@ -1,6 +1,7 @@
 """Closed forms, the closed loop, clips, influence and forecasts."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from core.constants import MAS
 from core.link import LinkError
 from core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
-from core.tie.forecast import Goal, choose, choose_exhaustively, with_new_rows
+from core.tie.forecast import Goal, choose, with_new_rows
 from core.tie.influence import influence
 from core.tie.normal_sums import NormalSums, group_sums, source_sums
 from core.tie.problem import Problem
@@ -288,6 +289,12 @@ def forecast_sums(n=9, years=4.0):
     rows = replace(satellite, correlations=None, epoch=satellite.epoch - 15.0)
     problem = Problem(satellite, rows, np.arange(n), parse_unknowns("orientation,spin"), 2016.0)
     return source_sums(problem), source_sums(with_new_rows(problem, [2016.0 + years], 0.05 * MAS)), problem
+
+
+def choose_exhaustively(now, new, number, goal):
+    """The best set of so many sources, all sets tried."""
+    gain, total = new.normal - now.normal, now.normal.sum(axis=0)
+    return min(combinations(range(len(gain)), number), key=lambda one: goal.value(total + gain[list(one)].sum(axis=0)))
 
 
 @pytest.mark.parametrize("criterion", ["A", "D"])

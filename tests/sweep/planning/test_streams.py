@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sweep.planning.plan import Block
@@ -24,7 +24,6 @@ def numpys(seed, name, *place):
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(*words, *place))))
 
 
-@settings(deadline=None)
 @given(
     seed=SEEDS,
     name=st.binary(min_size=16, max_size=16),

@@ -19,9 +19,10 @@ from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.plots import style
 from sweep.plots.figure import draw_figure, possible_kinds
+from sweep.plots.labels import symbol
 from sweep.plots.layout import arrange
 from sweep.plots.lines import draw_lines
-from sweep.plots.maps import draw_map
+from sweep.plots.maps import add_bar, colour_limits, draw_map
 from sweep.plots.scaling import draw_efficiency, draw_speed_up
 from sweep.plots.scatter import draw_scatter
 from sweep.plots.sky import add_sky, draw_sky
@@ -199,7 +200,9 @@ def test_a_law_of_several_lines_needs_one_dimension(dataset_of):
 def test_a_map_shows_the_values_in_their_places(dataset_of):
     dataset = dataset_of("error-surface")
     figure = Figure()
-    axes = draw_map(figure.add_subplot(), dataset, "sigma_spin", "reference_error_scale", "satellite_error_scale")
+    scales = ("reference_error_scale", "satellite_error_scale")
+    axes = draw_map(figure.add_subplot(), dataset, "sigma_spin", *scales, colour_limits(dataset, "sigma_spin"))
+    add_bar(figure, dataset, "sigma_spin")
     mesh = axes.collections[0]
     wanted = dataset["sigma_spin"].transpose("satellite_error_scale", "reference_error_scale").values
     assert np.asarray(mesh.get_array()).reshape(wanted.shape) == pytest.approx(wanted)
@@ -437,7 +440,7 @@ def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkey
     ],
 )
 def test_symbols(name, shown):
-    assert style.symbol(name) == shown
+    assert symbol(name) == shown
 
 
 def test_ticks_below_two_decades_all_have_numbers():

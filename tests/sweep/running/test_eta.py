@@ -124,7 +124,7 @@ def test_workers_that_are_gone_do_not_count():
     assert eta.left(30.0) == pytest.approx(140.0, rel=0.05)  # one of four is left
 
 
-@settings(max_examples=200, derandomize=True, deadline=None)
+@settings(max_examples=200, derandomize=True)
 @given(
     st.lists(st.tuples(st.floats(0, 1e6), st.floats(0, 1e12), st.floats(0, 1e6), st.floats(0, 1e12)), max_size=30),
     st.floats(0, 1e15),

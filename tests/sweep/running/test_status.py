@@ -128,7 +128,7 @@ def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
     }
 
 
-@settings(max_examples=200, derandomize=True, deadline=None)
+@settings(max_examples=200, derandomize=True)
 @given(
     st.lists(
         st.tuples(st.sampled_from([Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED]), st.integers(0, 9)),

@@ -38,7 +38,7 @@ numbers = st.tuples(
 )
 
 
-@settings(deadline=None, derandomize=True)
+@settings(derandomize=True)
 @given(st.lists(numbers, max_size=20))
 def test_the_table_is_read_back_as_it_was_written(tmp_path_factory, rows):
     columns = np.array(rows, dtype=np.int64).reshape(-1, 7)

@@ -189,7 +189,7 @@ def test_the_schema_refuses_what_plan_refuses(wrong):
 
 @pytest.mark.slow
 @given(documents())
-@settings(max_examples=30, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@settings(max_examples=30, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
 def test_what_plan_accepts_conforms_to_the_schema(document):
     without_files = {key: value for key, value in document.items() if key != "published"}
     try:

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, Table
+from astropy.time import Time
 
 from core.constants import ARCSEC, DEGREE, MAS
 from core.tie.astrometry import PAIRS, kinds
@@ -37,6 +39,15 @@ def gaia(path, made, **changes):
         table[name] = column
     table.write(path, overwrite=True)
     return path
+
+
+def test_columns_of_times_and_of_places_are_no_names(tmp_path):
+    table = Table({name: [1.0, 2.0] for name in ("ra", "dec", "ra_error", "dec_error")})
+    table["ref_epoch"] = 2016.0
+    table["when"] = Time([2016.0, 2017.0], format="jyear")
+    table["place"] = SkyCoord(table["ra"], table["dec"], unit="deg")
+    table.write(tmp_path / "t.ecsv")
+    assert read_table(tmp_path / "t.ecsv").names == {}
 
 
 @pytest.mark.parametrize("ending", ["ecsv", "fits", "vot", "csv", "parquet"])

@@ -4,7 +4,7 @@ import numpy as np
 
 from sweep.analysis.quantity import standard_error
 from sweep.analysis.readable_units import in_readable_units
-from sweep.plots.differences import differences
+from sweep.report.figures import differences
 
 
 def test_differences_are_in_errors_and_have_no_unit(dataset_of):

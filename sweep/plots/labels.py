@@ -1,0 +1,75 @@
+"""Labels: a symbol and its unit, as mathematics."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.attributes import units_of
+from sweep.readable import written
+
+GREEK = (
+    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),
+    *("pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
+)
+_NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d*)(?:_(\w+))?")
+
+
+def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
+    """Return how a name is set: the symbol of its attributes, Greek letters and single ones as such with an index."""
+    if attributes and (own := attributes.get("symbol")):
+        return str(own)
+    match = _NAME.fullmatch(name)
+    if match is None:
+        return name.replace("_", " ")
+    letter, digits, index = match.groups()
+    power = digits if letter == "chi" else ""  # of all others a number tells one from the next
+    index = "_".join(part for part in (digits.removeprefix(power), index) if part)
+    letter = rf"\{letter}" if letter in GREEK else letter
+    index = index and (index if len(index) == 1 else rf"\mathrm{{{index.replace('_', ',')}}}")
+    return f"${letter}{f'_{{{index}}}' if index else ''}{f'^{power}' if power else ''}$"
+
+
+def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
+    """Return the label of an axis: symbol and unit."""
+    unit = units_of(array.attrs) if unit is None else unit
+    return f"{symbol(name, array.attrs)} [{written(unit)}]" if unit else symbol(name, array.attrs)
+
+
+def axis_label(dataset: xr.Dataset, axis: str) -> str:
+    """Return the label of an axis; those that walk with it and have the same values stand beside it."""
+    dimension = dataset[axis].dims
+    names = [str(n) for n, c in dataset.coords.items() if c.dims == dimension and n != axis and c.dtype.kind in "if"]
+    same = [n for n in names if np.array_equal(dataset[n].values, dataset[axis].values)]
+    return " = ".join([label(dataset[axis], axis), *(label(dataset[n], n) for n in same)])
+
+
+def explained_label(array: xr.DataArray, name: str) -> str:
+    """Return the label of an axis with its name in words before its symbol."""
+    words, shown = name.replace("_", " "), label(array, name)
+    return shown if shown.startswith((words, f"{words} [")) else f"{words} {shown}"
+
+
+def quantity_label(dataset: xr.Dataset, variable: str) -> str:
+    """Return the label of a variable; of one component of it, if that is what the dataset holds."""
+    array = dataset[variable]
+    unit = units_of(array.attrs)
+    chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]
+    if "," not in unit or not chosen:
+        return label(array, variable)
+    units = [str(dataset[f"{n}_unit"].item()) for n in chosen]
+    inside = ", ".join(symbol(str(dataset[n].item())) for n in chosen)
+    text = f"{symbol(variable, array.attrs)}({inside})"
+    return f"{text} [{written(units[0])}]" if len(units) == 1 and units[0] else text
+
+
+def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
+    """Return a value of an axis as a legend names it."""
+    if isinstance(value, bool):
+        return f"{symbol(axis, dataset[axis].attrs)}: {'yes' if value else 'no'}"
+    if isinstance(value, str):
+        return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
+    unit = written(units_of(dataset[axis].attrs))
+    return f"{symbol(axis, dataset[axis].attrs)} = {value:g}" + (f" {unit}" if unit else "")

@@ -1,0 +1,107 @@
+"""Columns of an astrometric table as numbers, angles and text, and one list of all that is wrong with them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Array
+from core.constants import DEGREE
+from core.tie.astrometry import named_rows
+from sweep.formatting import first_of
+
+SEPARATORS = str.maketrans(dict.fromkeys(":hdms", " "))
+"""What stands between hours, minutes and seconds, made blank."""
+
+
+class ColumnReader:
+    """Reads columns of one astropy Table and collects what is wrong with them."""
+
+    def __init__(self, table: Any) -> None:
+        self.table = table
+        self.problems: list[str] = []
+
+    def kind(self, name: str) -> str:
+        """Return what NumPy calls the kind of a column's values, "O" for those of no array."""
+        return str(getattr(getattr(self.table[name], "dtype", None), "kind", "O"))
+
+    def angle(self, name: str, hours: bool) -> Array:
+        """Return a column of angles in rad; text is sexagesimal, in ``hours`` or degrees."""
+        from astropy import units
+
+        column = self.table[name]
+        if self.kind(name) in "USO":
+            return self._sexagesimal(name, hours)
+        unit = column.unit or (units.rad if name.endswith("rad") else units.deg)
+        if hours and column.unit is None and not name.endswith(("deg", "rad")) and _like_hours(self.numbers(name)):
+            self.problems.append(
+                f"column {name!r} has no unit and runs over 0..24, as hours do; say --unit ra=hourangle (or ra=deg)"
+            )
+        try:
+            return np.asarray(self.numbers(name) * units.Unit(unit).to("rad"))
+        except (units.UnitsError, ValueError, TypeError):
+            self.problems.append(f"column {name!r} is in {unit}, which is no angle")
+            return np.full(len(self.table), np.nan)
+
+    def _sexagesimal(self, name: str, hours: bool) -> Array:
+        found, bad = np.full(len(self.table), np.nan), []
+        for i, text in enumerate(np.ma.filled(np.ma.asarray(self.table[name]).astype(str), "")):
+            parts = text.translate(SEPARATORS).split()
+            if not parts:
+                continue
+            try:
+                size = sum(abs(float(part)) / 60.0**k for k, part in enumerate(parts))
+            except ValueError:
+                size = np.nan
+            if len(parts) != 3 or not np.isfinite(size):
+                bad.append(i)
+            else:
+                found[i] = (-size if parts[0].startswith("-") else size) * DEGREE * (15.0 if hours else 1.0)
+        if bad:
+            what = "hours, minutes and seconds" if hours else "degrees, minutes and seconds"
+            self.problems.append(f"column {name!r} does not hold {what} in {named_rows(np.array(bad))}")
+        return found
+
+    def in_unit(self, name: str, unit: str) -> Array:
+        """Return a column in a unit, which it has where it does not say."""
+        from astropy import units
+
+        values, own = self.numbers(name), self.table[name].unit
+        if own is None:
+            return values
+        try:
+            return np.asarray(values * units.Unit(own).to(unit))
+        except (units.UnitsError, ValueError, TypeError):
+            self.problems.append(f"column {name!r} is in {own}, not convertible to {unit}")
+            return values
+
+    def numbers(self, name: str) -> Array:
+        """Return a column as float64 without its unit, NaN where it is missing."""
+        column = self.table[name]
+        if self.kind(name) not in "fiu" or column.ndim != 1:
+            self.problems.append(f"column {name!r} does not hold numbers")
+            return np.full(len(self.table), np.nan)
+        return np.asarray(np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(np.float64), np.nan))
+
+    def text(self, name: str) -> NDArray[np.str_]:
+        """Return a column of names, integers too, as text."""
+        column = self.table[name]
+        if self.kind(name) in "iu" and not np.any(np.ma.getmaskarray(column)):
+            return np.asarray(column).astype(np.str_)  # millions of source_id
+        return np.array([" ".join(str(v).split()) for v in column])
+
+    def check(self, bad: NDArray[np.bool_], what: str) -> None:
+        """Note that rows have something wrong, where ``bad`` holds."""
+        rows = np.flatnonzero(bad)
+        if len(rows):
+            self.problems.append(f"{what} in {named_rows(rows)}")
+
+    def listed(self) -> str:
+        """Return the names of the first columns."""
+        return first_of(list(self.table.colnames), 20)
+
+
+def _like_hours(ra: Array) -> bool:
+    """Return whether numbers without a unit may be hours: ten or more within 0 to 24, over more than half of it."""
+    known = ra[np.isfinite(ra)]
+    return len(known) >= 10 and known.min() >= 0.0 and known.max() <= 24.0 and bool(np.ptp(known) > 12.0)
