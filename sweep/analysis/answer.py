@@ -60,8 +60,12 @@ def answer_in_short(dataset: xr.Dataset) -> list[str]:
     """
     if found := conclusion_in_words(dataset):
         return found
-    ranges = [answer for answer in answers(dataset) if answer.sentences][:MOST_SHORT]
-    return [f"{a.name}{f' ({a.meaning})' if a.meaning else ''}: {a.sentences[0]}" for a in ranges]
+    ranges = [answer for answer in answers(dataset) if answer.sentences]
+    return [f"{_named(answer)}: {answer.sentences[0]}" for answer in ranges[:MOST_SHORT]]
+
+
+def _named(answer: "Answer") -> str:
+    return f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name
 
 
 def headline(dataset: xr.Dataset) -> list[str]:

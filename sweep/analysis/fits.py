@@ -87,11 +87,7 @@ def weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], 
     Raises ValueError for a covariance that is not positive definite, or from samples with points of no error.
     """
     if not np.isfinite(samples):
-        try:
-            root = cholesky(covariance, lower=True)
-        except (LinAlgError, ValueError) as error:
-            raise ValueError("the covariance between the points is not positive definite") from error
-        return (lambda vector: np.asarray(solve_triangular(root, vector, lower=True))), np.eye(len(covariance))
+        return _inverse_root_of(covariance), np.eye(len(covariance))
     own = np.sqrt(np.diag(covariance))
     if not np.all(own > 0.0):
         raise ValueError("the covariance between the points has points without error")
@@ -136,3 +132,14 @@ def are_known(errors: Array) -> bool:
 def relative_covariance(y: Array, errors: Array) -> Array:
     """Return the covariance of log y to first order, (n, n), from errors (n,) or a covariance (n, n) of y."""
     return np.diag((errors / y) ** 2) if errors.ndim == 1 else errors / np.outer(y, y)
+
+
+def _inverse_root_of(covariance: Array) -> Callable[[Array], Array]:
+    """Return the function that multiplies with the inverse of the Cholesky factor of a covariance (n, n): it makes
+    errors independent and one.  Raises ValueError if there is none.
+    """
+    try:
+        root = cholesky(covariance, lower=True)
+    except (LinAlgError, ValueError) as error:
+        raise ValueError("the covariance between the points is not positive definite") from error
+    return lambda vector: np.asarray(solve_triangular(root, vector, lower=True))

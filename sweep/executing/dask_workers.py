@@ -19,10 +19,8 @@ LOOK_EVERY_S = 1.0
 PATIENCE_S = 3.0
 """Without workers before the user is told: one that died is replaced in less."""
 
-MAX_ATTEMPTS = 6
-"""To bring the workers what they need, while some of them go."""
-
-FIRST_PAUSE_S = 0.25
+MAX_ATTEMPTS, PAUSE_S = 6, 0.25
+"""To bring the workers what they need while some of them go, and the time between two of these."""
 
 
 class DaskWorkers:
@@ -81,7 +79,7 @@ class DaskWorkers:
             except OSError:
                 if self.client.status != "running" or attempt == MAX_ATTEMPTS - 1:
                     raise
-                time.sleep(FIRST_PAUSE_S)
+                time.sleep(PAUSE_S)
 
     def look_if_due(self) -> None:
         """Look, unless that was done a moment ago."""

@@ -19,7 +19,7 @@ from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.point_status import Status
 from sweep.studies.study import POINT, Published, printed_rounding
 
-dask_arrays_only_where_imported()
+dask_arrays_only_where_imported()  # before the first dataset that is made here; `snapshot.decode` does for those read
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
