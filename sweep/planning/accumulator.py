@@ -1,6 +1,5 @@
 """The accumulator of a run: the sums of each point so far, and which blocks it still needs."""
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,26 +10,13 @@ from numpy.typing import NDArray
 from sweep.contract import Array, Value, check_finite
 from sweep.planning.block_rows import BlockRows
 from sweep.planning.grid import AT_ONCE, GridPoint
-from sweep.planning.plan import MOST_SHARING, SHARED, Block, Plan, PlanSize, Work, ledger_key
+from sweep.planning.plan import Block, Plan, PlanSize, Work, ledger_key
 from sweep.planning.point_status import Status
-
-LARGEST_STEP = 16
-"""A point that is not precise enough gets at most so many times the realisations that it has, then is asked again."""
-
+from sweep.planning.precision import wanted_parts
+from sweep.planning.survey import Survey, cost_together
 
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 """As integers, which NumPy compares with its own ten times as fast as with members of an enumeration."""
-
-
-@dataclass(frozen=True)
-class Survey:
-    """How large a plan is, as far as known, how much of it the ledger holds, and how much is pending; the rest are
-    points that failed.
-    """
-
-    total: PlanSize
-    held: PlanSize
-    pending: PlanSize
 
 
 @dataclass(slots=True)
@@ -100,7 +86,7 @@ class Accumulator:
             for cost, points in costs.items():
                 total += self.plan.size(cost, points)
             self.plan.check_size(total.blocks)
-            return Survey(total, all_held, replace(total, cost=_cost_together(groups)) if common else total)
+            return Survey(total, all_held, replace(total, cost=cost_together(groups)) if common else total)
         if self._whole is not None:
             return self._survey_of_whole_points(self._whole, sums)
         for point in self.plan.grid.points():
@@ -113,7 +99,7 @@ class Accumulator:
                 pending += left
                 if common:
                     groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
-        return Survey(total, all_held, replace(pending, cost=_cost_together(groups)) if common else pending)
+        return Survey(total, all_held, replace(pending, cost=cost_together(groups)) if common else pending)
 
     def _only_block(self) -> Block | None:
         """Return the block that is all of every point, None where there are more or they differ from point to point."""
@@ -252,37 +238,13 @@ class Accumulator:
         if kept:
             experiment = self.plan.grid.study.experiment
             self.total[point.index, experiment.sums_width :] = experiment.of_samples(np.concatenate(kept))
-        wanted = self._wanted_parts(point.index, parts, cost)
+        wanted = wanted_parts(self.plan, cost, parts, self.total[[point.index]])
         if wanted > parts:
             self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept)
             return list(self._blocks(point))
         del self._rounds[point.index]
         self.status[point.index] = Status.DONE
         return []
-
-    def _wanted_parts(self, index: int, parts: int, cost: float) -> int:
-        """Return how many parts a point needs for its precision, judged by the sums of those that it has: these alone
-        decide, so that the number is the same in every run.
-        """
-        study = self.plan.grid.study
-        sampling, precision = study.sampling, study.sampling.precision
-        if precision is None:
-            return parts
-        n_sim = self.plan.realisations(cost, parts)
-        n = np.array([float(sampling.n_cat * n_sim)])
-        try:
-            results = study.experiment.results(self.total[index : index + 1], n, np.array([float(sampling.n_cat)]))
-        except Exception:  # of a user's function: the point ends here, and `failing` says why
-            return parts
-        with np.errstate(divide="ignore", invalid="ignore"):
-            errors = [np.abs(results[e] / results[value]) for value, e in study.experiment.errors_of_headline()]
-        worst = max(float(np.max(error)) for error in errors)
-        if study.experiment.further_width and math.isnan(worst):
-            return min(2 * parts, self.plan.parts(cost, sampling.most))  # too few for the error of a quantile
-        if math.isnan(worst) or worst <= precision:
-            return parts
-        needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
-        return min(max(parts + 1, self.plan.parts(cost, needed)), self.plan.parts(cost, sampling.most))
 
 
 def _among(digests: Sequence[bytes], some: Collection[bytes]) -> NDArray[np.bool_]:
@@ -304,17 +266,3 @@ def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Excep
         half = len(indices) // 2
         return failing(accumulator, indices[:half]) | failing(accumulator, indices[half:])
     return {}
-
-
-def _cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:
-    """Return what is left of points, each with the cost of its realisations, that draw together with those of their
-    group: the costliest draws, the others only make something of it (see `Plan.work`).
-    """
-    total = 0.0
-    for members in groups.values():
-        for start in range(0, len(members), MOST_SHARING):
-            piece = members[start : start + MOST_SHARING]
-            draws = max(range(len(piece)), key=lambda k: piece[k][0])
-            for k, (cost, left) in enumerate(piece):
-                total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
-    return total

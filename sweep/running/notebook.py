@@ -7,8 +7,8 @@ from html import escape
 from typing import Any
 
 from sweep.executing.task import TaskResult
-from sweep.planning.accumulator import Survey
 from sweep.planning.plan import Work
+from sweep.planning.survey import Survey
 from sweep.running.eta import Eta, in_words
 from sweep.running.writer import Taken
 

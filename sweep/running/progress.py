@@ -14,9 +14,9 @@ from rich.text import Text
 from sweep.executing.task import TaskResult
 from sweep.formatting import counted
 from sweep.interrupt import how_ended
-from sweep.planning.accumulator import Survey
 from sweep.planning.grid import describe
 from sweep.planning.plan import Work
+from sweep.planning.survey import Survey
 from sweep.running.eta import Eta, in_words
 from sweep.running.run_summary import RunSummary, failed_points
 from sweep.running.writer import Taken

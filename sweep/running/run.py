@@ -12,9 +12,10 @@ from sweep.executing.execute import Executor, Place
 from sweep.executing.task import TaskResult
 from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
-from sweep.planning.accumulator import Accumulator, Survey
+from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Plan, Work
+from sweep.planning.survey import Survey
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import Done, as_rows, first_results

@@ -11,9 +11,9 @@ from click.testing import CliRunner
 
 from sweep.cli import main
 from sweep.executing.task import TaskResult
-from sweep.planning.accumulator import Survey
 from sweep.planning.grid import make_grid
 from sweep.planning.plan import Block, PlanSize, Work
+from sweep.planning.survey import Survey
 from sweep.running.eta import in_words
 from sweep.running.progress import SENTENCES, TerminalProgress
 from sweep.running.run_summary import RunSummary, failed_points
