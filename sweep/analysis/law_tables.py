@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
+from sweep.analysis.columns import GAP, Column, fitting
 from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
+from sweep.analysis.long_table import axis_coordinates
 from sweep.analysis.selection import places_along
-from sweep.analysis.tables import GAP, Column, axis_coordinates, fitting
 from sweep.attributes import units_of
 from sweep.formatting import fixed, plain, reading_table, to_json, with_error
 from sweep.readable import prefixed, with_unit

@@ -109,7 +109,7 @@ def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], a
 
 def _print(result: Any, as_json: bool) -> None:
     from sweep.analysis import law_tables as analysis_tables
-    from sweep.analysis.tables import left_out_in_words
+    from sweep.analysis.columns import left_out_in_words
 
     if as_json:
         click.echo(analysis_tables.as_json(result))

@@ -88,27 +88,28 @@ def _realisations_in_words(report: dict[str, Any]) -> dict[str, str]:
 
 def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:
     """Print the results of a dataset, the components of some points if they are wanted, and what is to be known."""
-    from sweep.analysis import components, tables
+    from sweep.analysis import components, headline_table, long_table
+    from sweep.analysis.columns import left_out_in_words
 
     if table_format == "text":
         width = table_width()
-        print_whole(tables.as_text(dataset, width))
+        table, folded = headline_table.as_text(dataset, width)
+        print_whole(table)
         if with_components and (lines := components.component_lines(dataset)):
             click.echo("\n".join(["", *lines, ""]))
-        told = filter(None, [*tables.warnings_of(dataset), components.condition_warning(dataset)])
+        told = filter(None, [*headline_table.warnings_of(dataset), components.condition_warning(dataset)])
         print_sentences(f"warning: {sentence}" for sentence in told)
-        print_sentences([*tables.arrays_in_words(dataset), *tables.exactly_published(dataset)])
-        if folded := tables.fitting(tables.headline_columns(dataset, tables.MOST_ROWS), width)[1]:
-            words = f"left out to fit {width} columns: {tables.left_out_in_words(folded)}; --format csv has them"
-            print_sentences([words])
-        if left_out := tables.rows_left_out(dataset):
+        print_sentences([*headline_table.arrays_in_words(dataset), *headline_table.exactly_published(dataset)])
+        if folded:
+            print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --format csv has them"])
+        if left_out := headline_table.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):
             click.echo(
                 f"INCOMPLETE: {dataset.attrs.get('points_done')} of {dataset.attrs.get('points')} points are done"
             )
     else:
-        write = {"csv": tables.as_csv, "ecsv": tables.as_ecsv, "json": tables.as_json}[table_format]
+        write = {"csv": long_table.as_csv, "ecsv": long_table.as_ecsv, "json": long_table.as_json}[table_format]
         click.echo(write(dataset).rstrip("\n"))
 
 

@@ -10,8 +10,9 @@ import numpy as np
 from sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
 from sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
 from sweep.functions.layout import SLOTS, Layout, layout_of_json
+from sweep.functions.named_results import Declared
 from sweep.functions.realisations import Realisations, drawn
-from sweep.functions.results import Declared, Flat, flatten, split_points
+from sweep.functions.results import Flat, flatten, split_points
 from sweep.functions.signature import Signature, name_of, signature_of
 
 COUNT = 1

@@ -9,7 +9,8 @@ import numpy as np
 
 from sweep.contract import Array, Output, ResultError
 from sweep.functions.layout import Field, Layout, differences, held
-from sweep.functions.results import Declared, Flat
+from sweep.functions.named_results import Declared
+from sweep.functions.results import Flat
 from sweep.functions.statistics import (
     MOMENTS,
     merged,

@@ -15,8 +15,8 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from sweep.analysis.answer import ERRORS_ALLOWED
 from sweep.analysis.quantity import prediction_name, standard_error
+from sweep.analysis.sentences import ERRORS_ALLOWED
 from sweep.contract import SweepError
 from sweep.plots.caption import caption, description
 from sweep.plots.figure import draw_figure

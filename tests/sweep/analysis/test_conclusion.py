@@ -7,8 +7,8 @@ import pytest
 
 from sweep.analysis.answer import answer_in_short, answers
 from sweep.analysis.conclusion import conclusion_in_words
+from sweep.analysis.headline_table import headline_columns
 from sweep.analysis.quantity import main_quantity
-from sweep.analysis.tables import headline_columns
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status
 from sweep.studies.reader import load_study, study_from_dict

@@ -9,7 +9,8 @@ import click
 import pytest
 import xarray as xr
 
-from sweep.analysis.tables import GAP, fitting, headline_columns
+from sweep.analysis.columns import GAP, fitting
+from sweep.analysis.headline_table import headline_columns
 from sweep.cli import main
 from sweep.cli.group import SECTIONS
 from sweep.stores.store import open_dataset

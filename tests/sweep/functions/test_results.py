@@ -12,7 +12,8 @@ import xarray as xr
 
 from sweep.contract import NotFiniteError, Output, ResultError
 from sweep.functions.layout import differences, held
-from sweep.functions.results import Declared, flatten, split_points
+from sweep.functions.named_results import Declared
+from sweep.functions.results import flatten, split_points
 
 PLAIN = Declared("f", "f", (), ("beta",))
 

@@ -169,16 +169,16 @@ def test_a_title_is_shown_as_it_is_written(coins, tmp_path):
     """Square brackets are markup to the library that draws the table."""
     from rich.console import Console
 
-    from sweep.analysis.tables import as_text
+    from sweep.analysis.headline_table import as_text
 
     dataset, _ = run(coins | {"title": "Coins [/mas] [bold]x"}, tmp_path / "s.zarr")
     console = Console(file=io.StringIO(), width=200)
-    console.print(as_text(dataset))
+    console.print(as_text(dataset)[0])
     assert "Coins [/mas] [bold]x" in " ".join(console.file.getvalue().split())
 
 
 def test_a_table_for_reading_says_what_it_leaves_out(coins, tmp_path, capsys):
-    from sweep.analysis.tables import MOST_ROWS
+    from sweep.analysis.headline_table import MOST_ROWS
     from sweep.cli.output import print_table
 
     axes = {"coins": {"start": 1, "stop": MOST_ROWS + 7, "step": 1}}

@@ -1,0 +1,167 @@
+"""The table of the headline results for reading: values with their errors, predictions, published values."""
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.analysis.columns import Column, fitting
+from sweep.analysis.long_table import Long, array_outputs, axes_of, axis_coordinates, long_table, own_dimensions
+from sweep.analysis.quantity import (
+    PREDICTION_SUFFIXES,
+    headline_variables,
+    prediction_name,
+    standard_error,
+    with_values,
+)
+from sweep.analysis.readable_units import in_readable_units
+from sweep.formatting import first_of, is_missing, plain, reading_table, rounded, with_error
+from sweep.planning.point_status import Status
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+VISIBLE_BIAS = 1e-3
+"""The parts of a prediction are shown where its bias adds a larger share to what the errors make."""
+
+
+VALUE, PUBLISHED, PREDICTED, PARTS = 0, 1, 2, 4
+"""Ranks of the columns of the main quantity; those of others come later by `OTHER`."""
+
+OTHER = 3
+
+
+ERROR = "error of {}"
+"""The column, in tables that are made for reading, of the whole one-sigma error of a variable."""
+
+MOST_ROWS = 200
+"""Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
+
+
+def as_text(dataset: xr.Dataset, width: int | None = None) -> tuple["Table", list[Column]]:
+    """Return the headline results for reading: value +- one-sigma error, prediction, published value and
+    difference; of the first `MOST_ROWS` points, and of the columns those that go into ``width`` characters, and the
+    columns that are left out.
+    """
+    columns, left_out = fitting(headline_columns(dataset, MOST_ROWS), width)
+    rows = zip(*(column.cells for column in columns), strict=True)
+    table = reading_table(str(dataset.attrs.get("title", "")), [column.heading for column in columns], rows)
+    return table, left_out
+
+
+def exactly_published(dataset: xr.Dataset) -> list[str]:
+    """Return a sentence for each headline quantity that is everywhere as it was published."""
+    exact = [name for name in headline_variables(dataset) if _is_exact(dataset, name)]
+    counts = {name: int(dataset[f"{name}_published"].count()) for name in exact}
+    return [
+        f"{name}: {f'all {n} published values are' if n > 1 else 'the published value is'} met exactly"
+        for name, n in counts.items()
+    ]
+
+
+def _is_exact(dataset: xr.Dataset, name: str) -> bool:
+    published = dataset.get(f"{name}_published")
+    if published is None:
+        return False
+    known = published.notnull()
+    return bool(known.any() and (dataset[name].where(known) == published).where(known, True).all())
+
+
+def warnings_of(dataset: xr.Dataset) -> list[str]:
+    """Return what the experiment warned of when the run began."""
+    return list(json.loads(dataset.attrs.get("warnings", "[]")))
+
+
+def rows_left_out(dataset: xr.Dataset, most: int = MOST_ROWS) -> int:
+    """Return how many points a table of the first ``most``, as `as_text` makes one, leaves out."""
+    return max(0, int((dataset["status"] != Status.EXCLUDED).sum()) - most)
+
+
+def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:
+    """Return the columns of the headline results in units that read well: axes, values with errors, prediction,
+    published and difference; of all points or of the first ones.
+    """
+    dataset = in_readable_units(dataset)
+    names = [name for name in headline_variables(dataset) if name not in array_outputs(dataset)]
+    known = {name: error for name in names if (error := standard_error(dataset, name)) is not None}
+    status = dataset["status"].values.reshape(-1)
+    finished = bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED)))
+    places = np.flatnonzero(status != Status.EXCLUDED)[:most]
+    long = long_table(dataset.assign({ERROR.format(name): e for name, e in known.items()}), places)
+    columns = [
+        Column(name, long[name][0], [plain(v) for v in long[name][1]], long[name][1])
+        for name in axis_coordinates(dataset, axes_of(dataset))
+    ]
+    names = with_values(dataset, [name for name in headline_variables(dataset) if name in long])
+    for number, name in enumerate(names):
+        later = OTHER if number else 0
+        columns += [replace(one, of=name, rank=later + one.rank) for one in _columns_of(dataset, long, name)]
+    words = long["status"][1]
+    return columns if finished else [*columns, Column("status", "", words, words)]
+
+
+def _columns_of(dataset: xr.Dataset, long: Long, name: str) -> Iterator[Column]:
+    """Yield the columns of one result."""
+    unit, values = long[name]
+    if name in array_outputs(dataset):
+        yield Column(name, unit, list(map(_span, values)), list(map(str, values)), rank=VALUE)
+        return
+    _, errors = long.get(ERROR.format(name), ("", [0.0] * len(values)))
+    yield Column(name, unit, list(map(with_error, values, errors)), values, rank=VALUE)
+    if (predicted := long.get(prediction_name(long, name))) is not None:
+        yield Column("predicted", unit, list(map(rounded, predicted[1], errors)), predicted[1], rank=PREDICTED)
+        yield from _parts(long, name, errors)
+    _, published = long.get(f"{name}_published", ("", []))
+    if not all(map(is_missing, published)) and not _is_exact(dataset, name):
+        yield Column("published", unit, list(map(rounded, published)), published, rank=PUBLISHED)
+        differences = list(map(_relative, values, published))
+        yield Column("difference", "", list(map(_in_percent, differences)), differences, rank=PUBLISHED)
+
+
+def arrays_in_words(dataset: xr.Dataset) -> list[str]:
+    """Return a sentence for each output of a plain function that the table for reading has not, or only in part."""
+    sentences = []
+    for name in array_outputs(dataset):
+        along = " and ".join(f"{dataset.sizes[dim]:,} along {dim}" for dim in own_dimensions(dataset, name))
+        sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --json` has them")
+    return sentences
+
+
+def _span(values: Any) -> str:
+    """Return an array of one point in short: its least and its largest number."""
+    flat = np.array(values).reshape(-1)
+    if flat.dtype.kind not in "biuf":
+        return first_of(flat.tolist(), 1)
+    known = flat[np.isfinite(flat)]
+    return f"{rounded(float(known.min()))} to {rounded(float(known.max()))}" if known.size else ""
+
+
+def _parts(long: Long, name: str, errors: list[float]) -> list[Column]:
+    """Return the parts of a prediction, of errors alone and of the bias, where there is a bias that can be seen."""
+    whole, part = (long.get(f"{name}_{suffix}") for suffix in PREDICTION_SUFFIXES)
+    if whole is None or part is None:
+        return []
+    pairs = list(zip(whole[1], part[1], strict=True))
+    if not any(total > (1.0 + VISIBLE_BIAS) * alone for total, alone in pairs):
+        return []
+    bias = [math.sqrt(max(0.0, total**2 - alone**2)) for total, alone in pairs]
+    return [
+        Column(heading, whole[0], list(map(rounded, values, errors)), values, rank=PARTS)
+        for heading, values in (("of errors", part[1]), ("of bias", bias))
+    ]
+
+
+def _in_percent(difference: float) -> str:
+    if is_missing(difference):
+        return ""
+    return "none" if difference == 0.0 else f"{100.0 * difference:+.1f} %"
+
+
+def _relative(value: float, published: float) -> float:
+    if value == published:
+        return 0.0
+    return value / published - 1.0 if published else math.nan

@@ -1,0 +1,150 @@
+"""What can be said of any quantity: its range, what changes it, its errors, how it agrees with its prediction."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
+from sweep.analysis.selection import coordinates_along, place_in_words
+from sweep.contract import Array
+from sweep.formatting import counted
+from sweep.planning.point_status import Status
+from sweep.readable import with_unit
+from sweep.studies.provenance import outer_draw_of
+from sweep.studies.study import POINT
+
+ERRORS_ALLOWED = 3.0
+"""A value agrees with its prediction if it is so many of its errors from it."""
+
+ERROR_WORDS = {"mc_error": "Monte Carlo", "catalogue_error": "the choice of catalogues"}
+"""Where the errors of `sweep.analysis.quantity.ERROR_SUFFIXES` come from."""
+
+VISIBLE_FACTOR = 1.005
+"""An axis that changes a quantity by less is not said to change it."""
+
+NEGLIGIBLE = 1e-4
+"""Values that are a smaller share of the largest one are left out where it is said by what factor an axis changes a
+quantity: a corner of the grid without errors would make it a number that nobody can use.
+"""
+
+
+def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
+    """Yield sentences about a variable with one value a point, in a unit."""
+    dims = [str(d) for d in part["status"].dims]
+    values = part[variable].transpose(*dims).values.astype(float)
+    known = standard_error(part, variable)
+    errors = np.zeros(values.shape) if known is None else known.transpose(*dims).values.astype(float)
+    finite = np.isfinite(values)
+    if not finite.any():
+        yield "No point has a value yet."
+        return
+    values = np.where(finite, values, np.nan)
+    yield _range(part, values, errors, unit)
+    if sentence := _what_changes_it(dims, values):
+        yield sentence
+    of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
+    known_ones = [words for words, error in of.items() if error is not None and bool(error.notnull().any())]
+    origin = " and ".join(known_ones).replace("catalogue", outer_draw_of(part.attrs))
+    if sentence := _accuracy(values[finite], errors[finite], origin):
+        yield sentence
+    for whole in unknown_parts(part, variable):
+        sentence = whole.removeprefix(f"{variable}: ")
+        yield f"{sentence[0].upper()}{sentence[1:]}."
+    predicted = part.get(prediction_name(part, variable))
+    if predicted is not None:
+        whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+        without_bias = whole_name not in part and errors_alone in part and "bias" in part
+        left_out = ", which leaves a bias out" if without_bias else ""
+        if sentence := _agreement(values, errors, predicted.transpose(*dims).values, left_out):
+            yield sentence
+    if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
+        points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
+        yield f"At {points} done it is not a finite number."
+
+
+def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
+    def number(index: tuple[Any, ...]) -> str:
+        return with_unit(float(values[index]), float(errors[index]), unit)
+
+    low = np.unravel_index(np.nanargmin(values), values.shape)
+    high = np.unravel_index(np.nanargmax(values), values.shape)
+    count = int(np.isfinite(values).sum())
+    if values.size == 1:
+        return f"It is {number(low)}."
+    if count == 1:
+        return f"One point has a value: {number(low)} at {_place(part, low)}."
+    if values[low] == values[high]:
+        return f"It is {number(low)} at {_all(count, 'point')}."
+    return (
+        f"Over {count} points it goes from {number(low)}, at {_place(part, low)}, "
+        f"to {number(high)}, at {_place(part, high)}."
+    )
+
+
+def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:
+    point = part.isel(dict(zip(part["status"].dims, map(int, index), strict=True)))
+    names = [name for d in part["status"].dims for name in coordinates_along(part, str(d))]
+    return place_in_words({name: point[name].item() for name in names})
+
+
+def _what_changes_it(dims: list[str], values: Array) -> str:
+    """Say by what factor a positive quantity changes at most along each axis, the others being equal."""
+    if values.ndim == 0 or np.nanmin(values) < 0.0 or np.nanmax(values) == np.nanmin(values):
+        return ""
+    values = np.where(values >= NEGLIGIBLE * np.nanmax(values), values, np.nan)
+    factors = {}
+    for axis, dim in enumerate(dims):
+        if dim == POINT:
+            continue  # its points differ in several parameters at once
+        lines = np.moveaxis(values, axis, -1).reshape(-1, values.shape[axis])
+        seen = lines[np.isfinite(lines).sum(axis=1) > 1]
+        if len(seen):
+            factors[dim] = float(np.max(np.nanmax(seen, axis=1) / np.nanmin(seen, axis=1)))
+    order = sorted((dim for dim in dims if factors.get(dim, 0.0) >= VISIBLE_FACTOR), key=lambda dim: -factors[dim])
+    if not order:
+        return ""
+    words = [f"{dim} by a factor of up to {_factor(factors[dim])}" for dim in order]
+    return f"What changes it: {', '.join(words)}{', all else being equal' if len(dims) > 1 else ''}."
+
+
+def _factor(factor: float) -> str:
+    return f"{factor:.2f}" if factor < 10.0 else f"{float(f'{factor:.3g}'):,g}" if factor < 1e6 else f"{factor:.1e}"
+
+
+def _accuracy(values: Array, errors: Array, origin: str) -> str:
+    use = (errors > 0.0) & (values != 0.0)
+    if not use.any():
+        return ""
+    relative = 100.0 * errors[use] / np.abs(values[use])
+    low, high = f"{relative.min():.2g}", f"{relative.max():.2g}"
+    share = low if low == high else f"{low} to {high}"
+    return f"Its one-sigma error, from {origin}, is {share} % of it."
+
+
+def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) -> str:
+    both = np.isfinite(values) & np.isfinite(predicted) & (predicted != 0.0)
+    count = int(both.sum())
+    if not count:
+        return ""
+    farthest = float(np.max(np.abs(values[both] / predicted[both] - 1.0)))
+    text = f"{100.0 * farthest:.2g} %"
+    if not (errors[both] > 0.0).all():
+        return f"It differs from its prediction{left_out} by {'' if count == 1 else 'at most '}{text}."
+    deviations = np.abs(values[both] - predicted[both]) / errors[both]
+    within = int(np.sum(deviations <= ERRORS_ALLOWED))
+    largest = math.floor(10.0 * float(deviations.max()) + 0.5) / 10.0
+    apart = f"{largest:g} {'error' if largest == 1.0 else 'errors'}"
+    if count == 1:
+        return f"It is {apart}, or {text}, from its prediction{left_out}."
+    share = f"{_all(count, 'value')} are" if within == count else f"{within} of {count:,} values are"
+    return (
+        f"{share.capitalize()} within {ERRORS_ALLOWED:g} of their errors of the prediction{left_out}; "
+        f"the largest difference is {apart}, or up to {text}."
+    )
+
+
+def _all(count: int, noun: str) -> str:
+    return f"both {noun}s" if count == 2 else f"all {counted(count, noun)}"
