@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from core.calibration import IN_CODE, draw_skies, spin_variance
+from core.calibration import IN_CODE
 from core.experiment import link
+from core.spin_variance import draw_skies, spin_variance
 from sweep.executing.choose import Resources
 from sweep.running.run import run_study
 from sweep.studies.reader import load_study

@@ -15,10 +15,8 @@ from core.calibration import (
     MODEL_ERROR,
     PAPER_MC_ERROR,
     Fit,
-    Kind,
     Model,
     PublishedSigma,
-    Skies,
     all_skies,
     chi2_of,
     constants_of,
@@ -28,6 +26,7 @@ from core.calibration import (
     published_model,
 )
 from core.catalogue import N_GALAXIES
+from core.spin_variance import Kind, Skies
 from sweep.formatting import WIDTH, reading_table
 from sweep.readable import in_ascii
 

@@ -6,8 +6,10 @@ from matplotlib.axes import Axes
 
 from sweep.attributes import units_of
 from sweep.plots.labels import label, quantity_label
+from sweep.plots.legends import legend
 from sweep.plots.points import told_apart
-from sweep.plots.style import COLOURS, finish, is_wide, legend, logarithmic
+from sweep.plots.scales import is_wide, logarithmic
+from sweep.plots.style import COLOURS, finish
 from sweep.studies.study import POINT
 
 FEW_CURVES = 12

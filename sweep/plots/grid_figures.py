@@ -12,13 +12,14 @@ from sweep.contract import SweepError, shown, suggest
 from sweep.plots.curves import draw_curves
 from sweep.plots.law import draw_law
 from sweep.plots.layout import Layout, arrange
+from sweep.plots.legends import legend_below
 from sweep.plots.lines import draw_lines
 from sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
 from sweep.plots.panels import draw_panels
 from sweep.plots.point import draw_point
 from sweep.plots.points import pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
-from sweep.plots.style import figure_size, is_narrow, is_stacked, legend_below, line_inches, wanted_width, wrapped
+from sweep.plots.style import figure_size, is_narrow, is_stacked, line_inches, wanted_width, wrapped
 from sweep.studies.study import POINT
 
 BELOW_LINES, BELOW_LINE_INCHES = 12, 0.2

@@ -13,7 +13,9 @@ from sweep.analysis.lines import lines
 from sweep.contract import Array
 from sweep.formatting import with_error
 from sweep.plots.labels import label, quantity_label, symbol, value_text
-from sweep.plots.style import BAND, finish, legend, logarithmic, series
+from sweep.plots.legends import legend
+from sweep.plots.scales import logarithmic
+from sweep.plots.style import BAND, finish, series
 
 GUIDE: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
 

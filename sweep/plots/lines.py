@@ -11,7 +11,9 @@ from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
 from sweep.plots.labels import axis_label, quantity_label, value_text
-from sweep.plots.style import BAND, COLOURS, finish, is_wide, legend, logarithmic, series
+from sweep.plots.legends import legend
+from sweep.plots.scales import is_wide, logarithmic
+from sweep.plots.style import BAND, COLOURS, finish, series
 
 NO_LINE = {"linestyle": "none"}
 PUBLISHED: Mapping[str, Any] = NO_LINE | {"marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.attributes import units_of
 from sweep.plots.labels import explained_label, quantity_label
-from sweep.plots.style import edges, is_wide, logarithmic
+from sweep.plots.scales import edges, is_wide, logarithmic
 
 LEVELS = 8
 DECADES = 30.0

@@ -13,7 +13,8 @@ from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError
 from sweep.plots.labels import value_text
 from sweep.plots.layout import Layout, is_far
-from sweep.plots.style import figure_size, in_lines, is_narrow, least_height, legend_below, most_columns, wanted_width
+from sweep.plots.legends import legend_below
+from sweep.plots.style import figure_size, in_lines, is_narrow, least_height, most_columns, wanted_width
 
 MOST_INSIDE = 4
 """A legend of more entries stands below the one panel, where it covers nothing."""

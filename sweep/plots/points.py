@@ -17,7 +17,9 @@ from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
 from sweep.contract import SweepError
 from sweep.plots.labels import label, quantity_label, value_text
-from sweep.plots.style import COLOURS, finish, is_wide, legend, logarithmic, series
+from sweep.plots.legends import legend
+from sweep.plots.scales import is_wide, logarithmic
+from sweep.plots.style import COLOURS, finish, series
 from sweep.studies.study import POINT
 
 MOST_PARAMETERS = 12

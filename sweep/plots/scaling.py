@@ -6,7 +6,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, figure_size, finish, legend, logarithmic, series, wrapped
+from sweep.plots.legends import legend
+from sweep.plots.scales import logarithmic
+from sweep.plots.style import BAND, COLOURS, figure_size, finish, series, wrapped
 
 DIMENSIONS = {"kind", "workers"}
 VARIABLES = {"seconds", "efficiency"}

@@ -10,7 +10,8 @@ from scipy.special import chdtri
 
 from sweep.contract import SweepError
 from sweep.plots.labels import label, symbol
-from sweep.plots.style import COLOURS, finish, legend
+from sweep.plots.legends import legend
+from sweep.plots.style import COLOURS, finish
 from sweep.readable import prefixed, written
 
 CONFIDENCES = (0.683, 0.954)

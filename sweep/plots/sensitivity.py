@@ -9,7 +9,8 @@ from sweep.analysis.sensitivity import METHOD
 from sweep.attributes import units_of
 from sweep.contract import SweepError
 from sweep.plots.labels import label, symbol
-from sweep.plots.style import BAND, COLOURS, finish, legend, series
+from sweep.plots.legends import legend
+from sweep.plots.style import BAND, COLOURS, finish, series
 from sweep.readable import written
 
 WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}

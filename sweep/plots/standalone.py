@@ -6,8 +6,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from sweep.plots.labels import label
+from sweep.plots.legends import legend
+from sweep.plots.scales import logarithmic
 from sweep.plots.sky import add_sky, draw_sky
-from sweep.plots.style import BAND, COLOURS, figure_size, finish, legend, logarithmic, wrapped
+from sweep.plots.style import BAND, COLOURS, figure_size, finish, wrapped
 
 LINES = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
 

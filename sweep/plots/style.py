@@ -8,21 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-from numpy.typing import NDArray
 
-from sweep.attributes import LOGARITHMIC_UNITS
 from sweep.contract import SweepError
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 """Safe for the colour-blind.  Source: Okabe & Ito 2008."""
-
-LEGEND_INCHES = (0.6, 0.065)
-"""Width of an entry of a legend, and of each of its letters."""
 
 MARKERS = "osD^vP*X"
 BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
@@ -74,19 +66,10 @@ INSIDE_PT = 25.0
 STACKED_INCHES = 6.0
 """A narrower figure has one part below the other."""
 
-LAST = ("predicted", "published")
-"""What is the same for all series stands at the end of a legend."""
-
 LEGEND_LINE = 1.6
 """Height of a line of a legend over the size of its letters."""
 
 _width: ContextVar[float | None] = ContextVar("width", default=None)
-
-FEW_TICKS = 8.0
-"""Over less than this factor ticks at 1, 2 and 5 of each decade are too few."""
-
-WIDE_RATIO = 5.0
-"""Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
 
 
 @contextmanager
@@ -170,7 +153,7 @@ def in_lines(text: str, inches: float, least: int = 12) -> str:
     for part in text.split("\n"):
         line, *words = part.split(" ")
         for word in words:
-            if _shown_letters(f"{line} {word}") > letters:
+            if shown_letters(f"{line} {word}") > letters:
                 lines.append(line)
                 line = word
             else:
@@ -202,15 +185,6 @@ def save_text(text: str, path: Path) -> None:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
-def is_wide(values: Any, unit: str = "") -> bool:
-    """Return whether numbers need a logarithmic axis."""
-    known = np.asarray(values, dtype=float)
-    known = known[np.isfinite(known)]
-    if unit in LOGARITHMIC_UNITS or not known.size or known.min() <= 0.0:
-        return False
-    return bool(known.max() > WIDE_RATIO * known.min())
-
-
 def series(number: int) -> dict[str, Any]:
     """Return colour and marker of the ``number``-th series of a panel."""
     return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
@@ -224,69 +198,6 @@ def finish(axes: Axes, grid: bool = True) -> None:
         axes.set_axisbelow(True)
 
 
-def logarithmic(axes: Axes, which: str, values: Any) -> None:
-    """Make an axis logarithmic; over less than two decades it has ticks at 1, 2 and 5 of each, all with numbers."""
-    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-    known = np.asarray(values, dtype=float)
-    known = known[np.isfinite(known) & (known > 0.0)]
-    if known.size and known.max() < 100.0 * known.min():
-        axis = axes.xaxis if which == "x" else axes.yaxis
-        subs = (1.0, 2.0, 5.0) if known.max() > FEW_TICKS * known.min() else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-        axis.set_major_locator(LogLocator(subs=subs))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
-        axis.set_minor_formatter(NullFormatter())
-
-
-def edges(places: NDArray[np.float64], logarithm: bool) -> NDArray[np.float64]:
-    """Return the borders of cells around ascending places on an axis, halfway between them on its scale."""
-    scale = np.log(places) if logarithm else places
-    if len(scale) == 1:
-        whole = np.array([scale[0] - 0.5, scale[0] + 0.5])
-    else:
-        middle = (scale[1:] + scale[:-1]) / 2.0
-        whole = np.concatenate([[2.0 * scale[0] - middle[0]], middle, [2.0 * scale[-1] - middle[-1]]])
-    return np.exp(whole) if logarithm else whole
-
-
-def _tick(value: float) -> str:
-    """Return a number of one digit as a tick shows it."""
-    if not value > 0.0:
-        return ""
-    power = int(np.floor(np.log10(value) + 1e-9))
-    if -4 <= power <= 4:
-        return f"{value:g}"
-    digit = value / 10.0**power
-    return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
-
-
-def legend_below(figure: Figure) -> None:
-    """Draw one legend below all axes instead of one in each, where there is more than one thing to tell apart."""
-    entries: dict[str, Any] = {}
-    for axes in figure.axes:
-        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries.setdefault(text, handle)
-        if (own := axes.get_legend()) is not None:
-            own.remove()
-    if len(entries) > 1:
-        order = [text for text in entries if text not in LAST] + [text for text in LAST if text in entries]
-        scale = float(mpl.rcParams["font.size"]) / 9.0
-        width = scale * (LEGEND_INCHES[0] + LEGEND_INCHES[1] * max(map(_shown_letters, order)))
-        columns = max(1, min(len(order), int(figure.get_figwidth() / width)))
-        handles = [entries[text] for text in order]
-        figure.legend(handles, order, loc="outside lower center", ncols=columns, frameon=False)
-        if _width.get() is not None:  # the panels keep their height
-            lines = -(-len(order) // columns)
-            figure.set_figheight(figure.get_figheight() + lines * line_inches())
-
-
-def _shown_letters(text: str) -> int:
+def shown_letters(text: str) -> int:
     """Return about how many letters a text shows, without the words of its mathematics."""
     return len(re.sub(r"\\[a-z]+|[${}^_]", "", text)) + 1
-
-
-def legend(axes: Axes, **options: Any) -> None:
-    """Draw a legend if there is more than one thing to tell apart."""
-    handles, labels = axes.get_legend_handles_labels()
-    if len(labels) > 1:  # points before lines: matplotlib alone would put all error bars last
-        order = sorted(range(len(labels)), key=lambda i: not isinstance(handles[i], ErrorbarContainer))
-        axes.legend([handles[i] for i in order], [labels[i] for i in order], frameon=False, **options)

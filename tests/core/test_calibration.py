@@ -3,17 +3,7 @@
 import numpy as np
 import pytest
 
-from core.calibration import (
-    IN_CODE,
-    PublishedSigma,
-    all_skies,
-    constants_of,
-    curve_of,
-    draw_skies,
-    fit,
-    published_model,
-    spin_variance,
-)
+from core.calibration import IN_CODE, PublishedSigma, all_skies, constants_of, curve_of, fit, published_model
 from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Sky, radio_stars, resample
 from core.constants import MAS
 from core.design import design_matrix
@@ -21,6 +11,7 @@ from core.errors import MagnitudeErrors
 from core.link import solve
 from core.missions import MISSIONS
 from core.quasars import quasars
+from core.spin_variance import draw_skies, spin_variance
 from sweep.paper.calibrate import published_numbers
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from astropy import units
 
-from core.calibration import IN_CODE, PublishedSigma, curve_of, draw_skies, fit, published_model, spin_variance
+from core.calibration import IN_CODE, PublishedSigma, curve_of, fit, published_model
 from core.catalogue import Catalogue
 from core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
 from core.design import design_matrix
@@ -19,6 +19,7 @@ from core.link import condition_number, solve
 from core.prepared import Draw, prepare
 from core.projected import neglected
 from core.shared_arrays import Prefixes
+from core.spin_variance import draw_skies, spin_variance
 
 
 def point(**changes):

@@ -7,7 +7,8 @@ from matplotlib.ticker import MaxNLocator
 from scipy.special import ndtri
 
 from sweep.contract import SweepError
-from sweep.plots.style import figure_size, finish, logarithmic, series
+from sweep.plots.scales import logarithmic
+from sweep.plots.style import figure_size, finish, series
 
 THRESHOLD = 3.0
 MOST_SIGMA = 10.0

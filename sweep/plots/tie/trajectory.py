@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from sweep.contract import SweepError
-from sweep.plots.style import BAND, COLOURS, figure_size, finish, logarithmic
+from sweep.plots.scales import logarithmic
+from sweep.plots.style import BAND, COLOURS, figure_size, finish
 from sweep.plots.tie.names import readable, unknown_symbol, vectors
 from sweep.readable import written
 

@@ -8,7 +8,8 @@ from scipy.special import chdtrc
 
 from core.arrays import Array
 from sweep.contract import SweepError
-from sweep.plots.style import COLOURS, figure_size, finish, is_stacked, legend
+from sweep.plots.legends import legend
+from sweep.plots.style import COLOURS, figure_size, finish, is_stacked
 from sweep.plots.tie.names import kept_sources, name_points
 
 NAMED = 8

@@ -17,7 +17,7 @@ from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
-from sweep.plots import style
+from sweep.plots import scales, style
 from sweep.plots.figure import draw_figure, possible_kinds
 from sweep.plots.labels import symbol
 from sweep.plots.layout import arrange
@@ -233,7 +233,7 @@ def test_two_axes_of_any_study_make_maps(dataset_of):
     ("places", "logarithm"), [([1.0, 2.0, 4.0], False), ([1.0, 10.0, 100.0], True), ([3.0], False)]
 )
 def test_cells_surround_their_places(places, logarithm):
-    borders = style.edges(np.array(places), logarithm)
+    borders = scales.edges(np.array(places), logarithm)
     assert len(borders) == len(places) + 1
     assert np.all(borders[:-1] < places)
     assert np.all(borders[1:] > places)
@@ -446,7 +446,7 @@ def test_symbols(name, shown):
 def test_ticks_below_two_decades_all_have_numbers():
     axes = Figure().add_subplot()
     axes.plot([1, 2], [1.4e-5, 9e-5])
-    style.logarithmic(axes, "y", [1.4e-5, 9e-5])
+    scales.logarithmic(axes, "y", [1.4e-5, 9e-5])
     labels = [axes.yaxis.get_major_formatter()(tick, 0) for tick in (1e-5, 2e-5, 5e-5)]
     assert labels == ["$10^{-5}$", r"$2\times10^{-5}$", r"$5\times10^{-5}$"]
     assert axes.yaxis.get_major_formatter()(0.005, 0) == "0.005"

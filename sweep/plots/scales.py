@@ -1,0 +1,60 @@
+"""Scales of axes: which are logarithmic, their ticks, the borders of cells."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from sweep.attributes import LOGARITHMIC_UNITS
+
+FEW_TICKS = 8.0
+"""Over less than this factor ticks at 1, 2 and 5 of each decade are too few."""
+
+WIDE_RATIO = 5.0
+"""Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
+
+
+def is_wide(values: Any, unit: str = "") -> bool:
+    """Return whether numbers need a logarithmic axis."""
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known)]
+    if unit in LOGARITHMIC_UNITS or not known.size or known.min() <= 0.0:
+        return False
+    return bool(known.max() > WIDE_RATIO * known.min())
+
+
+def logarithmic(axes: Axes, which: str, values: Any) -> None:
+    """Make an axis logarithmic; over less than two decades it has ticks at 1, 2 and 5 of each, all with numbers."""
+    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+    known = np.asarray(values, dtype=float)
+    known = known[np.isfinite(known) & (known > 0.0)]
+    if known.size and known.max() < 100.0 * known.min():
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        subs = (1.0, 2.0, 5.0) if known.max() > FEW_TICKS * known.min() else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+        axis.set_major_locator(LogLocator(subs=subs))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
+        axis.set_minor_formatter(NullFormatter())
+
+
+def edges(places: NDArray[np.float64], logarithm: bool) -> NDArray[np.float64]:
+    """Return the borders of cells around ascending places on an axis, halfway between them on its scale."""
+    scale = np.log(places) if logarithm else places
+    if len(scale) == 1:
+        whole = np.array([scale[0] - 0.5, scale[0] + 0.5])
+    else:
+        middle = (scale[1:] + scale[:-1]) / 2.0
+        whole = np.concatenate([[2.0 * scale[0] - middle[0]], middle, [2.0 * scale[-1] - middle[-1]]])
+    return np.exp(whole) if logarithm else whole
+
+
+def _tick(value: float) -> str:
+    """Return a number of one digit as a tick shows it."""
+    if not value > 0.0:
+        return ""
+    power = int(np.floor(np.log10(value) + 1e-9))
+    if -4 <= power <= 4:
+        return f"{value:g}"
+    digit = value / 10.0**power
+    return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
