@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.measured import SWEEP, Measured, Size, Target, watch
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Plan
 from sweep.studies.reader import load_study
 

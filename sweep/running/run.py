@@ -13,7 +13,7 @@ from sweep.executing.task import TaskResult
 from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Plan, Work
 from sweep.planning.survey import Survey
 from sweep.planning.tuning import TUNED, Tuning

@@ -24,7 +24,7 @@ from core.simulate import simulate
 from core.systematics import Systematics, parse_pattern, pattern_field, rms
 from core.zonal import Field, ZonalErrors
 from sweep.contract import SweepError
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.studies.reader import study_from_dict
 
 NORMAL = {"satellite_errors": "normal"}

@@ -10,7 +10,7 @@ from core.experiment import evaluate, link
 from core.parameters import PARAMETERS
 from core.unused import CATALOGUE_PARAMETERS, ERROR_PARAMETERS
 from sweep.contract import SweepError
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.studies.reader import study_from_dict
 
 

@@ -5,7 +5,7 @@ import xarray as xr
 
 from sweep.executing.worker import run_block
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.streams import generators_of
 from sweep.running.covariance import covariances

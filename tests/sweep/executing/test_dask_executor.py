@@ -14,7 +14,7 @@ from sweep.executing.task import failed
 from sweep.executing.versions import identity
 from sweep.executing.worker_plugin import Answer
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Plan
 from sweep.planning.work_queue import Pending
 from sweep.studies.reader import study_from_dict

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Plan
 from sweep.planning.work_queue import Pending
 from sweep.studies.reader import study_from_dict

@@ -9,7 +9,7 @@ import pytest
 
 from sweep.contract import Experiment, Output, Parameter
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Block, Plan, ledger_key
 from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending

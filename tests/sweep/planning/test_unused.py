@@ -3,7 +3,7 @@
 import pytest
 
 from sweep.contract import SweepError
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.studies.reader import study_from_dict
 
 SHAPES = """

@@ -9,7 +9,7 @@ import xarray as xr
 
 from sweep.executing.choose import Resources
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Plan
 from sweep.planning.streams import generators
 from sweep.planning.tuning import Tuning

@@ -9,7 +9,7 @@ from astropy import units as u
 
 from sweep.contract import Experiment, Output, Parameter, SweepError
 from sweep.executing.choose import Resources
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.running.covariance import squared
 from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from sweep.cli import main
 from sweep.executing.task import TaskResult
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Block, PlanSize, Work
 from sweep.planning.survey import Survey
 from sweep.running.eta import in_words

@@ -10,7 +10,7 @@ from jsonschema import Draft202012Validator
 
 from sweep.contract import SweepError
 from sweep.load import load_experiment
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.studies.reader import study_from_dict
 from sweep.studies.schema import study_schema
 from sweep.studies.template import NOT_HERE, new_study

@@ -10,7 +10,7 @@ from astropy.table import MaskedColumn, Table
 
 from linksweep import Parameter, SweepError, experiment
 from sweep.contract import Parameter as Declared
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.studies.designs import DESIGNS
 from sweep.studies.live import study_of_function
 from sweep.studies.ranges import Range, read_range

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from sweep.cli import main
 from sweep.contract import SweepError
-from sweep.planning.grid import make_grid
+from sweep.planning.checked_grid import make_grid
 from sweep.studies.reader import load_study, study_from_dict
 from tests.sweep.mutations import ROOT, mutants
 from tests.tiers import slow
