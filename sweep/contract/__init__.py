@@ -5,7 +5,7 @@ This package and NumPy are all that an experiment needs; the platform knows noth
 
 from sweep.contract.checked import Array, NotFiniteError, ResultError, check_finite, checked
 from sweep.contract.errors import FEW, DefinitionError, SweepError, shown, suggest
-from sweep.contract.experiment import Evaluate, Experiment, Summarise
+from sweep.contract.experiment import Evaluate, Experiment, GeneratorPair, Summarise
 from sweep.contract.output import Output
 from sweep.contract.parameter import Define, Function, Kind, Named, Parameter, Point, Value
 from sweep.contract.samples import FEWEST_SAMPLES, small_sample_factor
@@ -19,6 +19,7 @@ __all__ = [
     "Evaluate",
     "Experiment",
     "Function",
+    "GeneratorPair",
     "Kind",
     "Named",
     "NotFiniteError",

@@ -14,6 +14,9 @@ from sweep.contract.errors import SweepError, shown, suggest
 from sweep.contract.output import Output
 from sweep.contract.parameter import Parameter, Point, Value
 
+GeneratorPair = tuple[np.random.Generator, np.random.Generator]
+"""The generators of a block's realisations and of the catalogue that they are of."""
+
 
 class Evaluate(Protocol):
     """The function that does the work of one block for one catalogue."""
@@ -38,9 +41,7 @@ class Evaluate(Protocol):
 class EvaluateCatalogues(Protocol):
     """The function that does the work of one block for several catalogues."""
 
-    def __call__(
-        self, points: Sequence[Point], n_sim: int, streams: Sequence[tuple[np.random.Generator, np.random.Generator]]
-    ) -> Mapping[str, Any]:
+    def __call__(self, points: Sequence[Point], n_sim: int, streams: Sequence[GeneratorPair]) -> Mapping[str, Any]:
         """Return what `Evaluate` returns for each (rng, catalogue_rng) of ``streams``, to the last bit; each of shape
         (len(streams), len(points), *shape).
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Experiment, Point, check_finite, checked
+from sweep.contract import Experiment, GeneratorPair, Point, check_finite, checked
 from sweep.executing.captured import Captured, captured
 from sweep.executing.deadlines import Deadlines, TimeLimitError
 from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, failure_of, joined, too_long
@@ -17,7 +17,7 @@ from sweep.executing.together import alike, catalogues_together, points_together
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat
 from sweep.load import load_experiment
-from sweep.planning.streams import Pair, block_generators, generators_of
+from sweep.planning.streams import block_generators, generators_of
 
 ENOUGH_S = 2.0
 """A task that takes longer hands back what it has, so that results are not kept waiting for those of slower points."""
@@ -66,7 +66,7 @@ def _one_by_one(
     defaults = experiment.defaults()
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     named = [(unit.stream, unit.block) for unit in units]
-    pairs_of = repeat(list[Pair]()) if experiment.deterministic else block_generators(task.seed, named)
+    pairs_of = repeat(list[GeneratorPair]()) if experiment.deterministic else block_generators(task.seed, named)
     for unit, pairs in zip(units, pairs_of, strict=False):
         result = failed(len(unit.points), experiment.sums_width)
         for stream, point, reason in given_up:
@@ -92,7 +92,7 @@ def _try(
     points: Sequence[Point],
     rows: list[int],
     unit: PointBlock,
-    pairs: Sequence[Pair],
+    pairs: Sequence[GeneratorPair],
     task: Task,
     result: TaskResult,
     deadlines: Deadlines,
@@ -122,7 +122,7 @@ def _try(
 
 
 def function_values(
-    experiment: FunctionExperiment, points: Sequence[Point], n_sim: int, pairs: Sequence[Pair]
+    experiment: FunctionExperiment, points: Sequence[Point], n_sim: int, pairs: Sequence[GeneratorPair]
 ) -> list[Flat]:
     """Return the results of a plain function at points: of one evaluation each, or of a block of realisations of the
     catalogue of each pair of generators.
@@ -135,7 +135,11 @@ def function_values(
 
 
 def run_block(
-    experiment: Experiment, points: Sequence[Point], n_sim: int, pairs: Sequence[Pair], keep_samples: bool = False
+    experiment: Experiment,
+    points: Sequence[Point],
+    n_sim: int,
+    pairs: Sequence[GeneratorPair],
+    keep_samples: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, where
     they are to be kept, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.random.bit_generator import ISpawnableSeedSequence
 from numpy.typing import NDArray
 
+from sweep.contract import GeneratorPair
 from sweep.planning.plan import Block
 
 Words = NDArray[np.uint32]
-Pair = tuple[np.random.Generator, np.random.Generator]
+
 Place = tuple[bytes, int, int]
 
 POOL, STATE = 4, 3
@@ -35,7 +36,7 @@ HASHES = 64
 """Steps of the hash that may be needed: four for each word of a name."""
 
 
-def generators(seed: int, name: bytes, catalogue: int, part: int) -> Pair:
+def generators(seed: int, name: bytes, catalogue: int, part: int) -> GeneratorPair:
     """Return the generators of the realisations ``part`` of a catalogue and of the catalogue itself."""
 
     def stream(*place: int) -> np.random.Generator:
@@ -46,13 +47,13 @@ def generators(seed: int, name: bytes, catalogue: int, part: int) -> Pair:
     return stream(catalogue, 1, part), stream(catalogue, 0)
 
 
-def generators_of(seed: int, name: bytes, block: Block) -> list[Pair]:
+def generators_of(seed: int, name: bytes, block: Block) -> list[GeneratorPair]:
     """Return what `generators` returns for each catalogue of a block."""
     (pairs,) = block_generators(seed, [(name, block)])
     return pairs
 
 
-def block_generators(seed: int, blocks: Iterable[tuple[bytes, Block]]) -> Iterator[list[Pair]]:
+def block_generators(seed: int, blocks: Iterable[tuple[bytes, Block]]) -> Iterator[list[GeneratorPair]]:
     """Yield what `generators` returns for each catalogue of each block, whose stream is named."""
     group: list[list[Place]] = []
     for name, block in blocks:
@@ -64,14 +65,14 @@ def block_generators(seed: int, blocks: Iterable[tuple[bytes, Block]]) -> Iterat
     yield from _grouped(seed, group)
 
 
-def _grouped(seed: int, group: Sequence[Sequence[Place]]) -> Iterator[list[Pair]]:
+def _grouped(seed: int, group: Sequence[Sequence[Place]]) -> Iterator[list[GeneratorPair]]:
     places = [place for block in group for place in block]
     found = iter(_many(seed, places) if len(places) >= FEWEST_AT_ONCE else [generators(seed, *p) for p in places])
     for block in group:
         yield [next(found) for _ in block]
 
 
-def _many(seed: int, places: Sequence[Place]) -> list[Pair]:
+def _many(seed: int, places: Sequence[Place]) -> list[GeneratorPair]:
     """Return the generators of each place, from hashes of all together."""
     starts = [_start(seed, name) + struct.pack("<I", catalogue) for name, catalogue, _ in places]
     words = np.frombuffer(b"".join(starts), "<u4").reshape(len(starts), -1).T.astype(np.uint32)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from sweep.contract import Experiment, ResultError, SweepError, shown, suggest
+from sweep.contract import Experiment, GeneratorPair, ResultError, SweepError, shown, suggest
 from sweep.executing.task import TaskResult
 from sweep.executing.worker import function_values, run_block
 from sweep.formatting import first_of
@@ -18,7 +18,7 @@ from sweep.planning.accumulator import Accumulator, failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan, Work
 from sweep.planning.point_status import Status
-from sweep.planning.streams import Pair, generators_of
+from sweep.planning.streams import generators_of
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import as_rows
 from sweep.running.results import assemble
@@ -158,7 +158,7 @@ def _values(study: Study, experiment: FunctionExperiment, work: Work) -> list[Fl
     return function_values(experiment, points, work.block.n_sim, _generators(study, work))
 
 
-def _generators(study: Study, work: Work) -> list[Pair]:
+def _generators(study: Study, work: Work) -> list[GeneratorPair]:
     return generators_of(study.sampling.seed, work.points[0].stream, work.block)
 
 

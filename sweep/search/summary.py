@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from core.arrays import Array
 from core.constants import ARCSEC
 from core.galaxy_classes import CLASS_NAMES, REASON_NAMES, second_epoch_pm_error
+from sweep.formatting import reading_table
 from sweep.search.options import Search
 from sweep.search.result import Result, match_columns
 from sweep.search.tables import MAGNITUDES
@@ -109,52 +110,38 @@ def summary_text(summary: Mapping[str, Any]) -> "list[RenderableType]":
 
 
 def _classes_table(summary: Mapping[str, Any]) -> "Table":
-    found = _table(
-        "class",
-        "n",
-        "ra_error\n\\[mas]",
-        "dec_error\n\\[mas]",
-        summary["magnitude"] or "magnitude",
-        "second-epoch pm error\nra, dec \\[mas / yr]",
-    )
-    for name, row in summary["classes"].items():
-        motion = [value for value in row["pm_error_mas_yr"].values() if value is not None]
-        found.add_row(
+    motions = "second-epoch pm error\nra, dec [mas / yr]"
+    heads = ["class", "n", "ra_error\n[mas]", "dec_error\n[mas]", summary["magnitude"] or "magnitude", motions]
+    rows = (
+        (
             name,
             f"{row['n']:,}",
             _plus_minus(row["ra_error_mas"], 0),
             _plus_minus(row["dec_error_mas"], 0),
             _plus_minus(row["magnitude"], 1),
-            ", ".join(f"{value:.2g}" for value in motion),
+            ", ".join(f"{value:.2g}" for value in row["pm_error_mas_yr"].values() if value is not None),
         )
-    return found
+        for name, row in summary["classes"].items()
+    )
+    return reading_table("", heads, rows, left="class")
 
 
 def _catalogues_table(summary: Mapping[str, Any]) -> "Table":
-    heads = ("entries", "radius\n\\[arcsec]", "pairs", "matches", "chance pairs\nuniform sky", "\nfrom surroundings")
-    catalogues = _table("catalogue", *heads)
-    for name, row in summary["catalogues"].items():
-        local, error = row["chance_pairs_local"], row["chance_pairs_local_error"]
-        catalogues.add_row(
+    heads = ["catalogue", "entries", "radius\n[arcsec]", "pairs", "matches"]
+    chances = ["chance pairs\nuniform sky", "\nfrom surroundings"]
+    rows = (
+        (
             name,
             f"{row['entries']:,}",
             f"{row['radius_arcsec']:g}",
             f"{row['pairs']:,}",
             f"{row['matches']:,}",
             f"{row['chance_pairs_uniform']:.3g}",
-            f"{local:.3g} ± {error:.1g}",
+            f"{row['chance_pairs_local']:.3g} ± {row['chance_pairs_local_error']:.1g}",
         )
-    return catalogues
-
-
-def _table(first: str, *others: str) -> "Table":
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column(first, no_wrap=True)
-    for head in others:
-        table.add_column(head, justify="right", no_wrap=True)
-    return table
+        for name, row in summary["catalogues"].items()
+    )
+    return reading_table("", heads + chances, rows, left="catalogue")
 
 
 def _plus_minus(value: Mapping[str, float | None] | None, digits: int) -> str:

@@ -160,6 +160,14 @@ def test_text_shows_means_with_scatter_and_the_proper_motion_error(folder):
     assert re.search(r"uncertain +1 +120 +130 +12\.5 +6, 6\.5", text)
 
 
+def test_names_of_tables_are_shown_as_they_are(folder):
+    """Square brackets are markup to the library that draws the table."""
+    (folder / "wide.csv").rename("wide [red].csv")
+    result = run("stars.fits", "wide [red].csv", "--error", "wide [red]=1")
+    assert result.exit_code == 0, result.output
+    assert re.search(r"^wide \[red\] +4 ", result.stdout, re.MULTILINE), result.stdout
+
+
 def test_second_epoch_of_the_summary(folder):
     report = json.loads(run(*ARGUMENTS, "--json", "--epoch-difference", "10", "--second-epoch-error", "50").stdout)
     assert report["classes"]["certain"]["pm_error_mas_yr"]["ra"] == pytest.approx(13.0)
