@@ -19,7 +19,7 @@ from sweep.planning.point_warnings import PointWarnings
 from sweep.planning.unused import UnusedSettings
 from sweep.studies.designs import remarks
 from sweep.studies.study import POINT, Study
-from sweep.tablefile import as_json
+from sweep.tables.file import as_json
 
 MAX_POINTS = 10_000_000
 MAX_PROBLEMS = 20
