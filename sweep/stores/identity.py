@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sweep.contract import Named
-from sweep.stores.ledger import shapes_of
+from sweep.stores.ledger_arrays import shapes_of
 from sweep.stores.root import FORMAT
 from sweep.studies.designs import DESIGNS
 from sweep.studies.study import Study
