@@ -128,7 +128,9 @@ class Parameter:
             return self._as_written(raw)
         if self.kind in ("float", "int"):
             return self._number(raw) if self.kind == "float" else self._whole(raw)
-        if (self.kind == "bool" and isinstance(raw, bool)) or (self.kind == "file" and isinstance(raw, str)):
+        if self.kind == "bool" and not isinstance(raw, bool):
+            raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")  # whatever the bounds
+        if self.kind == "bool" or (self.kind == "file" and isinstance(raw, str)):
             return raw
         if self.kind == "map" and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
             return tuple(sorted(raw.items()))
