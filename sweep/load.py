@@ -109,11 +109,8 @@ def _digest(module: ModuleType) -> str | None:
     path = getattr(module, "__file__", None)
     if path is None or not str(path).endswith(".py") or not Path(path).is_file():
         return None
-    return (
-        read_sources(Path(path)).digest
-        if SOURCES in vars(module)
-        else Sources("", {"": Path(path).read_bytes()}).digest
-    )
+    file = Path(path)
+    return (read_sources(file) if SOURCES in vars(module) else Sources("", {"": file.read_bytes()})).digest
 
 
 def _find(reference: str, folder: Path | None = None, digest: str | None = None) -> tuple[ModuleType, object]:

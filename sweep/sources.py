@@ -83,11 +83,7 @@ def _imported_files(folder: Path, name: str, content: bytes) -> list[str]:
         if isinstance(node, ast.Import):
             modules += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                parts = package.split(".") if package else []
-                around = parts[: len(parts) - node.level + 1]
-                base = ".".join([*around, *([base] if base else [])])
+            base = _absolute(node.module or "", package, node.level)
             modules += [base, *(f"{base}.{alias.name}" if base else alias.name for alias in node.names)]
     found = []
     for module in modules:
@@ -98,6 +94,14 @@ def _imported_files(folder: Path, name: str, content: bytes) -> list[str]:
             stem = PurePosixPath(*parts[:end])
             found += [f for f in (f"{stem}.py", f"{stem}/__init__.py") if f != name and (folder / f).is_file()][-1:]
     return found
+
+
+def _absolute(name: str, package: str, level: int) -> str:
+    """Return the whole name of a module that an import statement in a package names, with ``level`` dots before it."""
+    if not level:
+        return name
+    parts = package.split(".") if package else []
+    return ".".join([*parts[: len(parts) - level + 1], *([name] if name else [])])
 
 
 def _dotted(name: str) -> str:
@@ -180,10 +184,7 @@ class _Modules:
             fromlist: Sequence[str] | None = (),
             level: int = 0,
         ) -> ModuleType:
-            whole = name
-            if level:
-                parts = package.split(".") if package else []
-                whole = ".".join([*parts[: len(parts) - level + 1], *([name] if name else [])])
+            whole = _absolute(name, package, level)
             top = whole.partition(".")[0]
             if top not in self._names or top in OURS or (not level and whole == module == self._main):
                 return builtins.__import__(name, globals, locals, fromlist or (), level)

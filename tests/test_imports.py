@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 # ground, but for those of the roof.  Inside a package only a cycle is wrong.
 GROUND = "sweep"
 PACKAGES = [
-    *("linksweep._own_packages", "sweep.contract", "sweep.functions", GROUND, "core"),
+    *("linksweep._own_packages", "sweep.contract", "sweep.functions", GROUND, "sweep.tables", "core"),
     *("sweep.studies", "sweep.planning", "sweep.executing", "sweep.stores", "sweep.running"),
     *("sweep.analysis", "sweep.paper", "sweep.tie", "sweep.plots", "sweep.report", "sweep.search", "sweep.cli"),
     *("sweep.api", "linksweep.__init__", "sweep.__init__", "sweep.__main__", "linksweep.__main__"),
@@ -27,8 +27,7 @@ ONLY_IN = {
     "jinja2": {"sweep.report"},
     "pydantic": {"sweep.studies"},
     "astropy": {
-        *("sweep.contract.units", "sweep.table_text", "sweep.table_columns", "sweep.table_reader"),
-        *("sweep.table_parquet", "sweep.readable", "sweep.analysis", "sweep.search", "sweep.tie"),
+        *("sweep.contract.units", "sweep.tables", "sweep.readable", "sweep.analysis", "sweep.search", "sweep.tie"),
     },
     "erfa": {"core.tie.motion"},
     "pygaia": {"core.missions"},
@@ -44,7 +43,7 @@ KNOWS_THE_CONTRACT = {
 }
 # The search is a command beside the platform.
 SEARCH_MAY_USE = {
-    *("sweep.contract", "sweep.table_reader", "sweep.table_columns", "sweep.formatting", "sweep.plots.sky"),
+    *("sweep.contract", "sweep.tables", "sweep.formatting", "sweep.plots.sky"),
 }
 KNOWS_THE_SEARCH = {"sweep.cli.match"}
 CORE_MAY_USE = {

@@ -118,42 +118,37 @@ class Parameter:
             return dict(self.default) if self.kind == "map" else list(self.default)
         return self.default.item() if isinstance(self.default, np.generic) else self.default
 
-    def parse(self, raw: object) -> Value:  # noqa: PLR0911, PLR0912 (one for each kind)
+    def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if self.kind == "str":
-            known = (*self.choices, *(named.name for named in self.defined))
-            if not isinstance(raw, str) or (self.choices and raw not in known):
-                hint = suggest(raw, known) if isinstance(raw, str) and self.choices else ""
-                raise ValueError(
-                    f"{self.name} = {shown(raw)}: must be {self.allowed()}{hint if 'did you mean' in hint else ''}"
-                )
-            return next((named for named in self.defined if named.name == raw), raw)
+            return self._text(raw)
         if self.choices and (type(raw), raw) not in [(type(choice), choice) for choice in self.choices]:
-            raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+            raise self._refused(raw)
         if self.kind == "any":
             return self._as_written(raw)
-        if self.kind == "bool":
-            if not isinstance(raw, bool):
-                raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")
+        if self.kind in ("float", "int"):
+            return self._number(raw) if self.kind == "float" else self._whole(raw)
+        if self.kind == "bool" and not isinstance(raw, bool):
+            raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")  # whatever the bounds
+        if self.kind == "bool" or (self.kind == "file" and isinstance(raw, str)):
             return raw
-        if self.kind == "map":
-            if not isinstance(raw, dict) or not all(isinstance(text, str) for text in raw.values()):
-                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+        if self.kind == "map" and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
             return tuple(sorted(raw.items()))
-        if self.kind == "file":
-            if not isinstance(raw, str):
-                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
-            return raw
-        if self.kind == "vector":
-            if not isinstance(raw, (list, tuple)) or len(raw) != 3:
-                raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+        if self.kind == "vector" and isinstance(raw, list | tuple) and len(raw) == 3:
             return tuple(self._number(x) for x in raw)
-        number = self._number(raw)
-        if self.kind != "int":
-            return number
-        if isinstance(raw, int) and abs(raw) > LARGEST_INT:
-            raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}, of 64 bits at most")
-        return int(raw) if isinstance(raw, int) else int(number)
+        raise self._refused(raw)
+
+    def _refused(self, raw: object, more: str = "") -> ValueError:
+        return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more}")
+
+    def _text(self, raw: object) -> Value:
+        known = (*self.choices, *(named.name for named in self.defined))
+        if not isinstance(raw, str):
+            raise self._refused(raw)
+        if self.choices and raw not in known:
+            hint = suggest(raw, known)
+            raise self._refused(raw, hint if "did you mean" in hint else "")
+        return next((named for named in self.defined if named.name == raw), raw)
 
     def _as_written(self, raw: object) -> Value:
         if isinstance(raw, str | bool):
@@ -162,7 +157,13 @@ class Parameter:
             return int(raw)
         if isinstance(raw, float) and abs(raw) < HUGE:
             return float(raw) + 0.0
-        raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+        raise self._refused(raw)
+
+    def _whole(self, raw: object) -> int:
+        number = self._number(raw)
+        if isinstance(raw, int) and abs(raw) > LARGEST_INT:
+            raise self._refused(raw, ", of 64 bits at most")
+        return int(raw) if isinstance(raw, int) else int(number)
 
     def _number(self, raw: object) -> float:
         if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # NaN is not < either
@@ -172,7 +173,7 @@ class Parameter:
             above_open = self.above is None or number > self.above
             if whole and above_floor and above_open and (self.maximum is None or number <= self.maximum):
                 return number
-        raise ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}")
+        raise self._refused(raw)
 
     def allowed(self) -> str:
         """Return in words what values are allowed."""

@@ -5,28 +5,8 @@ from functools import lru_cache
 
 FAMILIAR = frozenset(
     [
-        *(
-            "m",
-            "cm",
-            "mm",
-            "km",
-            "g",
-            "kg",
-            "s",
-            "min",
-            "h",
-            "d",
-            "yr",
-            "Hz",
-            "K",
-            "mol",
-            "J",
-            "W",
-            "N",
-            "V",
-            "A",
-            "Pa",
-        ),
+        *("m", "cm", "mm", "km", "g", "kg", "s", "min", "h", "d", "yr"),
+        *("Hz", "K", "mol", "J", "W", "N", "V", "A", "Pa"),
         *("rad", "deg", "arcmin", "arcsec", "mas", "uas", "mag", "pc", "kpc", "au", "eV"),
     ]
 )

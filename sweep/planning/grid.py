@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sweep.contract import Value
 from sweep.studies.study import Study
-from sweep.tablefile import as_json
+from sweep.tables.file import as_json
 
 AT_ONCE = 2**16
 """Points of which the places are in memory at a time."""

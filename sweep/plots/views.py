@@ -22,7 +22,7 @@ from sweep.planning.streams import generators
 from sweep.running.reproduce import place_of, study_to_look_at
 from sweep.stores.location import Where
 from sweep.studies.study import Study
-from sweep.tablefile import table_file
+from sweep.tables.file import table_file
 
 BRIGHTEST_MAG, FAINTEST_MAG, STEP_MAG = 9.0, 21.0, 0.1
 

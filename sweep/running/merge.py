@@ -22,11 +22,12 @@ from sweep.running.reproduce import study_of
 from sweep.running.writer import Writer
 from sweep.stores import failures
 from sweep.stores.code import CodeRecord, as_json, records_of
+from sweep.stores.create import create_store, find_store
 from sweep.stores.identity import differences
 from sweep.stores.location import Location, Where, located
 from sweep.stores.lock import holder, locked
 from sweep.stores.opened import OpenLedger, OpenStore
-from sweep.stores.store import Store, create_store, find_store
+from sweep.stores.store import Store
 from sweep.stores.texts import Texts
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_of_attributes

@@ -107,7 +107,11 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     differences = None
     if status == Status.DONE:
         pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
-        differences = {name: pair for name, pair in pairs.items() if not _same_bits(*pair)}
+        differences = {
+            name: (was, now)
+            for name, (was, now) in pairs.items()
+            if not np.array_equal(was, now, equal_nan=was.dtype.kind == "f")
+        }
     return Reproduction(describe(study, place), result, status.word, differences, other_code)
 
 
@@ -226,12 +230,6 @@ def _indices(study: Study, place: Mapping[str, Any]) -> dict[str, int]:
         dimension: list(zip(*(study.axes[name] for name in axes), strict=True)).index(tuple(place[n] for n in axes))
         for dimension, axes in study.dimensions.items()
     }
-
-
-def _same_bits(stored: Any, again: Any) -> bool:
-    if stored.dtype.kind == "f":
-        return bool(np.array_equal(stored, again, equal_nan=True))
-    return bool(np.array_equal(stored, again))
 
 
 def _listed(values: Any) -> str:

@@ -17,7 +17,7 @@ from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.point_status import Status
-from sweep.studies.study import POINT, Published, printed_rounding
+from sweep.studies.study import POINT, printed_rounding
 
 dask_arrays_only_where_imported()  # before the first dataset that is made here; `snapshot.decode` does for those read
 
@@ -151,6 +151,9 @@ def _published(grid: Grid) -> dict[str, Any]:
     if study.published is None:
         return {}
     outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
+    origin: dict[str, Any] = {"source": study.published.source}
+    if study.published.tolerance:
+        origin |= {"tolerance": study.published.tolerance, "tolerance_reason": study.published.tolerance_reason}
     variables: dict[str, Any] = {}
     for column in study.published.rows[0]:
         if column in outputs:
@@ -168,20 +171,10 @@ def _published(grid: Grid) -> dict[str, Any]:
             name, rounding = f"{column}_published", f"{column}_published_rounding"
             meaning = f"published {short_meaning(output.meaning) or output.name}"
             variables[name] = _variable(grid, values.reshape(-1), Output(name, output.unit, meaning))
-            variables[name][2].update(_origin(study.published), outside_grid=outside)
+            variables[name][2].update(origin, outside_grid=outside)
             meaning = f"half a unit of the last printed digit of {name}"
             variables[rounding] = _variable(grid, roundings.reshape(-1), Output(rounding, output.unit, meaning))
     return variables
-
-
-def _origin(published: Published) -> dict[str, Any]:
-    if not published.tolerance:
-        return {"source": published.source}
-    return {
-        "source": published.source,
-        "tolerance": published.tolerance,
-        "tolerance_reason": published.tolerance_reason,
-    }
 
 
 def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:

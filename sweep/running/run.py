@@ -22,11 +22,11 @@ from sweep.running.first_result import Done, as_rows, first_results
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import check_code, record_code
-from sweep.stores.fresh import replace_store
+from sweep.stores.create import check_points, create_store, find_store, replace_store
 from sweep.stores.location import Where
 from sweep.stores.lock import locked
 from sweep.stores.opened import OpenStore
-from sweep.stores.store import Store, check_points, create_store, find_store, open_store
+from sweep.stores.store import Store
 from sweep.studies.provenance import provenance
 from sweep.studies.record import RECORD, as_recorded, recorded
 from sweep.studies.study import Study
@@ -74,7 +74,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     plan = Plan(make_grid(study))
     found = find_store(store, study)
     plan = _as_stored(plan, found)
-    opened = open_store(found, plan.grid.study)
+    opened = None if found is None else Store(found, plan.grid.study)
     if opened is not None and not accept_code:
         check_code(opened, study)
     if study.points is not None and found is not None and part_of_larger(found, plan.grid) is None:
@@ -118,7 +118,7 @@ def run_study(
         found = replace_store(store, study, told) if fresh else find_store(store, study)
         plan = plan if fresh else _as_stored(plan, found)
         study = plan.grid.study
-        opened = open_store(found, study)
+        opened = None if found is None else Store(found, study)
         if opened is not None and not accept_code:
             check_code(opened, study)
         if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:

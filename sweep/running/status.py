@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from sweep.attributes import units_of
 from sweep.contract import Named, SweepError
 from sweep.executing.execute import available_cores
 from sweep.planning.accumulator import Accumulator
@@ -24,6 +25,9 @@ from sweep.stores.root import is_new
 from sweep.stores.store import BLOCKS
 from sweep.studies.record import recorded_study
 from sweep.studies.study import Study
+
+PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "finished", "host", "git_commit", "versions")
+"""Attributes of a store that its status shows."""
 
 
 def status_report(store: Where) -> dict[str, Any]:
@@ -61,20 +65,7 @@ def status_report(store: Where) -> dict[str, Any]:
         "axes": by_axis(axes, status, realisations, wanted),
         "units": units,
         "failures": json.loads(attributes.get("failures", "{}")),
-        "provenance": {
-            key: attributes[key]
-            for key in (
-                "study_digest",
-                "study_overrides",
-                "seed",
-                "started",
-                "finished",
-                "host",
-                "git_commit",
-                "versions",
-            )
-            if attributes.get(key) not in (None, "")
-        },
+        "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")},
     }
 
 
@@ -122,7 +113,7 @@ def _plain(value: Any) -> Any:
 def _of_dataset(dataset: xr.Dataset) -> Progress:
     dimensions = [str(dimension) for dimension in dataset["status"].dims]
     axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
-    units = {d: str(dataset[d].attrs.get("units", "")) for d in dimensions}
+    units = {d: units_of(dataset[d].attrs) for d in dimensions}
     return axes, units, *_points_of(dataset)
 
 
@@ -138,29 +129,22 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     ledger_mb = 8e-6 * (study.experiment.sums_width * survey.total.blocks + samples)
     tasks = math.ceil(survey.pending.cost / TARGET)
     cores = max(1, min(workers or available_cores(), available_cores(), tasks))
+    realisations = {"realisations": survey.total.realisations, "realisations_pending": survey.pending.realisations}
+    seconds = {}
+    if study.experiment.cost_unit:
+        seconds["seconds"] = round(survey.pending.cost / (_normals_per_second() * cores), 1)
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
         "points": survey.total.points,
         "points_done": survey.total.points - survey.pending.points,
-        **(
-            {}
-            if study.experiment.deterministic
-            else {
-                "realisations": survey.total.realisations,
-                "realisations_pending": survey.pending.realisations,
-            }
-        ),
+        **({} if study.experiment.deterministic else realisations),
         "blocks_pending": survey.pending.blocks,
         "tasks_about": tasks,
         "result_mb": round(result_mb, 3),
         "ledger_mb": round(ledger_mb, 3),
         "memory_mb": round(result_mb + ledger_mb, 3),
-        **(
-            {"seconds": round(survey.pending.cost / (_normals_per_second() * cores), 1)}
-            if study.experiment.cost_unit
-            else {}
-        ),
+        **seconds,
         "cores": cores,
         "store": str(store),
         "warnings": list(grid.warnings),

@@ -9,7 +9,7 @@ from sweep.contract import Named, SweepError, Value
 from sweep.planning.grid import Grid
 from sweep.planning.point_status import Status
 from sweep.stores.opened import OpenStore
-from sweep.tablefile import content_digest
+from sweep.tables.file import content_digest
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from core.arrays import Array, Flags, Indices
 from core.table_catalogue import ALONG_RA
 from sweep.contract import suggest
-from sweep.table_columns import column_values, in_time, missing_values, rows_listed
+from sweep.tables.columns import column_values, in_time, missing_values, rows_listed
 
 UNITS: Mapping[str, str] = {
     "ra": "deg",

@@ -12,7 +12,7 @@ from sweep.contract import SweepError, suggest
 from sweep.search.columns import TYC, UNITS
 from sweep.search.result import STAR_MOTIONS, Result, match_columns
 from sweep.search.summary import summarise
-from sweep.table_reader import read_table
+from sweep.tables.reader import read_table
 
 COLUMN_UNITS: Mapping[str, str] = {
     **{STAR_MOTIONS.get(name, name): unit for name, unit in UNITS.items()},

@@ -14,7 +14,7 @@ from core.constants import DEGREE
 from core.table_catalogue import ALONG_RA
 from sweep.contract import SweepError
 from sweep.search.columns import NAME, TYC, ColumnReader
-from sweep.table_reader import read_table
+from sweep.tables.reader import read_table
 
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
 """The columns of magnitudes, best first."""

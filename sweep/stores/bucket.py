@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
 from ipaddress import ip_address
-from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from sweep.contract import SweepError
+import obstore
+from obstore import exceptions
+from obstore.exceptions import AlreadyExistsError, PreconditionError
+from obstore.store import S3Store
 
-if TYPE_CHECKING:
-    from obstore.store import S3Store
+from sweep.contract import SweepError
 
 AT_ONCE = 16
 """Requests under way at a time: an answer takes tens of milliseconds, whatever its size."""
@@ -28,9 +29,7 @@ ADDRESS = re.compile(r"s3:/{1,2}(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])/+(?
 
 
 def bucket_at(address: str) -> "Bucket":
-    """Return the place that an address ``s3://BUCKET/NAME`` names; raises SweepError for one that is no such address,
-    and where obstore is not installed.
-    """
+    """Return the place that an address ``s3://BUCKET/NAME`` names; raises SweepError for any other address."""
     found = ADDRESS.fullmatch(address)
     if found is None or any(part in ("", ".", "..") for part in found["prefix"].split("/")):
         raise SweepError(
@@ -38,10 +37,6 @@ def bucket_at(address: str) -> "Bucket":
             "dots and dashes",
             address,
         )
-    try:
-        import obstore  # noqa: F401
-    except ImportError as error:
-        raise SweepError(f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})", address) from error
     return Bucket(found["bucket"], found["prefix"])
 
 
@@ -68,10 +63,8 @@ class Bucket:
         return Bucket(self.bucket, self.prefix.rpartition("/")[0])
 
     @cached_property
-    def objects(self) -> "S3Store":
+    def objects(self) -> S3Store:
         """The bucket as obstore has it, under the prefix; Zarr's ObjectStore takes it too."""
-        from obstore.store import S3Store
-
         return S3Store(
             self.bucket,
             prefix=self.prefix or None,
@@ -89,8 +82,6 @@ class Bucket:
 
     def get(self, key: str) -> bytes | None:
         """Return the content of an object, None where there is none."""
-        import obstore
-
         with self._errors(missing_is_none=True):
             return bytes(obstore.get(self.objects, key).bytes())
         return None
@@ -103,8 +94,6 @@ class Bucket:
 
     def put(self, key: str, content: bytes) -> None:
         """Write or replace an object."""
-        import obstore
-
         with self._errors():
             obstore.put(self.objects, key, content)
 
@@ -116,9 +105,6 @@ class Bucket:
 
     def create(self, key: str, content: bytes) -> bool:
         """Write an object unless there is one: a put that the server refuses in that case."""
-        import obstore
-        from obstore.exceptions import AlreadyExistsError, PreconditionError
-
         try:
             with self._errors():
                 obstore.put(self.objects, key, content, mode="create")
@@ -130,9 +116,6 @@ class Bucket:
         """Replace an object that still holds ``old``: a put that the server refuses if it has changed since it was
         read.
         """
-        import obstore
-        from obstore.exceptions import PreconditionError
-
         try:
             with self._errors(missing_is_none=True):
                 answer = obstore.get(self.objects, key)
@@ -150,8 +133,6 @@ class Bucket:
         S3 deletes by a POST, which obstore does not repeat after a connection that broke, since it cannot know that
         this one may be repeated.
         """
-        import obstore
-
         until = time.monotonic() + TIMEOUT.total_seconds()
         while True:
             try:
@@ -167,15 +148,11 @@ class Bucket:
 
     def keys(self, under: str = "") -> list[str]:
         """Return the names of all objects that begin with ``under``."""
-        import obstore
-
         with self._errors():
             return sorted(entry["path"] for page in obstore.list(self.objects, under or None) for entry in page)
 
     def is_free(self) -> bool:
         """Return whether there is no object."""
-        import obstore
-
         with self._errors():
             return not any(page for page in obstore.list(self.objects, chunk_size=1))
 
@@ -193,11 +170,9 @@ class Bucket:
 
         A precondition that does not hold is left to the caller.
         """
-        from obstore import exceptions
-
         try:
             yield
-        except (exceptions.AlreadyExistsError, exceptions.PreconditionError):
+        except (AlreadyExistsError, PreconditionError):
             raise
         except (exceptions.BaseError, FileNotFoundError) as error:
             if "NoSuchBucket" in str(error):
@@ -209,8 +184,6 @@ class Bucket:
 
 
 def _explained(error: Exception) -> str:
-    from obstore import exceptions
-
     text = str(error)
     endpoint = _endpoint() or "AWS"
     if isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError):

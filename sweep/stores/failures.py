@@ -1,7 +1,6 @@
 """What is kept of failed points, by digest, so that a later run, a report or a retry knows of them."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from sweep.stores.checksums import unsealed
 
@@ -25,17 +24,6 @@ def as_json(failures: Mapping[bytes, Record]) -> dict[str, Record]:
     return kept
 
 
-def from_json(document: Mapping[str, Any]) -> dict[bytes, Record]:
-    """Return failures from JSON; raises ValueError where it holds something else."""
-    try:
-        failures = {bytes.fromhex(key): {str(k): str(v) for k, v in record.items()} for key, record in document.items()}
-    except (AttributeError, ValueError) as error:
-        raise ValueError(f"it is no record of failed points: {error}") from error
-    if any(len(digest) != DIGEST_BYTES for digest in failures):
-        raise ValueError("it is no record of failed points: a digest of another length")
-    return failures
-
-
 def read(content: bytes | None) -> dict[bytes, Record]:
     """Return the failures that a stored document records, none where there is none; raises ValueError for a damaged
     one.
@@ -45,7 +33,13 @@ def read(content: bytes | None) -> dict[bytes, Record]:
     recorded = unsealed(content, FILE)["attributes"].get("failures")
     if not isinstance(recorded, dict):
         raise ValueError("it is no record of failed points")
-    return from_json(recorded)
+    try:
+        failures = {bytes.fromhex(key): {str(k): str(v) for k, v in record.items()} for key, record in recorded.items()}
+    except (AttributeError, ValueError) as error:
+        raise ValueError(f"it is no record of failed points: {error}") from error
+    if any(len(digest) != DIGEST_BYTES for digest in failures):
+        raise ValueError("it is no record of failed points: a digest of another length")
+    return failures
 
 
 def _end(text: str) -> str:

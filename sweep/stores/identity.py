@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from sweep.contract import Named
-from sweep.stores.ledger import shapes_of
+from sweep.stores.ledger_arrays import shapes_of
 from sweep.stores.root import FORMAT
 from sweep.studies.designs import DESIGNS
 from sweep.studies.study import Study
-from sweep.tablefile import content_digest
+from sweep.tables.file import content_digest
 
 
 def identity(study: Study) -> dict[str, Any]:

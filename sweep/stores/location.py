@@ -63,13 +63,19 @@ Where = str | Path | Location
 
 
 def located(where: Where) -> Location:
-    """Return the place that an address or path names; raises SweepError for an address of no known kind."""
+    """Return the place that an address or path names; raises SweepError for an address of no known kind,
+    and for a bucket where obstore is not installed.
+    """
     if not isinstance(where, str | Path):
         return where
     address = str(where)
     if address.startswith("s3:/"):  # pathlib makes one slash of two
-        from sweep.stores.bucket import bucket_at
-
+        try:
+            from sweep.stores.bucket import bucket_at
+        except ImportError as error:
+            raise SweepError(
+                f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})", address
+            ) from error
         return bucket_at(address)
     scheme, separator, _ = address.partition("://")
     if separator:

@@ -3,15 +3,18 @@
 Nothing here writes, and nothing imports what a store names.
 """
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sweep.contract import SweepError
-from sweep.stores import failures, snapshot
+from sweep.stores import chunk_names, failures, snapshot
 from sweep.stores.checksums import unsealed
 from sweep.stores.chunked_rows import DamagedError
-from sweep.stores.ledger import Ledger, columns_of, damaged_descriptions, shapes_in
+from sweep.stores.ledger import Ledger
+from sweep.stores.ledger_arrays import columns_of, damaged_descriptions
 from sweep.stores.location import Location, Where, located, reading
 from sweep.stores.root import COPY, REPAIR, damaged_copy, is_bound, is_new, read_root
 
@@ -61,7 +64,7 @@ class OpenStore:
             dataset = None
             try:
                 with reading(self.location):
-                    chunks = self.location.get_all(snapshot.chunk_keys(snapshot.arrays_of(self.root)))
+                    chunks = self.location.get_all(chunk_names.chunk_keys(snapshot.arrays_of(self.root)))
                     dataset = snapshot.decode(self.root, chunks)
             except ValueError as error:
                 problem = error
@@ -90,7 +93,7 @@ class OpenStore:
         found: dict[bytes, failures.Record] = {}
         with reading(self.location):
             keys = self.location.keys()
-            columns = columns_of(self.location, shapes_in(self.root), keys)
+            columns = columns_of(self.location, json.loads(self.attributes["ledger"]), keys)
             files = [COPY, failures.FILE, *(column.description for column in columns.values())]
             documents = self.location.get_all(files)
             damaged |= damaged_descriptions(columns.values(), documents)
@@ -114,3 +117,13 @@ def damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:
     problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
     problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
     return SweepError(problems, str(location))
+
+
+@contextmanager
+def reading_ledger(location: Location) -> Iterator[None]:
+    """Turn an OSError, and what is damaged in a ledger, into a SweepError."""
+    try:
+        with reading(location):
+            yield
+    except DamagedError as error:
+        raise damaged_ledger(location, error.files) from error

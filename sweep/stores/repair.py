@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError
-from sweep.stores import failures, snapshot
+from sweep.stores import chunk_names, failures, snapshot
 from sweep.stores.checksums import group_document, sealed, unsealed
 from sweep.stores.chunked_rows import Column, DamagedError
-from sweep.stores.ledger import Ledger, columns_of, damaged_descriptions, rows_of
+from sweep.stores.ledger import Ledger, rows_of
+from sweep.stores.ledger_arrays import columns_of, damaged_descriptions
 from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.stores.lock import holder, locked
 from sweep.stores.opened import UNFINISHED
@@ -192,7 +193,7 @@ def _check_results(location: Location, root: dict[str, Any], report: Report) -> 
             report.results[file] = "it is missing"
         cut_short |= document not in (None, files[file])  # whole, but of a writing that the root does not know yet
     for name, document in documents.items():  # array by array: never all in memory
-        report.results.update(snapshot.damaged_chunks(root, location.get_all(snapshot.chunk_keys({name: document}))))
+        report.results.update(snapshot.damaged_chunks(root, location.get_all(chunk_names.chunk_keys({name: document}))))
     if cut_short:
         report.remarks.append(CUT_SHORT)
 

@@ -1,17 +1,9 @@
-"""The labelled dataset as files, and back: each writing of it is a generation that readers see whole or not at all.
+"""The labelled dataset as files, and back: readers see each writing of it, a generation, whole or not at all."""
 
-An array's chunks have two sets of names, as two encodings of Zarr's specification give them, and each generation that
-changes the array uses the set that the last one does not.  So the files of the last generation stay as they are
-until the root document, replaced in one step, names those of the new one; who opened the last one reads on in
-peace until the generation after next begins.
-"""
-
-import itertools
 import json
 import math
-import re
 import warnings
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
@@ -24,6 +16,7 @@ from zarr.storage import MemoryStore
 
 from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.stores.checksums import SEAL, content_checksum, unsealed
+from sweep.stores.chunk_names import ENCODINGS, chunk_key, chunk_places
 from sweep.stores.root import is_bound
 
 if TYPE_CHECKING:
@@ -35,11 +28,6 @@ CHECKSUMS = "chunk_checksums"
 CHUNK_BYTES = 2**22
 CODECS = {"bytes", "vlen-utf8", "zstd", "crc32c"}
 """All that is ever written, and so all that is ever decoded."""
-
-ENCODINGS = (
-    {"name": "default", "configuration": {"separator": "."}},
-    {"name": "v2", "configuration": {"separator": "."}},
-)
 
 
 @dataclass(frozen=True)
@@ -196,45 +184,6 @@ def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         if unknown or "/" in name or name in ("", ".", ".."):
             raise ValueError(f"the array {name!r} was not written by linksweep ({', '.join(sorted(unknown))})")
     return dict(documents)
-
-
-def chunk_keys(documents: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return the names of all files of chunks of arrays, by their documents."""
-    return [
-        chunk_key(name, document, place) for name, document in documents.items() for place in chunk_places(document)
-    ]
-
-
-def chunk_key(name: str, document: Mapping[str, Any], place: tuple[int, ...]) -> str:
-    """Return the name of a chunk's file, as the array's document asks."""
-    encoding = document["chunk_key_encoding"]
-    parts = [str(number) for number in place]
-    if encoding["name"] == "v2":
-        return f"{name}/{encoding['configuration']['separator'].join(parts) or '0'}"
-    return f"{name}/{encoding['configuration']['separator'].join(['c', *parts])}"
-
-
-def chunk_places(document: Mapping[str, Any]) -> Iterator[tuple[int, ...]]:
-    """Yield the places of all chunks of an array."""
-    chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
-    return itertools.product(*(range(-(-n // size)) for n, size in zip(document["shape"], chunk, strict=True)))
-
-
-def leftovers(keys: Collection[str], documents: Collection[str]) -> set[str]:
-    """Return the files of the dataset's arrays, and of arrays that it has no more, among the names of all files."""
-    folders: dict[str, set[str]] = {}
-    for key in keys:
-        folder, separator, _ = key.partition("/")
-        if separator:
-            folders.setdefault(folder, set()).add(key)
-    chunk = re.compile(r"[^/]+/(c|c\.|\d)[\d.]*")
-    known = {name for name in folders if name in documents or all(map(chunk.fullmatch, folders[name]))}
-    return {key for name in known for key in folders[name]}
-
-
-def encoding_of(document: Mapping[str, Any]) -> int:
-    """Return which of the two sets of names an array's chunks have."""
-    return int(document["chunk_key_encoding"]["name"] == "v2")
 
 
 def chunk_shape(variable: "xr.Variable") -> tuple[int, ...]:

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.contract import Array, SweepError
 from sweep.functions.values import TEXT_BYTES
-from sweep.stores import failures, snapshot
+from sweep.stores import chunk_names, failures, snapshot
 from sweep.stores.checksums import group_document, sealed
-from sweep.stores.chunked_rows import DamagedError
-from sweep.stores.identity import changed_points, differences, identity
-from sweep.stores.ledger import columns_of
-from sweep.stores.location import Where, located, reading, writing
-from sweep.stores.opened import OpenStore, damaged_ledger
+from sweep.stores.identity import identity
+from sweep.stores.ledger_arrays import columns_of
+from sweep.stores.location import Where, writing
+from sweep.stores.opened import OpenStore, reading_ledger
 from sweep.stores.origin import ORIGIN, origin
-from sweep.stores.root import COPY, ROOT, find_root, is_bound
+from sweep.stores.root import COPY, ROOT, is_bound
 from sweep.stores.texts import Texts
 from sweep.studies.study import Study
 
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 BLOCKS = "blocks"
 """The attribute that tells how many blocks the ledger had when the dataset was written."""
 
-RESERVED = {"blocks", "failures"}
 CODE = "code"
 """The attribute that tells which code made the rows of the ledger."""
 
@@ -66,7 +64,7 @@ class Store:
         except ValueError as error:
             raise SweepError(str(error), str(self.location)) from error
         self._digests: dict[str, bytes] = {}
-        self._files = snapshot.leftovers(keys, self._documents)
+        self._files = chunk_names.leftovers(keys, self._documents)
 
     @property
     def attributes(self) -> dict[str, Any]:
@@ -88,26 +86,20 @@ class Store:
 
     def sums(self) -> Array:
         """Return all rows of the ledger, (rows, width); `rows` says which is whose."""
-        with reading(self.location):
+        with reading_ledger(self.location):
             return self._ledger.sums()
 
     def samples(self, key: bytes) -> Array:
         """Return the kept samples of a finished block, (realisations, width); raises SweepError where they are
         damaged.
         """
-        try:
-            with reading(self.location):
-                return self._ledger.samples(key)
-        except DamagedError as error:
-            raise damaged_ledger(self.location, error.files) from error
+        with reading_ledger(self.location):
+            return self._ledger.samples(key)
 
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
-        try:
-            with reading(self.location):
-                self._ledger.verify()
-        except DamagedError as error:
-            raise damaged_ledger(self.location, error.files) from error
+        with reading_ledger(self.location):
+            self._ledger.verify()
 
     def append(
         self,
@@ -162,7 +154,7 @@ class Store:
             snapshot.CHECKSUMS: json.dumps({name: array.checksums() for name, array in named.items()}),
         }
         documents = {name: array.document for name, array in named.items()}
-        in_use = {*snapshot.chunk_keys(documents), *snapshot.chunk_keys(self._documents)}
+        in_use = {*chunk_names.chunk_keys(documents), *chunk_names.chunk_keys(self._documents)}
         described, gone = (
             {f"{n}/zarr.json" for n in names} for names in (documents, set(self._documents) - set(documents))
         )
@@ -204,7 +196,7 @@ class Store:
         """Name an array's chunks: as the last generation does if nothing has changed, or else as it does not."""
         if name not in self._documents:
             return array.named(0)
-        last = snapshot.encoding_of(self._documents[name])
+        last = chunk_names.encoding_of(self._documents[name])
         return array.named(last if self._digests.get(name) == digest else 1 - last)
 
     def _write_arrays(self, arrays: Mapping[str, snapshot.Encoded]) -> None:
@@ -242,57 +234,6 @@ class Store:
             copied = {key: value for key, value in attributes.items() if key not in left_out}
             self.location.put(COPY, sealed(group_document(copied), COPY))
             self._copied = copied
-
-
-def find_store(where: Where, study: Study) -> OpenStore | None:
-    """Return the store at a place, None where the place is free.
-
-    Raises SweepError where something else is there, or results that cannot be mixed with this study's.
-    """
-    location = located(where)
-    names = {*study.axes, *study.experiment.coordinates}
-    names |= {output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs)}
-    if taken := sorted(RESERVED & names):
-        raise SweepError(f"no axis or result can be named {', '.join(taken)}: a store has a group of that name")
-    root = find_root(location)
-    if root is None:
-        if obstacle := location.obstacle():
-            raise SweepError(obstacle, str(location))
-        return None
-    if different := differences(root["attributes"], study):
-        raise SweepError(
-            ["holds results of a different study, which would be mixed up; give another store with -o", *different],
-            str(location),
-        )
-    return OpenStore(location, root)
-
-
-def check_points(found: OpenStore, study: Study) -> None:
-    """Raise SweepError where rows of a study's table of points are others than those of a store."""
-    if changed := changed_points(found.attributes, study):
-        raise SweepError(
-            [
-                "holds a table of other points; one may only grow at its end: give another store with -o, or --fresh "
-                "replaces this one",
-                *changed,
-            ],
-            str(found.location),
-        )
-
-
-def open_store(found: OpenStore | None, study: Study) -> Store | None:
-    """Return a store that `find_store` found, with its ledger open; None where it found none."""
-    return None if found is None else Store(found, study)
-
-
-def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:
-    """Make a store at a free place, in one step, in which nothing is done yet."""
-    location = located(where)
-    told = {**attributes, **identity(study), ORIGIN: origin(location), "complete": 0, "generation": 0}
-    root = snapshot.root_document(told, {})
-    with writing(location):
-        location.put(ROOT, sealed(root, ROOT))
-    return OpenStore(location, root)
 
 
 def open_dataset(where: Where) -> "xr.Dataset":

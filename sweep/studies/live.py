@@ -15,7 +15,7 @@ from sweep.session import importable, keep
 from sweep.studies.points import columns_of
 from sweep.studies.reader import study_from_dict
 from sweep.studies.study import Study
-from sweep.tablefile import content_digest
+from sweep.tables.file import content_digest
 
 Mentioned = Callable[..., Any] | Experiment
 

@@ -14,8 +14,8 @@ from sweep.studies.form import PointsForm
 from sweep.studies.problems import Problems
 from sweep.studies.ranges import Range, read_range
 from sweep.studies.source import Place
-from sweep.table_columns import rows_listed
-from sweep.table_reader import read_table
+from sweep.tables.columns import rows_listed
+from sweep.tables.reader import read_table
 
 MOST_ROWS = 1_000_000
 

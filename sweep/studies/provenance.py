@@ -14,7 +14,7 @@ from typing import Any
 from sweep.distributions import version_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import POINT_TABLE, PointTable, Study
-from sweep.tablefile import content_digest
+from sweep.tables.file import content_digest
 
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
 

@@ -25,7 +25,7 @@ from sweep.studies.published import read_published
 from sweep.studies.rules import check_sampling, zipped_axes
 from sweep.studies.source import Place, find_study, parsed, read_text, reference_in
 from sweep.studies.study import POINT, Claim, Conclusion, PointTable, Sampling, Study
-from sweep.tablefile import TableFile, table_file
+from sweep.tables.file import TableFile, table_file
 
 ONCE = Sampling(n_sim=1)
 """The sampling of what is computed once."""

@@ -9,7 +9,7 @@ from sweep.contract import Experiment, Named, Output, Parameter, Point, SweepErr
 from sweep.functions.adapter import FunctionExperiment, experiment_of_record, layout_of_record
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.study import Study
-from sweep.tablefile import as_json
+from sweep.tables.file import as_json
 
 RECORD = "experiment_record"
 """The attribute of a store that holds it, as JSON."""

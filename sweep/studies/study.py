@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from sweep.contract import Experiment, Value
-from sweep.tablefile import content_digest
+from sweep.tables.file import content_digest
 
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]

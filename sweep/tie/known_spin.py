@@ -10,8 +10,8 @@ from core.blocks import Rotation, SpinByBin
 from core.constants import MAS
 from core.tie.astrometry import Astrometry
 from core.unknowns import Unknowns
-from sweep import table_reader
 from sweep.contract import SweepError
+from sweep.tables.reader import read_table
 
 
 def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float) -> tuple[Unknowns, Array]:
@@ -28,7 +28,7 @@ def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float)
         return Unknowns((Rotation(),)), sign * vector * MAS
     from astropy import units
 
-    table = table_reader.read_table(Path(spin))
+    table = read_table(Path(spin))
     lows = [name for name in table.colnames if name.endswith("_min")]
     if len(lows) != 1 or (high := lows[0][:-4] + "_max") not in table.colnames:
         raise SweepError("a table of spins has one column COLUMN_min and one COLUMN_max", str(spin))

@@ -16,7 +16,7 @@ from core.tie.problem import Problem
 from core.tie.sources import DIVISIONS, sky_cells
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
-from sweep.table_parquet import read_row_group
+from sweep.tables.parquet import read_row_group
 from sweep.tie.known_spin import known_spin
 from sweep.tie.options import SIGNS, Options
 from sweep.tie.reference_rows import with_jitter

@@ -24,7 +24,7 @@ from core.tie.solution import Solution, solve
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.executing.ordered_map import Map
-from sweep.table_parquet import is_parquet, row_groups
+from sweep.tables.parquet import is_parquet, row_groups
 from sweep.tie import row_group
 from sweep.tie.column_names import columns_needed
 from sweep.tie.matching import Match

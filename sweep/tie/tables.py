@@ -14,8 +14,8 @@ from core.arrays import Array
 from core.blocks import PARAMETERS
 from core.constants import ARCSEC, MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, positive_definite
-from sweep import table_reader
 from sweep.contract import SweepError
+from sweep.tables import reader
 from sweep.tie import hipparcos, icrf
 from sweep.tie.column_names import (
     CORRELATIONS,
@@ -57,7 +57,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     if path.suffix.lower() in (".txt", ".dat") and icrf.is_icrf(path):
         astrometry, names = icrf.read_icrf(path)
         return AstrometricTable(str(path), digest, astrometry, names)
-    astrometry, names = astrometry_of(table_reader.read_table(path), str(path), options)
+    astrometry, names = astrometry_of(reader.read_table(path), str(path), options)
     return AstrometricTable(str(path), digest, astrometry, names)
 
 

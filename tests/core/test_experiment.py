@@ -22,7 +22,7 @@ from core.scenario import error_model, errors_at_limit, has_errors
 from core.simulate import simulate
 from core.user_mission import mission_from_table
 from sweep.contract import Named
-from sweep.tablefile import table_file
+from sweep.tables.file import table_file
 
 SIX = ["mas"] * 3 + ["mas / yr"] * 3
 

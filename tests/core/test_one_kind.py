@@ -6,7 +6,7 @@ from astropy.table import Table
 
 from core.experiment import check, evaluate, link, samples, summarise
 from core.warn import warn
-from sweep.tablefile import table_file
+from sweep.tables.file import table_file
 
 N_OBJ = 12
 RNG = np.random.default_rng(8)

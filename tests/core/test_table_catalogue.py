@@ -12,7 +12,7 @@ from core.constants import DEGREE, MAS
 from core.experiment import link, scenario
 from core.table_catalogue import CORRELATIONS, catalogue_from_table
 from sweep.contract import SweepError
-from sweep.tablefile import table_file
+from sweep.tables.file import table_file
 
 RA, DEC = np.array([10.0, 100.0, 200.0, 359.0]), np.array([60.0, -30.0, 0.5, -80.0])
 PMRA, PMDEC, MAG = (

@@ -11,7 +11,7 @@ from core.experiment import link
 from core.missions import MISSIONS
 from sweep.cli.group import main
 from sweep.stores.store import open_dataset
-from sweep.tablefile import table_file
+from sweep.tables.file import table_file
 
 
 def point(**changes):

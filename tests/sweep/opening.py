@@ -1,6 +1,7 @@
 """Stores as a run opens them."""
 
-from sweep.stores.store import Store, create_store, find_store
+from sweep.stores.create import create_store, find_store
+from sweep.stores.store import Store
 
 
 def existing_store(where, study):

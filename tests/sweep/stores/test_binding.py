@@ -16,7 +16,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
-from sweep.stores import folder, ledger
+from sweep.stores import folder, ledger_arrays
 from sweep.stores.checksums import sealed, unsealed
 from sweep.stores.folder import Folder
 from sweep.stores.location import located
@@ -30,8 +30,8 @@ SERIAL = Resources(pool="serial")
 
 
 def small_chunks(monkeypatch, rows=4):
-    monkeypatch.setattr(ledger, "FEWEST_ROWS", rows)
-    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**15})
+    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", rows)
+    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**15})
 
 
 @pytest.fixture
@@ -78,12 +78,12 @@ def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
 
 def in_use(store):
     """The files that the root document means, and those of the ledger; the rest is of the writing before."""
-    from sweep.stores import snapshot
+    from sweep.stores import chunk_names, snapshot
 
     root = json.loads((store / "zarr.json").read_text())
     arrays = snapshot.arrays_of(root)
     ledger_files = {p.relative_to(store).as_posix() for p in (store / "blocks").rglob("*") if p.is_file()}
-    return {"zarr.json", *(f"{name}/zarr.json" for name in arrays), *snapshot.chunk_keys(arrays), *ledger_files}
+    return {"zarr.json", *(f"{name}/zarr.json" for name in arrays), *chunk_names.chunk_keys(arrays), *ledger_files}
 
 
 def test_exchanged_chunks_of_the_ledger_are_repaired_to_the_same_bits(two_writings):

@@ -11,7 +11,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
-from sweep.stores import ledger
+from sweep.stores import ledger_arrays
 from sweep.stores.folder import Folder
 from sweep.stores.location import located
 from sweep.stores.lock import locked
@@ -44,8 +44,8 @@ DAMAGE = {"a bit flipped": flip, "cut": cut, "lost": None}
 @pytest.fixture(params=["coins", "samples"])
 def whole(request, tmp_path, coins, monkeypatch):
     """A study and a store of it, with several chunks of each array of the ledger, and a failure."""
-    monkeypatch.setattr(ledger, "FEWEST_ROWS", 8 if request.param == "coins" else 3)
-    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**19})
+    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 8 if request.param == "coins" else 3)
+    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**19})
     study = study_from_dict(coins if request.param == "coins" else SAMPLES)
     run_study(study, tmp_path / "whole.zarr", SERIAL)
     store = existing_store(tmp_path / "whole.zarr", study)
@@ -118,8 +118,8 @@ def test_every_file_may_be_damaged(whole, tmp_path, change, step):
 @pytest.mark.parametrize("document", ["coins", "samples"])
 def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_path, coins, monkeypatch):
     """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
-    monkeypatch.setattr(ledger, "FEWEST_ROWS", 2)
-    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**19})
+    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 2)
+    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**19})
     often = Tuning(most_blocks=1, flush_every_s=-1.0)
     study = study_from_dict(coins if document == "coins" else SAMPLES)
     written = []
@@ -227,8 +227,8 @@ def test_the_commands(tmp_path, link_study, sweep):
 
 def test_an_unchanged_value_of_samples_survives_a_lost_index(tmp_path, monkeypatch):
     """Rows after a lost chunk of the index still speak of their own samples."""
-    monkeypatch.setattr(ledger, "FEWEST_ROWS", 2)
-    monkeypatch.setattr(ledger, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**17})
+    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 2)
+    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**17})
     study = study_from_dict(SAMPLES)
     run_study(study, tmp_path / "s.zarr", SERIAL)
     before = existing_store(tmp_path / "s.zarr", study)

@@ -2,6 +2,7 @@
 
 import random
 import socket
+import sys
 import threading
 import time
 from urllib.parse import urlsplit
@@ -256,7 +257,8 @@ def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, mon
 
 
 def test_obstore_is_an_extra(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "obstore", None)
+    monkeypatch.delitem(sys.modules, "sweep.stores.bucket")
+    monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(SweepError, match=r"pip install 'linksweep\[s3\]'"):
         located("s3://abc/x")
 

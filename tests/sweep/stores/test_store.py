@@ -12,8 +12,9 @@ import xarray as xr
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.running.run import run_study
+from sweep.stores.create import find_store
 from sweep.stores.opened import OpenStore
-from sweep.stores.store import find_store, open_dataset
+from sweep.stores.store import open_dataset
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store

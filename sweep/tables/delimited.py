@@ -1,6 +1,5 @@
-"""Tables of delimited text: CSV, TSV as VizieR sends it, `;` or blanks between columns, comments and units."""
+"""Tables of delimited text, CSV, TSV as VizieR sends it, `;` or blanks: names and units from above the rows."""
 
-import csv
 import io
 import re
 from collections.abc import Iterator, Sequence
@@ -8,12 +7,9 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from sweep.tables.rows import fields_of, read_rows
 
 DELIMITERS = ("\t", ";", "|", ",")
-
-MISSING = ("", "null", "NULL", "None", "NaN", "nan", "N/A", "n/a", "NA", "<NA>", "--", "---", "...", "\\N")
 
 PREFACE_LINES = 100_000
 """Comments, names, units and rules stand in so many lines at most."""
@@ -53,48 +49,6 @@ def read_delimited(content: bytes) -> Any:
     return table
 
 
-def read_rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[str] | None = None) -> Any:
-    """Return rows of text as an astropy Table with these columns, of these types or of what they look like.
-
-    Raises ValueError for a row with more or fewer columns, or with what is not of its type.
-    """
-    import pandas as pd
-    from astropy.table import Column, MaskedColumn, Table
-
-    if body.startswith(b"#") or b"\n#" in body:
-        body = b"\n".join(line for line in body.split(b"\n") if not line.startswith(b"#"))
-    options: dict[str, Any] = {
-        "sep": r"\s+" if delimiter == " " else delimiter,
-        "header": None,
-        "names": list(range(len(names))),
-        "index_col": False,
-        "skipinitialspace": True,
-        "na_values": list(MISSING),
-        "keep_default_na": False,
-        "float_precision": "round_trip",
-        "decimal": "," if delimiter == ";" and _has_decimal_commas(body) else ".",
-        "low_memory": False,
-    }
-    kinds = dict(enumerate(dtypes)) if dtypes else {}
-    types = {k: _nullable(kind) for k, kind in kinds.items()}
-    try:
-        _check_widths(body, len(names), delimiter)
-        frame = pd.read_csv(io.BytesIO(body), dtype=types or None, **options)
-        rounded = [k for k in frame.columns if not kinds and _rounded(frame[k])]
-        whole = pd.read_csv(io.BytesIO(body), dtype="Int64", usecols=rounded, **options) if rounded else frame
-    except pd.errors.EmptyDataError:
-        frame, whole, rounded = pd.DataFrame({k: [] for k in range(len(names))}), None, []
-    except (pd.errors.ParserError, OverflowError) as error:
-        raise ValueError(" ".join(str(error).split())) from error
-    columns = []
-    for k, name in enumerate(names):
-        column = (whole if k in rounded else frame)[k]
-        missing = column.isna().to_numpy(dtype=bool)
-        values = _plain(column, missing, kinds.get(k))
-        columns.append(MaskedColumn(values, name, mask=missing) if missing.any() else Column(values, name))
-    return Table(columns, copy=False)
-
-
 def _layout(content: bytes) -> _Layout:
     lines = _lines(content)
     comments: list[str] = []
@@ -109,10 +63,10 @@ def _layout(content: bytes) -> _Layout:
     if not header.strip():
         raise ValueError("has no rows")
     delimiter = _delimiter(header)
-    names = _fields(header, delimiter)
+    names = fields_of(header, delimiter)
     if any(_NUMBER.fullmatch(name) for name in names):  # a row already
         last = comments[-1] if comments else ""
-        commented = next((f for d in (delimiter, " ") if len(f := _fields(last, d)) == len(names)), None)
+        commented = next((f for d in (delimiter, " ") if len(f := fields_of(last, d)) == len(names)), None)
         if commented is None or any(_NUMBER.fullmatch(name) for name in commented):
             raise ValueError(
                 f"its first line, {header.strip()[:60]!r}, is not one of column names (a table of CDS needs its ReadMe "
@@ -131,7 +85,7 @@ def _units_and_rules(
     units = None
     after: list[list[str]] = []
     for line, end in lines:
-        fields = _fields(line.lstrip("#"), delimiter)
+        fields = fields_of(line.lstrip("#"), delimiter)
         commented = line.startswith("#")
         if not line.strip() or (not commented and all(_RULE.fullmatch(f) for f in line.split())):
             if line.strip() and after:
@@ -191,17 +145,6 @@ def _delimiter(line: str) -> str:
     return best if best in unquoted else " "
 
 
-def _fields(line: str, delimiter: str) -> list[str]:
-    if delimiter == " ":
-        return line.split()
-    return [field.strip() for field in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])]
-
-
-def _has_decimal_commas(body: bytes) -> bool:
-    first = body[:4096].split(b"\n")[0].decode("utf-8", "replace")
-    return any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in _fields(first, ";"))
-
-
 def _utf8(content: bytes) -> bytes:
     content = content.removeprefix(b"\xef\xbb\xbf")
     if b"\0" in content[:4096]:
@@ -219,48 +162,3 @@ def _lines(content: bytes) -> Iterator[tuple[str, int]]:
     for line in islice(io.BytesIO(content), PREFACE_LINES):
         end += len(line)
         yield line.decode("utf-8"), end
-
-
-def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:
-    """Raise ValueError for the first row that has another number of columns than there are names."""
-    if delimiter == " ":
-        counts = (len(line.split()) for line in body.split(b"\n") if line.strip())
-    elif b'"' in body:
-        counts = (len(row) for row in csv.reader(io.StringIO(body.decode("utf-8")), delimiter=delimiter) if row)
-    else:
-        mark = delimiter.encode()
-        counts = (line.count(mark) + 1 for line in body.split(b"\n") if line and not line.isspace())
-    for row, count in enumerate(counts, start=1):
-        if count != n_columns:
-            raise ValueError(f"row {row} has {count} columns, not {n_columns} as the line of names")
-
-
-def _rounded(column: Any) -> bool:
-    """Return whether integers with gaps among them have become floats that cannot hold them, as Gaia's source_id."""
-    if column.dtype.kind != "f":
-        return False
-    values = column.to_numpy()
-    values = values[~np.isnan(values)]
-    return len(values) < len(column) and bool(np.any(np.abs(values) >= 2.0**53)) and bool(np.all(values % 1.0 == 0.0))
-
-
-def _nullable(kind: str) -> str:
-    """Return pandas' name of a type of NumPy's, with missing values."""
-    dtype = np.dtype("U" if kind in ("string", "str") else kind)
-    if dtype.kind in "iu":
-        return dtype.name.replace("u", "U").replace("int", "Int")
-    return {"b": "boolean", "f": dtype.name}.get(dtype.kind, "str")
-
-
-def _plain(column: Any, missing: NDArray[np.bool_], kind: str | None) -> NDArray[Any]:
-    """Return the values of a column, something where they are missing."""
-    if column.dtype.kind == "f" and str(column.dtype).islower():
-        return np.asarray(column.to_numpy())
-    if column.dtype.kind in "iub":
-        filled = column.fillna(0) if missing.any() else column
-        return np.asarray(
-            filled.to_numpy(dtype=np.dtype(kind) if kind else str(column.dtype).lower().replace("boolean", "bool"))
-        )
-    if len(column) and missing.all() and kind is None:
-        return np.full(len(column), np.nan)
-    return np.array([str(value) for value in column.where(~missing, "")], dtype=np.str_)

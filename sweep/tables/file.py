@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Array, Named, SweepError
-from sweep.table_columns import column_values, in_time, rows_listed
-from sweep.table_reader import read_table, readme_of
+from sweep.tables.cds import readme_of
+from sweep.tables.columns import column_values, in_time, rows_listed
+from sweep.tables.reader import read_table
 
 NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
 """Columns that name a row, in any case of letters, best first."""

@@ -1,7 +1,6 @@
 """The one reader of tables: FITS, VOTable, ECSV, delimited text, Parquet, and CDS tables with their ReadMe."""
 
 import bz2
-import fnmatch
 import gzip
 import io
 import lzma
@@ -12,22 +11,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sweep.contract import SweepError
-from sweep.table_parquet import parquet_table
-from sweep.table_text import read_delimited, read_rows
+from sweep.tables.cds import add_degrees, read_with_readme, readme_of
+from sweep.tables.delimited import read_delimited
+from sweep.tables.parquet import parquet_table
+from sweep.tables.rows import read_rows
 
 FORMATS = (
     "FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a CDS table with its ReadMe beside it"
 )
 """The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz."""
 
-READMES = ("ReadMe", "README", "readme", "ReadMe.txt", "README.txt", "readme.txt")
-
 _PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lzma.decompress}
-_DESCRIBED = re.compile(r"^\s*Byte-(?:by|per)-byte Description of file\s*:\s*(.+?)\s*$", re.IGNORECASE | re.MULTILINE)
-_SEXAGESIMAL = {"RAdeg": ("", "RAh", "RAm", "RAs", 15.0), "DEdeg": ("DE-", "DEd", "DEm", "DEs", 1.0)}
 
 
 def read_table(path: Path) -> Any:
@@ -42,7 +37,7 @@ def read_table(path: Path) -> Any:
         with warnings.catch_warnings():  # of units and headers that do not matter for the columns that are used
             warnings.simplefilter("ignore")
             table = _read(path, content)
-            _add_degrees(table)
+            add_degrees(table)
         return table
     except OSError as error:
         if not path.exists():
@@ -50,14 +45,6 @@ def read_table(path: Path) -> Any:
         raise SweepError(f"cannot be read: {error.strerror or error}", str(path)) from error
     except SweepError as error:
         raise SweepError(error.problems, str(path)) from error
-
-
-def readme_of(path: Path) -> Path | None:
-    """Return the ReadMe beside a table that describes it, or should as its name ends in .dat; None if there is none."""
-    readme = next((found for name in READMES if (found := path.parent / name).is_file()), None)
-    if readme is None or not (_unpacked(path).lower().endswith(".dat") or _describes(readme, path)):
-        return None
-    return readme
 
 
 def _read(path: Path, content: bytes) -> Any:
@@ -93,7 +80,7 @@ def _text(path: Path, content: bytes) -> Any:
     if "byte-by-byte description" in text[:100_000].lower():
         return _by_astropy("ascii.mrt", text.splitlines())
     if (readme := readme_of(path)) is not None:
-        return _with_readme(path, text, readme)
+        return read_with_readme(path, text, readme)
     try:
         return read_delimited(content)
     except ValueError as error:
@@ -157,56 +144,3 @@ def _ecsv(content: bytes) -> Any:
             setattr(rows[name], attribute, getattr(column, attribute))
     rows.meta = table.meta
     return rows
-
-
-def _described(readme: Path) -> list[str]:
-    text = readme.read_text(encoding="utf-8", errors="replace")
-    return [name for match in _DESCRIBED.findall(text) for name in re.split("[, ]+", match) if name]
-
-
-def _describes(readme: Path, path: Path) -> bool:
-    return any(fnmatch.fnmatch(_unpacked(path), name) for name in _described(readme))
-
-
-def _unpacked(path: Path) -> str:
-    return re.sub(r"\.(gz|bz2|xz)$", "", path.name, flags=re.IGNORECASE)
-
-
-def _with_readme(path: Path, text: str, readme: Path) -> Any:
-    described = _described(readme)
-    if not described:
-        raise SweepError(
-            f"the {readme.name} beside it describes no table byte by byte, so it is not that of a CDS table"
-        )
-    if not _describes(readme, path):
-        raise SweepError(f"the {readme.name} beside it describes {', '.join(described)}, not {_unpacked(path)}")
-    from astropy.io.ascii import Cds
-
-    reader = Cds(readme=str(readme))
-    reader.guessing = False
-    lines = [line for line in text.splitlines() if line.strip()]
-    try:
-        reader.data.table_name = _unpacked(path)
-        reader.inputter.table_name = _unpacked(path)
-        return reader.read(lines)
-    except Exception as error:  # what a ReadMe has that astropy does not know has no type of its own
-        said = " ".join(str(error).split())[:300]
-        raise SweepError(f"cannot be read with the {readme.name} beside it: {type(error).__name__}: {said}") from error
-
-
-def _add_degrees(table: Any) -> None:
-    """Add RAdeg and DEdeg to a table that has hours, minutes and seconds in columns of their own."""
-    from astropy.table import MaskedColumn
-
-    for name, (sign, *parts, factor) in _SEXAGESIMAL.items():
-        if name in table.colnames or not {*parts, *([sign] if sign else [])} <= set(table.colnames):
-            continue
-        columns = [np.ma.asarray(table[part]) for part in parts]
-        if any(column.dtype.kind not in "iuf" for column in columns):
-            continue
-        first, minutes, seconds = (column.astype(np.float64) for column in columns)
-        values = factor * (first + minutes / 60.0 + seconds / 3600.0)
-        if sign:
-            negative = np.array([str(text).strip() == "-" for text in np.ma.filled(np.ma.asarray(table[sign]), "+")])
-            values = values * np.where(negative, -1.0, 1.0)
-        table[name] = MaskedColumn(np.ma.getdata(values), mask=np.ma.getmaskarray(values), unit="deg")

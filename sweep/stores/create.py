@@ -1,0 +1,81 @@
+"""Finds the store of a study, begins one at a free place, and begins one anew."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from sweep.contract import SweepError
+from sweep.stores import chunk_names, snapshot
+from sweep.stores.checksums import sealed
+from sweep.stores.identity import changed_points, differences, identity
+from sweep.stores.location import Where, located, writing
+from sweep.stores.opened import OpenStore
+from sweep.stores.origin import ORIGIN, origin
+from sweep.stores.root import ROOT, find_root
+from sweep.studies.study import Study
+
+RESERVED = {"blocks", "failures"}
+
+
+def find_store(where: Where, study: Study) -> OpenStore | None:
+    """Return the store at a place, None where the place is free.
+
+    Raises SweepError where something else is there, or results that cannot be mixed with this study's.
+    """
+    location = located(where)
+    names = {*study.axes, *study.experiment.coordinates}
+    names |= {output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs)}
+    if taken := sorted(RESERVED & names):
+        raise SweepError(f"no axis or result can be named {', '.join(taken)}: a store has a group of that name")
+    root = find_root(location)
+    if root is None:
+        if obstacle := location.obstacle():
+            raise SweepError(obstacle, str(location))
+        return None
+    if different := differences(root["attributes"], study):
+        raise SweepError(
+            ["holds results of a different study, which would be mixed up; give another store with -o", *different],
+            str(location),
+        )
+    return OpenStore(location, root)
+
+
+def check_points(found: OpenStore, study: Study) -> None:
+    """Raise SweepError where rows of a study's table of points are others than those of a store."""
+    if changed := changed_points(found.attributes, study):
+        raise SweepError(
+            [
+                "holds a table of other points; one may only grow at its end: give another store with -o, or --fresh "
+                "replaces this one",
+                *changed,
+            ],
+            str(found.location),
+        )
+
+
+def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:
+    """Make a store at a free place, in one step, in which nothing is done yet."""
+    location = located(where)
+    told = {**attributes, **identity(study), ORIGIN: origin(location), "complete": 0, "generation": 0}
+    root = snapshot.root_document(told, {})
+    with writing(location):
+        location.put(ROOT, sealed(root, ROOT))
+    return OpenStore(location, root)
+
+
+def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore | None:
+    """Begin a store anew: remove the ledger and the results of the one that is there; None where none is.
+
+    Files that linksweep did not write are left alone.  Raises SweepError where something else than a store is.
+    """
+    location = located(where)
+    root = find_root(location)
+    if root is None:
+        return None
+    with writing(location):
+        keys = location.keys()
+        arrays = chunk_names.leftovers(keys, snapshot.arrays_of(root))
+        ours = {*arrays, *(key for key in keys if key.partition("/")[0] in RESERVED)}
+        # The index first: killed from here on, the old store is one that has lost its blocks.
+        for key in sorted(ours, key=lambda key: not key.startswith("blocks/index/c/")):
+            location.delete(key)
+        return create_store(location, study, attributes)

@@ -1,0 +1,1 @@
+"""Tables in files: every format read into one, columns as numbers, and files as values of parameters."""
