@@ -13,6 +13,9 @@ ROWS_NAMED = 5
 HOURS = 24.0
 """A right ascension without a unit that stays within so much either way may be in hours (or radians) as well."""
 
+SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
+"""Units of angles that are text, and whether these are hours."""
+
 _NAMED_TIME = re.compile(
     r"^_?ra(h|hr|hrs|hours?|m|s)$|^_?(ra|alpha)\w*[\W_](h|hr|hrs|hours?|hms|m|min|s|sec)\W*$", re.I
 )
@@ -37,7 +40,7 @@ def column_values(table: Any, name: str, unit: str, stated: str | None = None, r
     if name not in table.colnames:
         raise ValueError(f"no column {name!r}; there are {', '.join(table.colnames)}")
     column = table[name]
-    kind = getattr(getattr(column, "dtype", None), "kind", "O")
+    kind = getattr(getattr(column, "dtype", None), "kind", "V")  # of times and sky coordinates it has none
     if column.ndim != 1 or kind not in "fiuUSO":
         raise ValueError(f"column {name!r} does not hold numbers")
     wanted = _unit_of(table, name, stated)
@@ -137,7 +140,9 @@ def _check_without_unit(name: str, values: Array, unit: str, right_ascension: bo
 
 def _sexagesimal(column: Any, missing: NDArray[np.bool_], name: str, unit: Any, right_ascension: bool) -> Array:
     text = "" if unit is None else str(unit)
-    hours = {"": right_ascension, "h:m:s": True, "d:m:s": False, "deg": False}.get(text, text in ("h", "hourangle"))
+    if text not in ("", *SEXAGESIMAL):
+        raise ValueError(f"column {name!r} is text and in {text}; an angle as text is in {', '.join(SEXAGESIMAL)}")
+    hours = SEXAGESIMAL.get(text, right_ascension)
     values = np.full(len(column), np.nan)
     bad = np.zeros(len(column), dtype=bool)
     texts = [item.decode("ascii", "replace") if isinstance(item, bytes) else str(item) for item in column]

@@ -9,9 +9,7 @@ from core.arrays import Array
 from core.constants import DEGREE
 from core.tie.astrometry import named_rows
 from sweep.formatting import first_of
-
-SEPARATORS = str.maketrans(dict.fromkeys(":hdms", " "))
-"""What stands between hours, minutes and seconds, made blank."""
+from sweep.tables.columns import column_values
 
 
 class ColumnReader:
@@ -26,7 +24,9 @@ class ColumnReader:
         return str(getattr(getattr(self.table[name], "dtype", None), "kind", "O"))
 
     def angle(self, name: str, hours: bool) -> Array:
-        """Return a column of angles in rad; text is sexagesimal, in ``hours`` or degrees."""
+        """Return a column of angles in rad; text is sexagesimal, in ``hours`` (a right ascension) unless it
+        or its unit says degrees.
+        """
         from astropy import units
 
         column = self.table[name]
@@ -44,23 +44,11 @@ class ColumnReader:
             return np.full(len(self.table), np.nan)
 
     def _sexagesimal(self, name: str, hours: bool) -> Array:
-        found, bad = np.full(len(self.table), np.nan), []
-        for i, text in enumerate(np.ma.filled(np.ma.asarray(self.table[name]).astype(str), "")):
-            parts = text.translate(SEPARATORS).split()
-            if not parts:
-                continue
-            try:
-                size = sum(abs(float(part)) / 60.0**k for k, part in enumerate(parts))
-            except ValueError:
-                size = np.nan
-            if len(parts) != 3 or not np.isfinite(size):
-                bad.append(i)
-            else:
-                found[i] = (-size if parts[0].startswith("-") else size) * DEGREE * (15.0 if hours else 1.0)
-        if bad:
-            what = "hours, minutes and seconds" if hours else "degrees, minutes and seconds"
-            self.problems.append(f"column {name!r} does not hold {what} in {named_rows(np.array(bad))}")
-        return found
+        try:
+            return column_values(self.table, name, "deg", right_ascension=hours) * DEGREE
+        except ValueError as error:
+            self.problems.append(str(error))
+            return np.full(len(self.table), np.nan)
 
     def in_unit(self, name: str, unit: str) -> Array:
         """Return a column in a unit, which it has where it does not say."""

@@ -354,6 +354,45 @@ def test_hours_without_a_unit_are_not_taken_for_degrees(tmp_path):
             read_table(tmp_path / "hours.csv", TableOptions(units=wrong))
 
 
+@pytest.mark.parametrize(
+    ("unit", "texts"),
+    [
+        ("", ("12 30 00.5", "12:30:00.5", "12h30m00.5s", "187d30m07.5s", "12 30.008333333333")),
+        ("deg", ("187 30 07.5", "187:30:07.5")),
+        ("hourangle", ("12 30 00.5",)),
+    ],
+)
+def test_angles_as_text_are_those_of_astropy(tmp_path, unit, texts):
+    for ra in texts:
+        table = Table.read(gaia(tmp_path / "a.ecsv", stars(2)))
+        table["ra"], table["dec"] = [ra, "0 00 01"], ["-00 30 15.25", "\u221210 00 00"]
+        table["ra"].unit = unit or None
+        table.write(tmp_path / "text.ecsv", overwrite=True)
+        values = read_table(tmp_path / "text.ecsv").astrometry.values
+        expected = SkyCoord(187.502083333333333, -(30.0 / 60.0 + 15.25 / 3600.0), unit="deg")
+        np.testing.assert_allclose(values[:2, 0], [expected.ra.rad, expected.dec.rad], rtol=1e-12)
+        assert values[1, 1] == pytest.approx(np.radians(-10.0), rel=1e-15)
+
+
+@pytest.mark.parametrize("ra", ["25 00 00", "187 30 00", "12 75 00", "12 34 99", "12", "noon"])
+def test_text_that_is_no_right_ascension_is_refused(tmp_path, ra):
+    table = Table.read(gaia(tmp_path / "a.ecsv", stars(2)))
+    table["ra"] = ["12 30 00", ra]
+    table["ra"].unit = None
+    table.write(tmp_path / "text.ecsv")
+    with pytest.raises(SweepError, match=f"column 'ra' is text that is no angle like .* in row 2 .'{ra}'"):
+        read_table(tmp_path / "text.ecsv")
+
+
+def test_text_in_a_unit_that_no_sexagesimal_angle_has_is_refused(tmp_path):
+    table = Table.read(gaia(tmp_path / "a.ecsv", stars(2)))
+    table["ra"] = ["12 30 00", "1 2 3"]
+    table["ra"].unit = "rad"
+    table.write(tmp_path / "text.ecsv")
+    with pytest.raises(SweepError, match="column 'ra' is text and in rad; an angle as text is in deg"):
+        read_table(tmp_path / "text.ecsv")
+
+
 def test_negative_parallaxes_stay(tmp_path):
     made = stars(40, parallax=0.0)
     made.values[2] = np.random.default_rng(3).normal(-0.02, 0.05, 40) * MAS
