@@ -14,12 +14,12 @@ from sweep.cli.options import (
     break_lock_option,
     json_option,
     load,
-    resource_options,
     study_argument,
     study_options,
     trust_option,
 )
 from sweep.cli.output import print_answer, print_plan, print_table
+from sweep.cli.resource_options import resource_options
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 
 if TYPE_CHECKING:
