@@ -159,7 +159,7 @@ def part_of(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the dataset of a store, of it the part that ``--at`` names."""
     from sweep.analysis.selection import select
     from sweep.stores.store import open_dataset
-    from sweep.studies.axes import parse_places
+    from sweep.studies.option_values import parse_places
 
     places = parse_places(at)
     dataset = open_dataset(store)

@@ -5,7 +5,7 @@ import json
 from sweep.contract import Experiment, Output, Parameter
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.designs import DESIGNS
-from sweep.studies.study import Sampling
+from sweep.studies.form import Sampling
 
 SAMPLING = {
     "n_sim": "realisations of each catalogue",

@@ -23,7 +23,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.running.run import run_study
-from sweep.studies.axes import parse_places
+from sweep.studies.option_values import parse_places
 from sweep.studies.reader import study_from_dict
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
