@@ -1,9 +1,9 @@
 """Checks the claims of a study, and the numbers of its conclusion, against its grid and its experiment."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from sweep.contract import Experiment, Named, Output, Value, shown, suggest
 from sweep.formatting import first_of
@@ -122,43 +122,33 @@ def _check_over(over: str, where: Mapping[str, Value], context: ClaimContext, pr
 
 def _selection(
     places: Mapping[str, object],
-    where: tuple[str, ...],
+    table: tuple[str, ...],
     context: ClaimContext,
     problems: Problems,
-    beside: Mapping[str, Value] | None = None,
+    beside: Collection[str] = (),
 ) -> dict[str, Value]:
-    """Return values of axes as the grid has them; ``beside`` are those that the claim gives elsewhere."""
-    return {name: _on_axis(name, raw, (*where, name), context, problems, beside or {}) for name, raw in places.items()}
-
-
-def _on_axis(
-    name: str,
-    raw: object,
-    where: tuple[str, ...],
-    context: ClaimContext,
-    problems: Problems,
-    beside: Mapping[str, Value],
-) -> Value:
-    if name in beside:
-        problems.add(where, "is given by 'where' too; leave out one of the two")
-    if name not in context.axes and name not in context.overridden:
-        problems.add(where, f"{shown(name)} is not an axis{_known_axes(name, context)}")
-        return None
-    try:
-        value = context.experiment.parameter(name).parse(raw)
-    except ValueError as error:
-        problems.add(where, str(error))
-        return None
-    values = context.axes.get(name)
-    if values is not None and name not in context.overridden and value not in values:
-        problems.add(where, f"{shown(value)} is not on the axis, which has {_listed(values)}")
-    return value.name if isinstance(value, Named) else value
+    """Return values of axes as the grid has them; ``beside`` are axes of which the claim gives values elsewhere."""
+    found: dict[str, Value] = dict.fromkeys(places)  # None where it is wrong
+    for name, raw in places.items():
+        where = (*table, name)
+        if name in beside:
+            problems.add(where, "is given by 'where' too; leave out one of the two")
+        if name not in context.axes and name not in context.overridden:
+            problems.add(where, f"{shown(name)} is not an axis{_known_axes(name, context)}")
+            continue
+        try:
+            value = context.experiment.parameter(name).parse(raw)
+        except ValueError as error:
+            problems.add(where, str(error))
+            continue
+        values = context.axes.get(name)
+        if values is not None and name not in context.overridden and value not in values:
+            listed = first_of([shown(value) for value in values], 20)
+            problems.add(where, f"{shown(value)} is not on the axis, which has {listed}")
+        found[name] = value.name if isinstance(value, Named) else value
+    return found
 
 
 def _known_axes(name: str, context: ClaimContext) -> str:
     known = [axis for axis in context.axes if axis in context.experiment.defaults()]
     return suggest(name, known) if known else "; the study has none"
-
-
-def _listed(values: Sequence[Any], most: int = 20) -> str:
-    return first_of([shown(v) for v in values], most)

@@ -6,30 +6,17 @@ from typing import Any
 from pydantic import ValidationError
 
 from sweep.contract import shown, suggest
-from sweep.studies.form import (
-    Claim,
-    Conclusion,
-    ConclusionValue,
-    Form,
-    GridForm,
-    PointsForm,
-    PublishedForm,
-    Ratio,
-    Reading,
-    Sampling,
-    Section,
-    Slope,
-)
+from sweep.studies import form
 from sweep.studies.problems import Problems
 from sweep.studies.source import Place
 
 
-def read_form(document: Mapping[str, Any], problems: Problems) -> Form | None:
+def read_form(document: Mapping[str, Any], problems: Problems) -> form.Form | None:
     """Return the form of a document; without its broken sections, so that the others are checked too, and None where
     it does not say what it is a study of.
     """
     try:
-        return Form.model_validate(document)
+        return form.Form.model_validate(document)
     except ValidationError as error:
         errors = error.errors()
     for item in errors:
@@ -50,15 +37,22 @@ def read_form(document: Mapping[str, Any], problems: Problems) -> Form | None:
     if "grid" in broken:
         broken |= {"claim", "conclusion"}
     rest = {key: value for key, value in document.items() if key not in broken}
-    return Form.model_validate({"title": "", **rest})
+    return form.Form.model_validate({"title": "", **rest})
 
 
 def _known_keys(where: Place) -> list[str]:
     """Return the keys that are allowed beside the one at ``where``."""
-    sections: dict[str | int, type[Section]] = {
-        **{"sampling": Sampling, "grid": GridForm, "points": PointsForm, "published": PublishedForm, "claim": Claim},
-        **{"conclusion": Conclusion, "values": ConclusionValue},
-        **{"slope": Slope, "ratio": Ratio, "value": Reading},
+    sections: dict[str | int, type[form.Section]] = {
+        "sampling": form.Sampling,
+        "grid": form.GridForm,
+        "points": form.PointsForm,
+        "published": form.PublishedForm,
+        "claim": form.Claim,
+        "conclusion": form.Conclusion,
+        "values": form.ConclusionValue,
+        "slope": form.Slope,
+        "ratio": form.Ratio,
+        "value": form.Reading,
     }
-    table = next((sections[key] for key in reversed(where[:-1]) if key in sections), Form)
+    table = next((sections[key] for key in reversed(where[:-1]) if key in sections), form.Form)
     return list(table.model_fields)
