@@ -4,9 +4,9 @@ from pathlib import Path
 
 from core.experiment import link
 from sweep.contract import Output, Parameter
+from sweep.studies.form import Sampling
 from sweep.studies.reader import load_study
 from sweep.studies.source import built_in_studies
-from sweep.studies.study import Sampling
 
 INTRODUCTION = """# Studies, parameters and results
 

@@ -16,7 +16,7 @@ from sweep.analysis.quantity import OLD_ERRORS, has_old_errors, standard_error, 
 from sweep.analysis.verdicts import VERDICTS, Comparison, Measured, PublishedNumber, Verdict, judged
 from sweep.attributes import units_of
 from sweep.contract import SweepError
-from sweep.studies.study import Reading, printed_rounding
+from sweep.studies.form import Reading, printed_rounding
 
 
 def compare(dataset: xr.Dataset) -> list[Comparison]:

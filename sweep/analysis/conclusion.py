@@ -10,7 +10,7 @@ from sweep.analysis.measured_claims import OutsideGridError, in_words, measure, 
 from sweep.analysis.verdicts import ARITHMETIC, MC_ERRORS_ALLOWED, Measured
 from sweep.contract import SweepError
 from sweep.readable import in_short, with_unit
-from sweep.studies.study import Conclusion, ConclusionValue, Reading
+from sweep.studies.form import Conclusion, ConclusionValue, Reading
 
 CONCLUSION = "conclusion"
 """The attribute of a dataset that holds it, as JSON."""

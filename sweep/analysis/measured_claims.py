@@ -22,7 +22,7 @@ from sweep.analysis.verdicts import Measured
 from sweep.attributes import units_of
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status
-from sweep.studies.study import Claim, Derived, Ratio, Reading, Slope
+from sweep.studies.form import Claim, Derived, Ratio, Reading, Slope
 
 Index = Mapping[str, int]
 

@@ -1,10 +1,9 @@
 """The command line; each command calls one function of the library, imported when it is needed."""
 
-from sweep.cli import (
+from sweep.cli import (  # noqa: F401 (they add their commands to the group)
     analysis,
     demo,
     match,
-    merge,
     paper,
     plot,
     report,
@@ -18,20 +17,4 @@ from sweep.cli import (
 )
 from sweep.cli.group import main
 
-__all__ = [
-    "analysis",
-    "demo",
-    "main",
-    "match",
-    "merge",
-    "paper",
-    "plot",
-    "report",
-    "rerun",
-    "running",
-    "scaling",
-    "sensitivity",
-    "store",
-    "studies",
-    "tie",
-]
+__all__ = ["main"]

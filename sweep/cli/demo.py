@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from sweep.cli.group import main
+from sweep.cli.options import FILE
 from sweep.cli.output import print_answer
 from sweep.formatting import WIDTH
 
@@ -33,7 +34,7 @@ NEEDS = {"plot": ("matplotlib",), "report": ("matplotlib", "bokeh", "jinja2")}
 
 
 @main.command()
-@click.argument("folder", type=click.Path(path_type=Path), default="linksweep-demo")
+@click.argument("folder", type=FILE, default="linksweep-demo")
 @click.pass_context
 def demo(context: click.Context, folder: Path) -> None:
     """Show the whole way from a study to its answer, in less than a minute: write a small study into a new FOLDER

@@ -25,6 +25,11 @@ class Watching:
 def watching_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add --quiet, --verbose and --log; the command gets them as ``watching``."""
 
+    @click.option("--quiet", "-q", is_flag=True, help="Print only errors, and the table.")
+    @click.option("--verbose", "-v", is_flag=True, help="Print a line for each point, and Dask's warnings.")
+    @click.option(
+        "--log", metavar="FILE", callback=_log_file, help="Append everything to FILE, with times and tracebacks."
+    )
     @functools.wraps(command)
     def with_watching(*arguments: Any, quiet: bool, verbose: bool, log: TextIO | None, **named: Any) -> Any:
         if quiet and verbose:
@@ -32,17 +37,7 @@ def watching_options(command: Callable[..., Any]) -> Callable[..., Any]:
         level = logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO
         return command(*arguments, watching=Watching(level, log), **named)
 
-    wrapped: Callable[..., Any] = with_watching
-    options = (
-        click.option("--quiet", "-q", is_flag=True, help="Print only errors, and the table."),
-        click.option("--verbose", "-v", is_flag=True, help="Print a line for each point, and Dask's warnings."),
-        click.option(
-            "--log", metavar="FILE", callback=_log_file, help="Append everything to FILE, with times and tracebacks."
-        ),
-    )
-    for option in reversed(options):
-        wrapped = option(wrapped)
-    return wrapped
+    return with_watching
 
 
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:

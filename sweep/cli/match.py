@@ -6,16 +6,15 @@ from typing import Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import json_option
+from sweep.cli.options import FILE, json_option
 from sweep.cli.output import print_whole
+from sweep.formatting import to_json
 
 
 @main.command()
-@click.argument("stars", type=click.Path(path_type=Path))
-@click.argument("galaxies", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--supplement", type=click.Path(path_type=Path), help="More stars, whose matches are a class of their own."
-)
+@click.argument("stars", type=FILE)
+@click.argument("galaxies", nargs=-1, required=True, type=FILE)
+@click.option("--supplement", type=FILE, help="More stars, whose matches are a class of their own.")
 @click.option(
     "--radius", multiple=True, metavar="[NAME=]ARCSEC", help="Match radius, of all or of one catalogue.  [default: 5]"
 )
@@ -50,6 +49,7 @@ from sweep.cli.output import print_whole
 )
 @click.option(
     "--merge-radius",
+    "merge_radius_arcsec",
     type=click.FloatRange(0.0, 3600.0, min_open=True),
     metavar="ARCSEC",
     help="Entries of two catalogues this close are one galaxy.  [default: the sum of their match radii]",
@@ -63,6 +63,7 @@ from sweep.cli.output import print_whole
 )
 @click.option(
     "--crowding-radius",
+    "crowding_radius_arcsec",
     type=click.FloatRange(0.0, 3600.0, min_open=True),
     metavar="ARCSEC",
     default=120.0,
@@ -78,6 +79,7 @@ from sweep.cli.output import print_whole
 )
 @click.option(
     "--epoch-difference",
+    "epoch_difference_yr",
     type=click.FloatRange(0.0, min_open=True),
     metavar="YR",
     default=20.0,
@@ -86,6 +88,7 @@ from sweep.cli.output import print_whole
 )
 @click.option(
     "--second-epoch-error",
+    "second_epoch_error_mas",
     type=click.FloatRange(0.0),
     metavar="MAS",
     default=0.0,
@@ -95,37 +98,25 @@ from sweep.cli.output import print_whole
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=FILE,
     default=Path("results/matches.ecsv"),
     show_default=True,
     help="The matches as ECSV.",
 )
-@click.option("--table", type=click.Path(path_type=Path), help="Also the paper's 46-byte table.")
-@click.option("--figure", type=click.Path(path_type=Path), help="Also draw an all-sky map: .png, .svg or .pdf.")
+@click.option("--table", type=FILE, help="Also the paper's 46-byte table.")
+@click.option("--figure", type=FILE, help="Also draw an all-sky map: .png, .svg or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @json_option
 def match(
     stars: Path,
     galaxies: tuple[Path, ...],
     supplement: Path | None,
-    radius: tuple[str, ...],
-    error: tuple[str, ...],
-    column: tuple[str, ...],
-    unit: tuple[str, ...],
-    epoch: float,
-    ref_epoch: tuple[str, ...],
-    missing_pm: Any,
-    merge_radius: float | None,
-    k_sigma: float,
-    crowding_radius: float,
-    crowding_stars: int,
-    epoch_difference: float,
-    second_epoch_error: float,
     output: Path,
     table: Path | None,
     figure: Path | None,
     overwrite: bool,
     as_json: bool,
+    **search_options: Any,
 ) -> None:
     """Find the galaxies in a star catalogue: cross-match STARS with one or more GALAXIES tables.
 
@@ -142,29 +133,10 @@ def match(
     from sweep.search.outputs import Outputs
     from sweep.search.summary import summarise, summary_text
 
-    search = plan_search(
-        stars,
-        galaxies,
-        supplement,
-        radius=radius,
-        error=error,
-        ref_epoch=ref_epoch,
-        column=column,
-        unit=unit,
-        missing_pm=missing_pm,
-        epoch=epoch,
-        k_sigma=k_sigma,
-        crowding_radius_arcsec=crowding_radius,
-        crowding_stars=crowding_stars,
-        merge_radius_arcsec=merge_radius,
-        epoch_difference_yr=epoch_difference,
-        second_epoch_error_mas=second_epoch_error,
-    )
+    search = plan_search(stars, galaxies, supplement, **search_options)
     outputs = Outputs(output, table, figure)
     summary = summarise(find_galaxies(search, outputs, overwrite))
     if as_json:
-        from sweep.formatting import to_json
-
         click.echo(to_json(summary))
     else:
         for part in summary_text(summary):

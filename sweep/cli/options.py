@@ -9,34 +9,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sweep.cli import shell_completion
-from sweep.executing.pools import DEFAULT_POOL, POOLS
 
 if TYPE_CHECKING:
-    from sweep.executing.choose import Resources
-    from sweep.executing.pools import PoolName
     from sweep.stores.location import Location
     from sweep.studies.study import Study
 
 Command = Callable[..., Any]
 
-RESOURCES = (
-    *(
-        "workers",
-        "pool",
-        "scheduler",
-        "tls_ca",
-        "tls_cert",
-        "tls_key",
-        "cluster",
-        "time_limit",
-        "memory_limit",
-        "dashboard",
-    ),
-)
 OVERRIDES = ("settings", "axes", "points", "design", "ranges")
 """Arguments of `load_study` that options give."""
 
-MEMORY_AT_LEAST = 200 * 10**6
+FILE = click.Path(path_type=Path)
+"""The type of what names a file or folder, which need not be there."""
 
 study_argument = click.argument("study", shell_complete=shell_completion.studies)
 place_option = click.option(
@@ -57,16 +41,14 @@ accept_code_option = click.option(
 )
 
 
-def located_option(context: click.Context, _parameter: click.Parameter, value: Any) -> Any:
-    """Turn what names a store, or several, into places; nothing while a shell completes."""
+def located_option(context: click.Context, _parameter: click.Parameter, value: str | None) -> "Location | None":
+    """Turn what names a store into its place; nothing while a shell completes."""
     if value is None or context.resilient_parsing:
         return None
     from sweep.stores.location import located
 
-    if value == "" or (isinstance(value, tuple) and "" in value):
+    if value == "":
         raise click.BadParameter("is empty; give the path of a store, or s3://BUCKET/NAME")
-    if isinstance(value, tuple):
-        return tuple(map(located, value))
     return located(value)
 
 
@@ -74,7 +56,7 @@ def _named(context: click.Context, parameter: click.Parameter, value: Any) -> An
     """Turn what names a store that is there, or the study whose store it is, or several, into places."""
     if isinstance(value, tuple):
         return tuple(_named(context, parameter, one) for one in value)
-    if value is None or value == "" or context.resilient_parsing:
+    if not value or context.resilient_parsing:
         return located_option(context, parameter, value)
     from sweep.stores.named import store_named
 
@@ -101,145 +83,50 @@ def json_or(table_format: str, as_json: bool) -> str:
 
 def study_options(command: Command) -> Command:
     """Add the options that name a study's overrides, which the command gets as ``overrides``, and its store."""
-    options = (
-        click.option(
-            "--set",
-            "settings",
-            multiple=True,
-            metavar="KEY=VALUE",
-            shell_complete=shell_completion.settings,
-            help="Override a value of the study, e.g. n_sim=500 or weighting=equal.",
-        ),
-        click.option(
-            "--axis",
-            "axes",
-            multiple=True,
-            metavar="NAME=SPEC",
-            shell_complete=shell_completion.axes,
-            help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
-        ),
-        click.option("--points", metavar="FILE", help="Compute the points in this table: a column for each parameter."),
-        click.option(
-            "--design",
-            metavar="NAME:N",
-            help="Compute a design of points, e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, "
-            "saltelli, morris.",
-        ),
-        click.option(
-            "--range",
-            "ranges",
-            multiple=True,
-            metavar="NAME=SPEC",
-            help="The range of a parameter in the design: 0.1:0.5, 1:100:log or amex,gaia.",
-        ),
-        click.option(
-            "-o",
-            "--output",
-            "store",
-            callback=located_option,
-            help="The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]",
-        ),
-    )
 
+    @click.option(
+        "--set",
+        "settings",
+        multiple=True,
+        metavar="KEY=VALUE",
+        shell_complete=shell_completion.settings,
+        help="Override a value of the study, e.g. n_sim=500 or weighting=equal.",
+    )
+    @click.option(
+        "--axis",
+        "axes",
+        multiple=True,
+        metavar="NAME=SPEC",
+        shell_complete=shell_completion.axes,
+        help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
+    )
+    @click.option("--points", metavar="FILE", help="Compute the points in this table: a column for each parameter.")
+    @click.option(
+        "--design",
+        metavar="NAME:N",
+        help="Compute a design of points, e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, "
+        "saltelli, morris.",
+    )
+    @click.option(
+        "--range",
+        "ranges",
+        multiple=True,
+        metavar="NAME=SPEC",
+        help="The range of a parameter in the design: 0.1:0.5, 1:100:log or amex,gaia.",
+    )
+    @click.option(
+        "-o",
+        "--output",
+        "store",
+        callback=located_option,
+        help="The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]",
+    )
     @functools.wraps(command)
     def with_overrides(*arguments: Any, **named: Any) -> Any:
         overrides = {name: named.pop(name) for name in OVERRIDES}
         return command(*arguments, overrides=overrides, **named)
 
-    wrapped: Command = with_overrides
-    for option in reversed(options):
-        wrapped = option(wrapped)
-    return wrapped
-
-
-def resource_options(command: Command) -> Command:
-    """Add the options that say what to run on; the command gets them as ``resources``."""
-    file = click.Path(exists=True, dir_okay=False, path_type=Path)
-    options = (
-        click.option("--workers", type=click.IntRange(1, 4096), help="Local workers.  [default: one per core]"),
-        click.option(
-            "--pool",
-            type=click.Choice(list(POOLS)),
-            help=f"What to run on here: {', '.join(pool.words for pool in POOLS.values())}.  "
-            f"[default: {DEFAULT_POOL}; serial if small]",
-        ),
-        click.option(
-            "--scheduler", metavar="ADDRESS", help="Use the Dask scheduler at this address, e.g. tcp://host:8786."
-        ),
-        click.option("--tls-ca", type=file, help="For a tls:// scheduler: the authority's certificate."),
-        click.option("--tls-cert", type=file, help="For a tls:// scheduler: our certificate."),
-        click.option("--tls-key", type=file, help="For a tls:// scheduler: our key."),
-        click.option("--cluster", type=file, help="Use the Dask cluster that this TOML or YAML file describes."),
-        click.option(
-            "--time-limit",
-            type=click.FloatRange(0, min_open=True),
-            metavar="SECONDS",
-            help="A block that takes longer fails.",
-        ),
-        click.option(
-            "--memory-limit",
-            metavar="BYTES",
-            callback=_bytes,
-            help="A block whose local worker needs more fails, e.g. 2GB.  [default: an equal share each]",
-        ),
-        click.option("--dashboard", is_flag=True, help="Give local workers Dask's dashboard; print its address."),
-    )
-
-    @functools.wraps(command)
-    def with_resources(*arguments: Any, **named: Any) -> Any:
-        requested = {name: named.pop(name) for name in RESOURCES}
-        return command(*arguments, resources=_resources(**requested), **named)
-
-    wrapped: Command = with_resources
-    for option in reversed(options):
-        wrapped = option(wrapped)
-    return wrapped
-
-
-def _bytes(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:
-    if value is None:
-        return None
-    from dask.utils import parse_bytes
-
-    try:
-        number = int(parse_bytes(value))
-    except ValueError as error:
-        raise click.BadParameter(f"{value!r} is no number of bytes; write 2GB or 500MiB") from error
-    if number < MEMORY_AT_LEAST:
-        raise click.BadParameter(f"{value!r} is less than the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself")
-    return number
-
-
-def _resources(
-    workers: int | None,
-    pool: "PoolName | None",
-    scheduler: str | None,
-    tls_ca: Path | None,
-    tls_cert: Path | None,
-    tls_key: Path | None,
-    cluster: Path | None,
-    time_limit: float | None,
-    memory_limit: int | None,
-    dashboard: bool,
-) -> "Resources":
-    """Return the resources that the options name; raises click.UsageError for options that contradict each other."""
-    from sweep.executing.choose import Resources
-    from sweep.executing.execute import Limits
-
-    if scheduler is not None and cluster is not None:
-        raise click.UsageError("--scheduler and --cluster are two places; name one")
-    for option in [f"--{name}" for name, value in (("scheduler", scheduler), ("cluster", cluster)) if value]:
-        if workers is not None or pool is not None or memory_limit is not None:
-            raise click.UsageError(
-                f"--workers, --pool and --memory-limit are for local workers; they do not go with {option}"
-            )
-    if workers is not None and pool is not None and not POOLS[pool].has_workers:
-        raise click.UsageError(f"--pool {pool} has no workers")
-    files = (tls_ca, tls_cert, tls_key)
-    if any(files) and (scheduler is None or not scheduler.startswith("tls://") or None in files):
-        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
-    tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
-    return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit), dashboard)
+    return with_overrides
 
 
 def load(study: str, overrides: Mapping[str, Any], store: "Location | None", trust: bool) -> "tuple[Study, Location]":
@@ -258,11 +145,21 @@ def load(study: str, overrides: Mapping[str, Any], store: "Location | None", tru
     return loaded, store or located(default_store(loaded.name))
 
 
+def link_in(store: "Location", at: tuple[str, ...]) -> Any:
+    """Return the link or forecast that a store holds, None if it holds a grid, of which alone ``--at`` names a part."""
+    from sweep.tie.stored import result_at
+
+    result = result_at(store)
+    if result is not None and at:
+        raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
+    return result
+
+
 def part_of(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the dataset of a store, of it the part that ``--at`` names."""
     from sweep.analysis.selection import select
     from sweep.stores.store import open_dataset
-    from sweep.studies.axes import parse_places
+    from sweep.studies.option_values import parse_places
 
     places = parse_places(at)
     dataset = open_dataset(store)

@@ -9,23 +9,27 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import json_option, json_or, resource_options, stores_argument
+from sweep.cli.options import FILE, json_option, json_or, stores_argument
 from sweep.cli.output import print_comparisons, print_whole
+from sweep.cli.resource_options import resource_options
 from sweep.cli.running import run_with_progress
+from sweep.formatting import to_json
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
     from sweep.stores.location import Location
 
 
+all_option = click.option(
+    "--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it was not yet."
+)
+results_option = click.option("--results", type=FILE, help="Folder with the stores of --all.  [default: results]")
+
+
 @main.command()
 @stores_argument
-@click.option("--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it was not yet.")
-@click.option(
-    "--results",
-    type=click.Path(path_type=Path),
-    help="Folder with the stores of --all.  [default: results]",
-)
+@all_option
+@results_option
 @resource_options
 @watching_options
 @click.option("--format", "table_format", type=click.Choice(["text", "csv"]), default="text", show_default=True)
@@ -49,27 +53,40 @@ def compare(
     """
     table_format = json_or(table_format, as_json)
     from sweep.analysis.compare import all_is_well
-    from sweep.executing.choose import Resources
     from sweep.paper.published_stores import compare_stores
-    from sweep.stores.named import RESULTS
 
-    if everything == bool(stores):
-        raise click.UsageError("name stores, or give --all")
-    if not everything and (results is not None or resources != Resources() or watching != Watching()):
-        raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without it")
+    require_stores_or_all(stores, everything, results, resources, watching)
     if everything:
-        stores = run_what_is_missing(results or RESULTS, resources, watching)
+        stores = run_what_is_missing(results, resources, watching)
     comparisons, remarks = compare_stores(stores)
     print_comparisons(comparisons, remarks, table_format)
     if not all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)
 
 
-def run_what_is_missing(results: Path, resources: "Resources", watching: Watching) -> "tuple[Location, ...]":
+def require_stores_or_all(
+    stores: "tuple[Location, ...]",
+    everything: bool,
+    results: Path | None,
+    resources: "Resources",
+    watching: Watching,
+) -> None:
+    """Raise click.UsageError unless a command has either stores or --all, and only with --all what belongs to it."""
+    from sweep.executing.choose import Resources
+
+    if everything == bool(stores):
+        raise click.UsageError("name stores, or give --all")
+    if not everything and (results is not None or resources != Resources() or watching != Watching()):
+        raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without it")
+
+
+def run_what_is_missing(results: Path | None, resources: "Resources", watching: Watching) -> "tuple[Location, ...]":
     """Return the stores of all built-in studies with something published, after running those that need it."""
     from sweep.paper.published_stores import published_studies, store_of, unfinished
     from sweep.stores.location import located
+    from sweep.stores.named import RESULTS
 
+    results = results or RESULTS
     studies = published_studies()
     for study in unfinished(studies, results):
         store = located(store_of(study, results))
@@ -92,8 +109,6 @@ def calibrate(as_json: bool) -> None:
 
     report = calibration_report()
     if as_json:
-        from sweep.formatting import to_json
-
         click.echo(to_json(report))
         return
     print_whole(as_text(report))

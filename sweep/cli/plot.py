@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import naming, part_of, place_option
+from sweep.cli.options import FILE, link_in, naming, part_of, place_option
 from sweep.plots.kinds import STANDALONE, all_kinds
 
 NARROWEST_MM, WIDEST_MM = 40.0, 1000.0
@@ -54,7 +54,7 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]",
 )
 def plot(
@@ -82,11 +82,7 @@ def plot(
     sweep plot mission.toml --kind accuracy
     sweep plot tie.zarr --kind residuals -o residuals.png
     """
-    try:
-        from sweep.plots import style as styles
-    except ImportError as error:
-        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
-
+    styles = drawing_styles()
     if source is None and kind != "accuracy":
         raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
     if models and kind != "accuracy":
@@ -107,6 +103,15 @@ def plot(
         click.echo(f"wrote {beside}", err=True)
 
 
+def drawing_styles() -> Any:
+    """Return `sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is not installed."""
+    try:
+        from sweep.plots import style
+    except ImportError as error:
+        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
+    return style
+
+
 def _figure(
     source: str | None,
     kind: str | None,
@@ -119,7 +124,6 @@ def _figure(
     from sweep.plots.figure import draw_figure
     from sweep.plots.standalone import accuracy_figure, sky_figure
     from sweep.stores.named import store_named
-    from sweep.tie.stored import result_at
 
     if kind == "accuracy":
         from sweep.plots.views import accuracy_curves, models_of
@@ -136,10 +140,8 @@ def _figure(
             sky = catalogue_of_point(store_named(source), at)
         return sky_figure(sky), sky
     store = store_named(source)
-    if (result := result_at(store)) is not None:
-        if at:
-            raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
-        return draw_figure(result, kind, variables, over), result
+    if (link := link_in(store, at)) is not None:
+        return draw_figure(link, kind, variables, over), link
     dataset = part_of(store, at)
     with naming(store):
         return draw_figure(dataset, kind, variables, over), dataset

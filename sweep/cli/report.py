@@ -7,8 +7,9 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import resource_options, stores_argument
-from sweep.cli.paper import run_what_is_missing
+from sweep.cli.options import FILE, stores_argument
+from sweep.cli.paper import all_option, require_stores_or_all, results_option, run_what_is_missing
+from sweep.cli.resource_options import resource_options
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
@@ -17,16 +18,12 @@ if TYPE_CHECKING:
 
 @main.command()
 @stores_argument
-@click.option("--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it was not yet.")
-@click.option(
-    "--results",
-    type=click.Path(path_type=Path),
-    help="Folder with the stores of --all.  [default: results]",
-)
+@all_option
+@results_option
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="The page; an earlier report there is replaced, nothing else is.  [default: NAME-report.html]",
 )
 @resource_options
@@ -52,16 +49,10 @@ def report(
         from sweep.report.page import check_output, default_path, report_of, write_report
     except ImportError as error:
         raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
-    from sweep.executing.choose import Resources
-    from sweep.stores.named import RESULTS
-
-    if everything == bool(stores):
-        raise click.UsageError("name stores, or give --all")
-    if not everything and (results is not None or resources != Resources() or watching != Watching()):
-        raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without it")
+    require_stores_or_all(stores, everything, results, resources, watching)
     path = output or (Path("paper-report.html") if everything else default_path(stores))
     check_output(path)
     if everything:
-        stores = run_what_is_missing(results or RESULTS, resources, watching)
+        stores = run_what_is_missing(results, resources, watching)
     write_report(report_of(stores), path)
     click.echo(f"wrote {path}", err=True)

@@ -13,11 +13,11 @@ from sweep.cli.options import (
     accept_code_option,
     break_lock_option,
     json_option,
-    resource_options,
     store_argument,
     trust_option,
 )
 from sweep.cli.output import print_table
+from sweep.cli.resource_options import resource_options
 from sweep.cli.running import run_with_progress
 
 if TYPE_CHECKING:

@@ -14,12 +14,12 @@ from sweep.cli.options import (
     break_lock_option,
     json_option,
     load,
-    resource_options,
     study_argument,
     study_options,
     trust_option,
 )
 from sweep.cli.output import print_answer, print_plan, print_table
+from sweep.cli.resource_options import resource_options
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ def run_with_progress(
     from sweep.interrupt import RunInterruptedError
     from sweep.running.progress import TerminalProgress
     from sweep.running.run import run_study
+    from sweep.stores.named import short_name
 
     bar = watching.level < logging.ERROR
     with a_signal_ends_the_command(), told(watching), TerminalProgress(study, bar) as progress:
@@ -122,15 +123,9 @@ def run_with_progress(
             end_stopped(stop.signal)
         if as_json is not None:
             print_table(dataset, "json" if as_json else "text")
-        progress.finish(failures, store, () if as_json is None else next_commands(store))
+        name = short_name(store)
+        next_commands = (f"sweep plot {name}", f"sweep report {name}")
+        progress.finish(failures, store, () if as_json is None else next_commands)
     if as_json is False:
         print_answer(dataset)
     return failures
-
-
-def next_commands(store: "Location") -> tuple[str, ...]:
-    """Return the commands that look at a store after its run, its name as short as they take it."""
-    from sweep.stores.named import short_name
-
-    name = short_name(store)
-    return (f"sweep plot {name}", f"sweep report {name}")

@@ -6,9 +6,11 @@ from typing import Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import json_option, trust_option
+from sweep.cli.options import FILE, json_option, trust_option
+from sweep.cli.plot import drawing_styles
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 from sweep.executing.pools import DEFAULT_POOL, POOLS
+from sweep.formatting import to_json
 
 
 def _counts(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, ...]:
@@ -40,12 +42,10 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="The measurements, as Zarr.  [default: results/NAME-scaling.zarr]",
 )
-@click.option(
-    "--figure", type=click.Path(path_type=Path), help="Also draw them with the ideal lines: .png, .svg, .pdf."
-)
+@click.option("--figure", type=FILE, help="Also draw them with the ideal lines: .png, .svg, .pdf.")
 @trust_option
 @json_option
 def scaling(
@@ -68,11 +68,7 @@ def scaling(
     sweep scaling quasars --workers 1,2 --figure scaling.svg
     """
     if figure is not None:
-        try:
-            from sweep.plots import style
-        except ImportError as error:
-            raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
-        style.require_format(figure)
+        drawing_styles().require_format(figure)
     from sweep.interrupt import RunInterruptedError
     from sweep.running.scaling import check_free, measure_scaling, write_scaling
     from sweep.running.trust import require_trust_of_study
@@ -92,6 +88,7 @@ def scaling(
     _print(dataset, as_json)
     write_scaling(dataset, path)
     if figure is not None:
+        from sweep.plots import style
         from sweep.plots.figure import draw_figure
 
         with style.settings():
@@ -102,8 +99,6 @@ def scaling(
 def _print(dataset: Any, as_json: bool) -> None:
     frame = dataset[["seconds", "start_seconds", "speedup", "efficiency"]].to_dataframe().reset_index()
     if as_json:
-        from sweep.formatting import to_json
-
         click.echo(to_json(frame.to_dict(orient="records")))
     else:
         click.echo(frame.to_string(index=False, float_format=lambda value: f"{value:.3g}"))

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
+from sweep.cli.options import FILE, json_option, naming, part_of, place_option, store_argument
 from sweep.cli.output import print_sentences, print_whole
+from sweep.cli.plot import drawing_styles
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -19,9 +20,7 @@ TABLES = (".csv", ".json", ".zarr")
 @store_argument
 @click.option("--variable", help="What varies.  [default: the main result]")
 @place_option
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Write .csv, .json or .zarr, or draw .png, .svg, .pdf."
-)
+@click.option("-o", "--output", type=FILE, help="Write .csv, .json or .zarr, or draw .png, .svg, .pdf.")
 @json_option
 def sensitivity(
     store: "Location", variable: str | None, at: tuple[str, ...], output: Path | None, as_json: bool
@@ -62,12 +61,9 @@ def _require_known(output: Path) -> None:
         if output.suffix.lower() == ".zarr" and output.exists():
             raise SweepError("exists already; take another name", str(output))
         return
-    try:
-        from sweep.plots import style
-    except ImportError as error:
-        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
-    if output.suffix.lower() not in style.FORMATS:
-        raise SweepError(f"the name must end with {', '.join((*TABLES, *style.FORMATS))}", str(output))
+    formats = drawing_styles().FORMATS
+    if output.suffix.lower() not in formats:
+        raise SweepError(f"the name must end with {', '.join((*TABLES, *formats))}", str(output))
 
 
 def _write(result: Any, output: Path) -> None:

@@ -18,6 +18,9 @@ _stopped_by: list[int] = []
 """The signal that ended the command, if one did."""
 
 NO_LEAK_WARNING = "ignore:resource_tracker"
+"""A filter of warnings for processes that are started: an end in haste leaves semaphores, and the one that removes them
+would tell the user.
+"""
 
 
 @contextmanager
@@ -33,25 +36,14 @@ def a_signal_ends_the_command() -> Iterator[None]:
     for number, handler in before.items():
         if handler not in (signal.SIG_IGN, None):
             signal.signal(number, _leave_at_once)
-    try:
-        with no_leak_warning():
-            yield
-    finally:
-        for number, handler in before.items():
-            if handler is not None:
-                signal.signal(number, handler)
-
-
-@contextmanager
-def no_leak_warning() -> Iterator[None]:
-    """Start processes in this block such that the one that removes the semaphores which an end in haste leaves does not
-    tell the user of them.
-    """
     sys.warnoptions.append(NO_LEAK_WARNING)
     try:
         yield
     finally:
         sys.warnoptions.remove(NO_LEAK_WARNING)
+        for number, handler in before.items():
+            if handler is not None:
+                signal.signal(number, handler)
 
 
 def end_stopped(number: int) -> NoReturn:

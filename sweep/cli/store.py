@@ -1,4 +1,4 @@
-"""Commands about a store as it is: show, status, check and repair."""
+"""Commands about stores as they are: show, status, check, repair and merge."""
 
 import sys
 from typing import TYPE_CHECKING
@@ -6,8 +6,20 @@ from typing import TYPE_CHECKING
 import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import break_lock_option, json_option, json_or, part_of, place_option, store_argument
+from sweep.cli.options import (
+    accept_code_option,
+    break_lock_option,
+    json_option,
+    json_or,
+    link_in,
+    located_option,
+    part_of,
+    place_option,
+    store_argument,
+    trust_option,
+)
 from sweep.cli.output import print_status, print_table, status_as_json
+from sweep.formatting import to_json
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -26,15 +38,11 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
     sweep show quasars --at model=gaia
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
-    from sweep.tie.stored import result_at
-
     table_format = json_or(table_format, as_json)
-    if (result := result_at(store)) is not None:
+    if (link := link_in(store, at)) is not None:
         from sweep.tie.text import as_format
 
-        if at:
-            raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
-        click.echo(as_format(result, table_format).rstrip("\n"))
+        click.echo(as_format(link, table_format).rstrip("\n"))
         return
     print_table(part_of(store, at), table_format, with_components=True)
 
@@ -70,16 +78,15 @@ def check(store: "Location", as_json: bool) -> None:
 
     report = check_files(store)
     if as_json:
-        from sweep.formatting import to_json
-
         click.echo(to_json(report))
-    elif not report:
-        click.echo("every file is as it was written")
-    for part in () if as_json else (report.identity, report.ledger, report.results):
-        for file, problem in part.items():
-            click.echo(f"{file}: {problem}")
-    for remark in () if as_json else report.remarks:
-        click.echo(f"{store} {remark}")
+    else:
+        if not report:
+            click.echo("every file is as it was written")
+        for part in (report.identity, report.ledger, report.results):
+            for file, problem in part.items():
+                click.echo(f"{file}: {problem}")
+        for remark in report.remarks:
+            click.echo(f"{store} {remark}")
     if report:
         click.echo(f"`sweep repair {store}` repairs what can be repaired", err=True)
         sys.exit(EXIT_FAILED_POINTS)
@@ -98,3 +105,27 @@ def repair(store: "Location", break_lock: bool) -> None:
 
     for sentence in repair_files(store, break_lock=break_lock) or ["every file is as it was written"]:
         click.echo(sentence)
+
+
+@main.command()
+@store_argument
+@click.argument("other", callback=located_option)
+@click.option("-o", "--output", required=True, callback=located_option, help="The new store.")
+@accept_code_option
+@trust_option
+@json_option
+def merge(
+    store: "Location", other: "Location", output: "Location", accept_code: bool, trust: bool, as_json: bool
+) -> None:
+    """Make a new store of two, STORE and OTHER, that hold the same experiment: the points of both.
+
+    Points that both have are kept once, and must be the same to the last bit.
+
+    \b
+    sweep merge results/low.zarr results/high.zarr -o results/all.zarr
+    """
+    from sweep.running.merge import merge as merge_stores
+
+    dataset = merge_stores(store, other, output, accept_code=accept_code, trust=trust)
+    print_table(dataset, "json" if as_json else "text")
+    click.echo(f"wrote {output}", err=True)

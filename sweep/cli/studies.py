@@ -9,7 +9,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option
-from sweep.formatting import WIDTH
+from sweep.formatting import WIDTH, to_json
 
 
 @main.command("list")
@@ -29,8 +29,6 @@ def list_studies(as_json: bool) -> None:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
         studies[name] = {key: document.get(key, "") for key in ("title", "question")} | {"answer": _answer(name)}
     if as_json:
-        from sweep.formatting import to_json
-
         click.echo(to_json(studies))
         return
     for name, study in studies.items():
@@ -90,8 +88,6 @@ def params(experiment: str, as_json: bool) -> None:
         for p in parameters
     ]
     if as_json:
-        from sweep.formatting import to_json
-
         click.echo(to_json(rows))
         return
     for row in rows:

@@ -26,7 +26,7 @@ from sweep.running.trust import foreign_code, require_trust
 from sweep.stores.code import differences_of_code
 from sweep.stores.location import Where
 from sweep.stores.opened import OpenStore
-from sweep.studies.axes import parse_places, parse_value
+from sweep.studies.option_values import parse_places, parse_value
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.record import as_recorded
 from sweep.studies.study import POINT, Study

@@ -17,7 +17,8 @@ from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
 from sweep.planning.point_status import Status
-from sweep.studies.study import POINT, printed_rounding
+from sweep.studies.form import printed_rounding
+from sweep.studies.study import POINT
 
 dask_arrays_only_where_imported()  # before the first dataset that is made here; `snapshot.decode` does for those read
 

@@ -10,22 +10,20 @@ from typing import Any
 
 from sweep.contract import DefinitionError, Experiment, Function, Named, Parameter, shown
 from sweep.load import load_function
+from sweep.studies.problems import Problems
 
 Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """Definitions as the study has them, by parameter and name."""
-
-Problem = Callable[[tuple[str, ...], str], None]
-"""Takes the place of a problem in the study, and a sentence."""
 
 GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
 """Names that a command line can hold wherever it takes a value of an axis."""
 
 
 def defined_values(
-    experiment: Experiment, tables: Tables, folder: Path, problem: Problem
+    experiment: Experiment, tables: Tables, folder: Path, problems: Problems
 ) -> tuple[Experiment, dict[str, dict[str, dict[str, Any]]]]:
     """Return the experiment whose parameters know what the study defines, and the definitions as they hold from any
-    directory; ``problem`` is told of everything that is wrong.
+    directory; ``problems`` takes what is wrong.
     """
     known: dict[str, Parameter] = {}
     portable: dict[str, dict[str, dict[str, Any]]] = {}
@@ -33,21 +31,21 @@ def defined_values(
         try:
             parameter = experiment.parameter(name)
         except ValueError as error:
-            problem(("define", name, *list(by_name)[:1]), str(error))
+            problems.add(("define", name, *list(by_name)[:1]), str(error))
             continue
         if parameter.define is None:
             sentence = f"{name} takes no values that a study defines, but {parameter.allowed()}"
-            problem(("define", name, *list(by_name)[:1]), sentence)
+            problems.add(("define", name, *list(by_name)[:1]), sentence)
             continue
         found: list[Named] = []
         for own_name, table in by_name.items():
             where = ("define", name, own_name)
             if not GOOD_NAME.fullmatch(own_name):
-                problem(where, "a name begins with a letter and has at most 60 letters, digits and any of _ . + -")
+                problems.add(where, "a name begins with a letter and has at most 60 letters, digits and any of _ . + -")
             if own_name in parameter.choices:
-                problem(where, f"{shown(own_name)} is there already; take another name")
+                problems.add(where, f"{shown(own_name)} is there already; take another name")
             loaded: dict[str, str] = {}
-            found.append(_named(parameter, own_name, table, partial(_load, folder, loaded), where, problem))
+            found.append(_named(parameter, own_name, table, partial(_load, folder, loaded), where, problems))
             portable.setdefault(name, {})[own_name] = {
                 key: loaded.get(text, text) if isinstance(text, str) else text for key, text in table.items()
             }
@@ -62,7 +60,7 @@ def _named(
     table: Mapping[str, Any],
     load: Callable[[str], Function],
     where: tuple[str, ...],
-    problem: Problem,
+    problems: Problems,
 ) -> Named:
     assert parameter.define is not None, "asked for before"
     try:
@@ -70,9 +68,9 @@ def _named(
         return Named(name, json.dumps(identity, sort_keys=True), value)
     except DefinitionError as error:
         for key, sentence in error.problems:
-            problem((*where, key) if key else where, sentence)
+            problems.add((*where, key) if key else where, sentence)
     except Exception as error:  # whatever a user's experiment raises
-        problem(where, f"the experiment cannot make anything of it: {type(error).__name__}: {error}")
+        problems.add(where, f"the experiment cannot make anything of it: {type(error).__name__}: {error}")
     return Named(name, name, None)  # so that its name is known where it is used
 
 

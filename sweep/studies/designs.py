@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,24 +32,12 @@ class Design(NamedTuple):
         return n if self.beside is None else n * (dimensions + self.beside)
 
 
-def _sobol(n: int, dimensions: int, seed: int) -> Array:
+def _of_scipy(name: str, n: int, dimensions: int, seed: int) -> Array:
     from scipy.stats import qmc
 
     with warnings.catch_warnings():  # `remarks` says it in our words
         warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
-        return np.asarray(qmc.Sobol(dimensions, seed=np.random.default_rng(seed)).random(n))
-
-
-def _halton(n: int, dimensions: int, seed: int) -> Array:
-    from scipy.stats import qmc
-
-    return np.asarray(qmc.Halton(dimensions, seed=np.random.default_rng(seed)).random(n))
-
-
-def _latin_hypercube(n: int, dimensions: int, seed: int) -> Array:
-    from scipy.stats import qmc
-
-    return np.asarray(qmc.LatinHypercube(dimensions, seed=np.random.default_rng(seed)).random(n))
+        return np.asarray(getattr(qmc, name)(dimensions, seed=np.random.default_rng(seed)).random(n))
 
 
 def _random(n: int, dimensions: int, seed: int) -> Array:
@@ -74,9 +63,9 @@ def _morris(n: int, dimensions: int, seed: int) -> Array:
 
 
 DESIGNS: Mapping[str, Design] = {
-    "sobol": Design(_sobol, grows=True, of_sobol=True),
-    "latin-hypercube": Design(_latin_hypercube, grows=False),
-    "halton": Design(_halton, grows=True),
+    "sobol": Design(partial(_of_scipy, "Sobol"), grows=True, of_sobol=True),
+    "latin-hypercube": Design(partial(_of_scipy, "LatinHypercube"), grows=False),
+    "halton": Design(partial(_of_scipy, "Halton"), grows=True),
     "random": Design(_random, grows=True),
     "saltelli": Design(_saltelli, True, "base points, of (parameters + 2) points each", beside=2, of_sobol=True),
     "morris": Design(_morris, True, "trajectories, of (parameters + 1) points each", beside=1),

@@ -1,50 +1,31 @@
 """Checks the exclusions of a study."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 
-from sweep.contract import Experiment, Value, shown
+from sweep.contract import shown
 from sweep.studies.axes import is_number
-from sweep.studies.problems import Problems
-from sweep.studies.source import Place
 from sweep.studies.study import Condition
-
-ValueAt = Callable[[Place, str, object], Value]
-"""Parses what is written at a place as the value of a parameter."""
+from sweep.studies.values import Values
 
 
 def exclusion(
-    experiment: Experiment,
-    given: Collection[str],
-    index: int,
-    clause: Mapping[str, object],
-    problems: Problems,
-    value: ValueAt,
+    index: int, clause: Mapping[str, object], given: Collection[str], values: Values
 ) -> tuple[Condition, ...]:
-    """Return the conditions of one exclusion; ``given`` are the parameters that the study sets, ``problems`` takes
-    what is wrong.
-    """
+    """Return the conditions of one exclusion; ``given`` are the parameters that the study sets."""
     if not clause:
-        problems.add(("exclude", index), "is empty and would leave out every point")
-    return tuple(_condition(experiment, given, index, name, rule, problems, value) for name, rule in clause.items())
+        values.problems.add(("exclude", index), "is empty and would leave out every point")
+    return tuple(_condition(index, name, rule, given, values) for name, rule in clause.items())
 
 
-def _condition(
-    experiment: Experiment,
-    given: Collection[str],
-    index: int,
-    name: str,
-    rule: object,
-    problems: Problems,
-    value: ValueAt,
-) -> Condition:
-    where = ("exclude", index, name)
+def _condition(index: int, name: str, rule: object, given: Collection[str], values: Values) -> Condition:
+    where, problems = ("exclude", index, name), values.problems
     try:
-        parameter = experiment.parameter(name)
+        parameter = values.experiment.parameter(name)
     except ValueError as error:
         problems.add(where, str(error))
         return Condition(name)
     if not isinstance(rule, dict):
-        return Condition(name, among=(value(where, name, rule),))
+        return Condition(name, among=(values.one(where, name, rule),))
     unknown = [key for key in rule if key not in ("above", "below", "equal", "in")]
     if unknown or not rule:
         wrong = f"unknown condition {shown(unknown)}" if unknown else "has no condition"
@@ -55,7 +36,7 @@ def _condition(
         if not isinstance(listed, list) or len(rule) > 1:
             problems.add(where, "'in' takes a list, and 'in' or 'equal' stands alone")
             return Condition(name)
-        return Condition(name, among=tuple(value(where, name, raw) for raw in listed))
+        return Condition(name, among=tuple(values.one(where, name, raw) for raw in listed))
     if parameter.kind not in ("float", "int"):
         problems.add(where, f"{name} has no order: use equal or in")
     elif parameter.default is None and name not in given:

@@ -1,24 +1,148 @@
-"""The fixed part of a study file: its tables and keys."""
+"""The form of a study file: its tables, their keys, and the types of what stands there."""
 
-from typing import Any
+import math
+import unicodedata
+from decimal import Decimal, InvalidOperation
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from sweep.studies.source import Place
-from sweep.studies.study import (
-    Claim,
-    Conclusion,
-    ConclusionValue,
-    Count,
-    Ratio,
-    Reading,
-    Sampling,
-    Section,
-    Seed,
-    Slope,
-    Text,
-    Tolerance,
-)
+Seed = Annotated[int, Field(ge=0, lt=2**64)]
+Count = Annotated[int, Field(ge=1, le=10**9)]
+Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
+
+HIDDEN = {"Cc", "Cs", "Zl", "Zp"}
+"""Unicode's categories of control characters, surrogates and separators of lines and paragraphs."""
+
+TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+"""Characters that change the direction of what follows them."""
+
+
+def _plain(text: str) -> str:
+    if hidden := next((c for c in text if unicodedata.category(c) in HIDDEN or c in TURNING), None):
+        raise ValueError(f"holds the control character U+{ord(hidden):04X}; a terminal or a report would obey it")
+    return text
+
+
+Text = Annotated[str, AfterValidator(_plain)]
+"""A sentence for people, in one line."""
+
+MOST_SIMS = 1_000_000
+"""`Sampling.max_n_sim` where a study says nothing: enough for an error of 0.04 % of an RMS."""
+
+
+class Section(BaseModel):
+    """A table of the study file: unknown keys and values of another type are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class Sampling(Section):
+    """How many realisations: ``n_sim`` for each of ``n_cat`` catalogues, from one ``seed``.
+
+    With a ``precision`` a point gets at least ``n_sim`` and at most ``max_n_sim``, until the Monte-Carlo error of its
+    headline results is below such a share of them.  With ``common_random_numbers`` points that differ only in
+    parameters that do not change the random numbers draw the same ones.
+    """
+
+    n_sim: Count = 1000
+    n_cat: Count = 1
+    seed: Seed = 0
+    keep_samples: bool = False
+    precision: Tolerance | None = None
+    max_n_sim: Count | None = None
+    common_random_numbers: bool = False
+
+    @property
+    def most(self) -> int:
+        """The realisations of a catalogue at most, for a point that is to reach a precision."""
+        return max(self.n_sim, MOST_SIMS) if self.max_n_sim is None else self.max_n_sim
+
+
+class Slope(Section, frozen=True):
+    """The exponent p of variable ~ over**p along an axis."""
+
+    variable: str
+    over: str
+    component: str | None = None
+
+
+class Ratio(Section, frozen=True):
+    """The variable at one place of the grid divided by that at another."""
+
+    variable: str
+    of: dict[str, Any]
+    to: dict[str, Any]
+    component: str | None = None
+
+
+class Reading(Section, frozen=True):
+    """The variable at one place of the grid."""
+
+    variable: str
+    at: dict[str, Any] = Field(default_factory=dict)
+    component: str | None = None
+
+
+class Derived(Section, frozen=True):
+    """A number that is derived from the grid: exactly one of ``slope``, ``ratio`` and ``value``.
+
+    ``where`` fixes axes for any of the three; an axis that is fixed nowhere gives one number for each of its values.
+    """
+
+    slope: Slope | None = None
+    ratio: Ratio | None = None
+    value: Reading | None = None
+    where: dict[str, Any] = Field(default_factory=dict)
+
+    def quantity(self) -> Slope | Ratio | Reading:
+        """Return the one quantity of a valid table; raises ValueError if there is not exactly one."""
+        given = [q for q in (self.slope, self.ratio, self.value) if q is not None]
+        if len(given) != 1:
+            raise ValueError("needs exactly one of slope, ratio and value")
+        return given[0]
+
+
+class Claim(Derived, frozen=True):
+    """A published statement about a number that can be derived from the grid.
+
+    ``published`` is the number as printed, so that its rounding is known; an ``exact`` law has none.  ``null`` is
+    the number without the effect that is claimed, which a verdict must tell from the published one; ``not_comparable``
+    says why there can be no verdict.
+    """
+
+    text: Text
+    source: Text
+    published: str
+    exact: bool = False
+    tolerance: Tolerance | None = None
+    tolerance_reason: Text | None = None
+    null: float | None = None
+    not_comparable: Text | None = None
+
+
+class ConclusionValue(Derived, frozen=True):
+    """A number in a conclusion: at one place of the grid, or the ``least`` or ``largest`` of several.
+
+    Where it is more than three of its errors from what it ``equals``, or that far beyond what it is to be ``above`` or
+    ``below``, in the unit of the output, the sentences that use it are not said to be true.
+    """
+
+    choose: Literal["least", "largest"] | None = None
+    above: float | None = None
+    below: float | None = None
+    equals: float | None = None
+
+
+class Conclusion(Section, frozen=True):
+    """What a study found: sentences, with ``{name}`` in place of each of the ``values``.
+
+    ``{name}`` is the number rounded, with a unit; ``{name:error}`` has its error beside it; ``{name:%}`` is in percent.
+    ``{name} ± {other}`` is a number with another as its error, in one unit.
+    """
+
+    sentences: list[Text] = Field(min_length=1)
+    values: dict[str, ConclusionValue] = Field(default_factory=dict)
 
 
 class GridForm(Section):
@@ -72,12 +196,12 @@ class Form(Section):
     conclusion: Conclusion | None = None
 
 
-def known_keys(where: Place) -> list[str]:
-    """Return the keys that are allowed beside the one at ``where``."""
-    sections: dict[str | int, type[Section]] = {
-        **{"sampling": Sampling, "grid": GridForm, "points": PointsForm, "published": PublishedForm, "claim": Claim},
-        **{"conclusion": Conclusion, "values": ConclusionValue},
-        **{"slope": Slope, "ratio": Ratio, "value": Reading},
-    }
-    table = next((sections[key] for key in reversed(where[:-1]) if key in sections), Form)
-    return list(table.model_fields)
+def printed_rounding(text: str) -> float:
+    """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for what is no finite
+    number.
+    """
+    try:
+        exponent = Decimal(text).as_tuple().exponent
+    except InvalidOperation:
+        return math.nan
+    return float(f"5e{exponent - 1}") if isinstance(exponent, int) else math.nan

@@ -70,7 +70,7 @@ def _name_of(function: Mentioned) -> str:
 def _plain(value: Any) -> Any:
     """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return _plain_table(value)
     if isinstance(value, np.generic):
         return value.item()
     if hasattr(value, "tolist"):  # of NumPy, pandas and xarray's arrays
@@ -83,6 +83,10 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def _plain_table(table: Mapping[Any, Any]) -> dict[str, Any]:
+    return {str(key): _plain(item) for key, item in table.items()}
+
+
 def _points(given: Any) -> dict[str, Any]:
     """Return a table of points as a study file has it: of a DataFrame, an astropy Table, a mapping of columns, the name
     of a file, or what a study file may have there.
@@ -91,8 +95,8 @@ def _points(given: Any) -> dict[str, Any]:
         return {"file": str(given)}
     if isinstance(given, Mapping):
         if any(isinstance(given.get(key), str) for key in ("file", "design")) or isinstance(given.get("columns"), dict):
-            return {str(key): _plain(value) for key, value in given.items()}
-        return {"columns": {str(name): _plain(values) for name, values in given.items()}}
+            return _plain_table(given)
+        return {"columns": _plain_table(given)}
     if hasattr(given, "colnames"):
         columns, units = columns_of(given)
         return {"columns": columns, **({"units": units} if units else {})}

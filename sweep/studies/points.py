@@ -36,7 +36,7 @@ def read_points(
     if len(given) != 1:
         named = f"not {' and '.join(given)}" if given else "and has none of them"
         problems.add(("points",), f"needs exactly one of file, design and columns, {named}")
-    elif given and (stray := sorted(form.model_fields_set - _KEYS[given[0]])):
+    elif stray := sorted(form.model_fields_set - _KEYS[given[0]]):
         problems.add(("points", stray[0]), f"does not go with {given[0]}")
     elif form.design is not None:
         columns, origin = _of_design(form, experiment, problems)

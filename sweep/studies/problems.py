@@ -1,9 +1,9 @@
 """The problems of one study, gathered so that all are told at once, each with its key and its line."""
 
 import re
-from collections.abc import Mapping
-from functools import cached_property
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from copy import copy
+from functools import cache
 
 from sweep.contract import SweepError, shown
 from sweep.studies.source import Place, line_of, lines_of_keys
@@ -15,29 +15,37 @@ MAX_PROBLEMS = 50
 class Problems:
     """Takes problems of a study by their place in its document.
 
-    ``overridden`` says which options of the command line gave a value.
+    ``where`` names the study, ``text`` is its file's, ``found`` are problems so far, and ``overridden`` says which
+    options of the command line gave a value.
     """
 
-    def __init__(self, text: str, path: Path, found: list[str], overridden: Mapping[Place, str]) -> None:
-        self.found = found
-        self._text, self._path, self._overridden = text, path, overridden
+    def __init__(
+        self, where: str, text: str = "", found: Sequence[str] = (), overridden: Mapping[Place, str] | None = None
+    ) -> None:
+        self.found, self.overridden = list(found), overridden or {}
+        self._where = where
+        self._lines = cache(lambda: lines_of_keys(text))
+        self._table: Place = ()
 
-    @cached_property
-    def _lines(self) -> dict[Place, int]:
-        return lines_of_keys(self._text)
+    def inside(self, *table: str | int) -> "Problems":
+        """Return what takes the same problems by their place in one table of the document."""
+        inner = copy(self)
+        inner._table = (*self._table, *table)
+        return inner
 
-    def add(self, where: Place, message: str) -> None:
+    def add(self, place: Place, message: str) -> None:
         """Take one problem; raises SweepError where there are too many."""
         if len(self.found) >= MAX_PROBLEMS:
-            raise SweepError([*self.found, "... and perhaps more problems like these"], str(self._path))
-        source = self._overridden.get(where[:2]) or self._overridden.get(where[:1])
+            raise SweepError([*self.found, "... and perhaps more problems like these"], self._where)
+        whole = (*self._table, *place)
+        source = self.overridden.get(whole[:2]) or self.overridden.get(whole[:1])
         if source is None:
-            line = line_of(self._lines, where)
+            line = line_of(self._lines(), whole)
             source = f"line {line}" if line else None
-        key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in where)
+        key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in whole)
         self.found.append(f"{key}{f' ({source})' if source else ''}: {message}")
 
     def raise_if_any(self) -> None:
         """Raise SweepError with all problems."""
         if self.found:
-            raise SweepError(self.found, str(self._path))
+            raise SweepError(self.found, self._where)

@@ -49,7 +49,7 @@ def provenance(study: Study) -> dict[str, Any]:
         **study.numbers(),
         **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
         "error_convention": ERROR_CONVENTION,
-        **({} if study.points is None else {POINT_TABLE: _point_table(study.points)}),
+        **_point_table(study.points),
         **(_common(study) if study.sampling.common_random_numbers else {}),
         **_words(study),
         "study_document": json.dumps(study.document),
@@ -76,8 +76,8 @@ def provenance(study: Study) -> dict[str, Any]:
     return attributes
 
 
-def _point_table(points: PointTable) -> str:
-    return json.dumps({"parameters": list(points.names), **points.origin})
+def _point_table(points: PointTable | None) -> dict[str, str]:
+    return {} if points is None else {POINT_TABLE: json.dumps({"parameters": list(points.names), **points.origin})}
 
 
 def is_of_the_link(attributes: Mapping[Any, Any]) -> bool:

@@ -67,15 +67,15 @@ def as_recorded(study: Study, attributes: Mapping[str, Any]) -> Study:
 
 
 def _experiment(record: Mapping[str, Any]) -> Experiment:
+    parameters = tuple(_made(Parameter, parameter) for parameter in record["parameters"])
     if "function" in record:
-        parameters = tuple(_made(Parameter, parameter) for parameter in record["parameters"])
         return experiment_of_record(record, parameters)
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
     cost = _cost(record)
     experiment = Experiment(
         name=record["name"],
         version=record["version"],
-        parameters=tuple(_made(Parameter, parameter) for parameter in record["parameters"]),
+        parameters=parameters,
         sums={name: tuple(shape) for name, shape in record["sums"].items()},
         outputs=outputs,
         evaluate=_computes_nothing,

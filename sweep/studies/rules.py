@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 
 from sweep.contract import Experiment, Value, shown, suggest
+from sweep.studies.form import Sampling
 from sweep.studies.problems import Problems
-from sweep.studies.study import Sampling
 
 
 def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problems) -> None:

@@ -5,7 +5,7 @@ import json
 from sweep.contract import Experiment, Output, Parameter
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.designs import DESIGNS
-from sweep.studies.study import Sampling
+from sweep.studies.form import Sampling
 
 SAMPLING = {
     "n_sim": "realisations of each catalogue",
@@ -48,15 +48,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         '# ranges.NAME = { values = ["a", "b"] }',
     ]
     if not experiment.deterministic:
-        lines += ["", "[sampling]"]
-    useless = _useless(experiment)
-    for name, field in Sampling.model_fields.items():
-        if name in useless or experiment.deterministic:
-            continue
-        given = SUGGESTED.get(name, field.default)
-        mark = "# " if name in SUGGESTED else ""
-        draw = experiment.outer_draw or "point"
-        lines.append(f"{mark}{name} = {_toml(given)}  # {SAMPLING[name].replace('catalogue', draw)}")
+        lines += ["", "[sampling]", *_sampling(experiment)]
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
     unused = _unused(experiment, axes)
     for parameter in experiment.parameters:
@@ -100,7 +92,8 @@ def _is_main(output: Output, experiment: Experiment) -> bool:
 def _example(parameter: Parameter) -> object:
     """Return a value that a parameter without a default may have."""
     tried = [*parameter.choices, 1.0, 1, True, "text", parameter.minimum, parameter.maximum]
-    tried += [bound for edge in (parameter.above,) if edge is not None for bound in (edge + 1, 1.5 * edge)]
+    if parameter.above is not None:
+        tried += [parameter.above + 1, 1.5 * parameter.above]
     for value in tried:
         try:
             parameter.parse(value)
@@ -110,8 +103,8 @@ def _example(parameter: Parameter) -> object:
     return 1.0
 
 
-def _useless(experiment: Experiment) -> set[str]:
-    """Return what of [sampling] the experiment has nothing for."""
+def _sampling(experiment: Experiment) -> list[str]:
+    """Return the lines of [sampling], without the keys that the experiment has nothing for."""
     needed = {
         "n_cat": experiment.outer_draw,
         "precision": experiment.errors_of_headline(),
@@ -119,7 +112,13 @@ def _useless(experiment: Experiment) -> set[str]:
         "keep_samples": experiment.samples,
         "common_random_numbers": experiment.shared,
     }
-    return {name for name, what in needed.items() if not what}
+    lines = []
+    for name, field in Sampling.model_fields.items():
+        if needed.get(name, True):
+            mark, given = ("# ", SUGGESTED[name]) if name in SUGGESTED else ("", field.default)
+            words = SAMPLING[name].replace("catalogue", experiment.outer_draw or "point")
+            lines.append(f"{mark}{name} = {_toml(given)}  # {words}")
+    return lines
 
 
 def _first_axis(experiment: Experiment) -> dict[str, list[object]]:

@@ -18,8 +18,8 @@ from sweep.executing.choose import Resources
 from sweep.paper.published_stores import published_studies, store_of, unfinished
 from sweep.planning.point_status import Status
 from sweep.running.run import run_study
+from sweep.studies.form import printed_rounding
 from sweep.studies.reader import load_study, study_from_dict
-from sweep.studies.study import printed_rounding
 from tests.conftest import COINS
 
 ROOT = Path(__file__).parents[3]

@@ -23,7 +23,6 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.running.run import run_study
-from sweep.studies.axes import parse_places
 from sweep.studies.reader import study_from_dict
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
@@ -368,15 +367,12 @@ def test_what_is_wrong_with_a_condition_is_told(text, message):
 
 @given(st.text(max_size=40))
 def test_any_text_is_a_condition_or_a_clear_error(text):
-    for parse in (parse_limit, parse_range, lambda t: parse_places([t])):
+    for parse in (parse_limit, parse_range):
         with contextlib.suppress(SweepError):  # any other exception fails
             parse(text)
 
 
-def test_places_and_ranges():
-    assert parse_places(["model=gaia,v_max=16", "n=1"]) == {"model": "gaia", "v_max": "16", "n": "1"}
-    with pytest.raises(SweepError, match="n is given twice, as 1 and 2"):
-        parse_places(["n=1,n=2"])
+def test_ranges():
     assert parse_range("50:") == (50.0, np.inf)
     assert parse_range(":3e2") == (-np.inf, 300.0)
     assert between(grid(N), "n", 20.0, 100.0)["n"].values.tolist() == [20.0, 50.0, 100.0]

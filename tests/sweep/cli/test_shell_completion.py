@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sweep.cli.shell_completion import SAMPLING
-from sweep.studies.study import Sampling
+from sweep.studies.form import Sampling
 
 BIN = Path(sys.executable).parent
 

@@ -108,6 +108,8 @@ def test_two_missions_have_an_orientation_and_a_spin_each(tmp_path):
         (["--mission", "a=psrpi", "--mission", "a=psrpi"], "named twice"),
         (["--mission", "a=psrpi", "--unknowns", "orientation,b:spin"], "'b:spin'"),
         (["--mission", "a=psrpi", "--mission-epoch", "b=1991.25"], "no --mission b"),
+        (["--mission", "a=psrpi", "--mission-epoch", "a=1991.25,1992"], "is not one year"),
+        (["--mission", "a=psrpi", "--mission-epoch", "a=,"], "is not one year"),
         (["--mission", "a=psrpi", "--jitter", "b:position=1"], "no mission 'b'"),
         (["--without-cos-dec", "b"], "no table b"),
     ],

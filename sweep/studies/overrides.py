@@ -1,0 +1,113 @@
+"""Overrides: what options of the command line say, laid over a study's document."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sweep.contract import shown
+from sweep.formatting import split_assignment
+from sweep.studies.form import Sampling
+from sweep.studies.option_values import parse_axis, parse_range, parse_value
+from sweep.studies.source import Place
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What was laid over a document: the options as written, the one that gave the value at each place, and the
+    problems with them.
+    """
+
+    written: tuple[str, ...] = ()
+    by_place: Mapping[Place, str] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+
+
+def override(
+    document: dict[str, Any],
+    settings: Sequence[str],
+    axes: Sequence[str],
+    points: str | None,
+    design: str | None,
+    ranges: Sequence[str],
+) -> Overrides:
+    """Lay the options of `load_study` over a document.
+
+    A conclusion does not stay where they change what its words are about: the points, or parameters that the study
+    fixes.
+    """
+    problems: list[str] = []
+    by_place: dict[Place, str] = {}
+    before = set(document.get("axes", {})) if isinstance(document.get("axes"), dict) else set()
+    for setting in settings:
+        by_place[_override_value(document, setting, problems, as_axis=False)] = f"--set {_quoted(setting)}"
+    for axis in axes:
+        by_place[_override_value(document, axis, problems, as_axis=True)] = f"--axis {_quoted(axis)}"
+    if any(place[:1] == ("fixed",) or (place[:1] == ("axes",) and place[1] not in before) for place in by_place):
+        document.pop("conclusion", None)
+    chosen = [("--points", points), ("--design", design), *(("--range", text) for text in ranges)]
+    laid = [f"{flag} {_quoted(text)}" for flag, text in chosen if text is not None]
+    if laid:
+        document.pop("conclusion", None)
+        _override_points(document, points, design, ranges, problems)
+        by_place[("points",)] = laid[0]
+    written = [f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes] + laid
+    return Overrides(tuple(written), by_place, tuple(problems))
+
+
+def _override_value(document: dict[str, Any], option: str, problems: list[str], as_axis: bool) -> tuple[str, ...]:
+    """Lay KEY=VALUE over the document: a sampling key or the title goes there, a parameter to [fixed] or, as an axis,
+    to [axes].  Return the place of the value, empty if it could not be laid anywhere.
+    """
+    flag = "--axis" if as_axis else "--set"
+    key, value = split_assignment(option)
+    if not key:
+        problems.append(f"{flag} {shown(option)}: must be written {'NAME=SPEC' if as_axis else 'KEY=VALUE'}")
+        return ()
+    sampling_key = key.removeprefix("sampling.")
+    if as_axis:
+        section, other, parsed = "axes", "fixed", parse_axis(value)
+    elif sampling_key in Sampling.model_fields:
+        section, other, key, parsed = "sampling", "", sampling_key, parse_value(value)
+    elif key.startswith("points.") and isinstance(document.setdefault("points", {}), dict):
+        document["points"][key.removeprefix("points.")] = parse_value(value)
+        return ("points", key.removeprefix("points."))
+    elif key == "title":
+        document[key] = value
+        return (key,)
+    else:
+        section, other, key, parsed = "fixed", "axes", key.removeprefix("fixed."), parse_value(value)
+    for table in (section, other):
+        if table and not isinstance(document.get(table, {}), dict):
+            return ()  # the form's own check will say what is wrong with this section
+    document.setdefault(section, {})[key] = parsed
+    document.get(other, {}).pop(key, None)
+    return section, key
+
+
+def _override_points(
+    document: dict[str, Any], file: str | None, design: str | None, ranges: Sequence[str], problems: list[str]
+) -> None:
+    """Lay --points, --design and --range over the table [points] of a document."""
+    points: dict[str, Any] = {"file": str(Path(file).resolve())} if file is not None else {}
+    if design is not None:
+        name, *numbers = design.split(":")
+        points |= {"design": name} | {key: parse_value(text) for key, text in zip(("n", "seed"), numbers, strict=False)}
+        if len(numbers) > 2:
+            problems.append(f"--design {shown(design)}: must be written NAME:N or NAME:N:SEED")
+    old = document.get("points")
+    kept = old if isinstance(old, dict) and file is None else {}
+    if design is not None:
+        kept = {key: kept[key] for key in ("seed", "ranges") if key in kept}
+    points = {**kept, **points}
+    for option in ranges:
+        key, value = split_assignment(option)
+        if not key or not isinstance(points.setdefault("ranges", {}), dict):
+            problems.append(f"--range {shown(option)}: must be written NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=A,B,C")
+            continue
+        points["ranges"] = points["ranges"] | {key: parse_range(value)}
+    document["points"] = points
+
+
+def _quoted(option: str) -> str:
+    return option if option.isprintable() and len(option) <= 80 else shown(option)

@@ -1,0 +1,22 @@
+"""Values as options of the command line write them."""
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sweep.contract import SweepError
+from sweep.studies.option_values import parse_places
+
+
+def test_places_are_listed_by_axis():
+    assert parse_places(["model=gaia,v_max=16", "n=1"]) == {"model": "gaia", "v_max": "16", "n": "1"}
+    with pytest.raises(SweepError, match="n is given twice, as 1 and 2"):
+        parse_places(["n=1,n=2"])
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_a_place_or_a_clear_error(text):
+    with contextlib.suppress(SweepError):  # any other exception fails
+        parse_places([text])
