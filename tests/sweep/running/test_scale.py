@@ -33,8 +33,8 @@ finally:
 
 
 def sweep_of(tmp_path, coin_values, chances, *command):
-    """Run a command on a study of 2 x coin_values x chances points; return its output, its own peak memory and that of the
-    largest process that it started, in MB.
+    """Run a command on a study of 2 x coin_values x chances points; return its output, and its own peak memory and that
+    of the largest process that it started in MB.
     """
     (tmp_path / "many.toml").write_text(STUDY.format(coins=COINS, coin_values=coin_values, chances=chances))
     done = subprocess.run(
