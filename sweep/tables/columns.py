@@ -156,7 +156,9 @@ def _sexagesimal(column: Any, missing: NDArray[np.bool_], name: str, unit: Any, 
     if bad.any():
         example = "12 34 56.7 or 12:34:56.7" if hours else "-12 34 56.7 or -12:34:56.7"
         quoted = [repr(item) for item in texts]
-        raise ValueError(f"column {name!r} is text that is no angle like {example} in row {rows_listed(bad, quoted)}")
+        sentence = f"column {name!r} is text that is no angle like {example} in row {rows_listed(bad, quoted)}"
+        too_many = hours and not text and any(map(_ANGLE.fullmatch, np.array(texts)[bad]))
+        raise ValueError(sentence + ("; is it in degrees? Say it: units ra = deg" if too_many else ""))
     return values
 
 

@@ -380,8 +380,9 @@ def test_text_that_is_no_right_ascension_is_refused(tmp_path, ra):
     table["ra"] = ["12 30 00", ra]
     table["ra"].unit = None
     table.write(tmp_path / "text.ecsv")
-    with pytest.raises(SweepError, match=f"column 'ra' is text that is no angle like .* in row 2 .'{ra}'"):
+    with pytest.raises(SweepError, match=f"column 'ra' is text that is no angle like .* in row 2 .'{ra}'") as told:
         read_table(tmp_path / "text.ecsv")
+    assert ("is it in degrees?" in str(told.value)) == (ra[0].isdigit() and ra != "12")
 
 
 def test_text_in_a_unit_that_no_sexagesimal_angle_has_is_refused(tmp_path):
