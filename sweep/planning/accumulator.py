@@ -238,7 +238,7 @@ class Accumulator:
         if kept:
             experiment = self.plan.grid.study.experiment
             self.total[point.index, experiment.sums_width :] = experiment.of_samples(np.concatenate(kept))
-        wanted = wanted_parts(self.plan, cost, parts, self.total[[point.index]])
+        wanted = wanted_parts(self.plan, cost, parts, self.total[point.index : point.index + 1])
         if wanted > parts:
             self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept)
             return list(self._blocks(point))
