@@ -23,8 +23,8 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
     """Return the sentences of the study's conclusion that this grid can fill, with the numbers of its results.
 
     A number that is not known yet is ``[not done yet]``.  A sentence whose condition is not met is not said; another
-    says so instead.  Sentences about points that this grid does not have are left out.  Raises SweepError for a
-    conclusion that cannot be read.
+    says so instead, and another again where the error of a number with a condition is not known.  Sentences about
+    points that this grid does not have are left out.  Raises SweepError for a conclusion that cannot be read.
     """
     if CONCLUSION not in dataset.attrs:
         return []
@@ -42,6 +42,7 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
 def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
     pieces: list[str] = []
     unmet: list[str] = []
+    unjudged: list[str] = []
     before: tuple[Measured, str] | None = None
     for text, name, form, _ in Formatter().parse(sentence):
         pieces.append(text)
@@ -56,10 +57,18 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
         else:
             pieces.append(_number(measured, unit, form or ""))
         before = None if form else (measured, unit)
-        if not measured.missing and (bound := _broken_bound(value, measured)):
+        if measured.missing or not value.has_bounds:
+            continue
+        if not measured.broken and not math.isfinite(measured.error):
+            unjudged.append(in_words(quantity))
+        elif bound := _broken_bound(value, measured):
             unmet.append(f"{in_words(quantity)} is {in_short(measured.value, measured.error, unit)}, not {bound}")
     text = "".join(pieces)
-    return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})." if unmet else text
+    if unmet:
+        return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})."
+    if unjudged:
+        return f"Not judged: “{text}” (the error of {', '.join(dict.fromkeys(unjudged))} is not known)."
+    return text
 
 
 def _is_error_of(value: tuple[Measured, str], error: Measured, unit: str) -> bool:

@@ -125,13 +125,19 @@ class ConclusionValue(Derived, frozen=True):
     """A number in a conclusion: at one place of the grid, or the ``least`` or ``largest`` of several.
 
     Where it is more than three of its errors from what it ``equals``, or that far beyond what it is to be ``above`` or
-    ``below``, in the unit of the output, the sentences that use it are not said to be true.
+    ``below``, in the unit of the output, the sentences that use it are not said to be true; nor where its error is not
+    known.
     """
 
     choose: Literal["least", "largest"] | None = None
     above: float | None = None
     below: float | None = None
     equals: float | None = None
+
+    @property
+    def has_bounds(self) -> bool:
+        """Whether there is a condition."""
+        return any(bound is not None for bound in (self.above, self.below, self.equals))
 
 
 class Conclusion(Section, frozen=True):

@@ -70,6 +70,16 @@ def test_a_sentence_that_does_not_hold_is_not_said_to(dataset_of, bounds, met):
     assert sentence.startswith("So it is" if met else "Expected, but not found: “So it is")
 
 
+@pytest.mark.parametrize("bounds", [{"above": 0.0}, {"below": 1e-6}, {"equals": 5.4e-4}])
+def test_a_number_of_unknown_error_is_not_judged(dataset_of, bounds):
+    dataset = dataset_of("quasars")
+    unknown = {name: dataset[name] * math.nan for name in dataset.data_vars if name.endswith("_error")}
+    (sentence,) = concluding(dataset.assign(unknown), "So it is: {gaia}.", gaia=GAIA | bounds)
+    assert sentence.startswith("Not judged: “So it is: 0.5")
+    assert sentence.endswith("(the error of sigma_spin is not known).")
+    assert concluding(dataset.assign(unknown), "So it is: {gaia}.", gaia=GAIA)[0].startswith("So it is")
+
+
 def test_what_is_not_there_is_said_or_left_out(dataset_of):
     dataset = dataset_of("quasars")
     status = dataset["status"].copy(deep=True)
