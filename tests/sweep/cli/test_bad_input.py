@@ -405,6 +405,23 @@ def test_bad_experiment_file(here: Path, monkeypatch: pytest.MonkeyPatch, statem
     check_refused(here, ("params", "mine.py:experiment"), phrase)
 
 
+def test_python_is_no_study(here: Path) -> None:
+    (here / "mine.py").write_text("def f(x: float):\n    return x\n")
+    check_refused(here, ("run", "mine.py", "--axis", "x=1"), "mine.py: is Python, not a study", "as mine.py:NAME")
+
+
+def test_a_package_that_is_not_installed(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder not in ("", str(here))])
+    (here / "own" / "inner").mkdir(parents=True)
+    (here / "own" / "__init__.py").touch()
+    (here / "own" / "inner" / "__init__.py").touch()
+    (here / "own" / "inner" / "part.py").write_text("from .. import __name__ as name\ndef f(x: float): return x\n")
+    phrase = f"a file of a package is named by its module: PYTHONPATH={here} sweep run own.inner.part:f"
+    check_refused(here, ("run", "own/inner/part.py:f", "--axis", "x=1"), "attempted relative import", phrase)
+    phrase = f"No module named 'own'; it is not installed: PYTHONPATH={here} finds it here"
+    check_refused(here, ("run", "own.inner.part:f", "--axis", "x=1"), phrase)
+
+
 def test_a_check_that_raises_is_a_reason(here: Path) -> None:
     (here / "mine.py").write_text(
         "import dataclasses, core.experiment\n"

@@ -16,7 +16,7 @@ def statuses(function, folder, **options):
     return ds.status.values.tolist(), ds.attrs.get("failures", "")
 
 
-class Mute(Exception):
+class MuteError(Exception):
     def __str__(self):
         raise RuntimeError("no words")
 
@@ -25,7 +25,7 @@ class Mute(Exception):
 
 @pytest.mark.parametrize(
     ("error", "said"),
-    [(GeneratorExit(), "GeneratorExit"), (Mute(), "Mute: its message cannot be made: RuntimeError")],
+    [(GeneratorExit(), "GeneratorExit"), (MuteError(), "MuteError: its message cannot be made: RuntimeError")],
     ids=["GeneratorExit", "a message that raises"],
 )
 def test_a_point_that_raises_anything_fails_alone(error, said, tmp_path):
@@ -61,7 +61,7 @@ def test_in_the_main_thread_it_is_the_user_s(tmp_path):
 
 @pytest.mark.parametrize(
     ("ending", "code"),
-    [(lambda: None, 0), (lambda: sys.exit(), 0), (lambda: sys.exit(3), 3), (lambda: sys.exit("why"), 1), (max, 1)],
+    [(lambda: None, 0), (sys.exit, 0), (lambda: sys.exit(3), 3), (lambda: sys.exit("why"), 1), (max, 1)],
     ids=["returns", "exits", "exits with a code", "exits with a sentence", "raises"],
 )
 def test_a_forked_child_that_leaves_the_block_ends(ending, code, tmp_path):
