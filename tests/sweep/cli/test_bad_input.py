@@ -410,16 +410,17 @@ def test_python_is_no_study(here: Path) -> None:
     check_refused(here, ("run", "mine.py", "--axis", "x=1"), "mine.py: is Python, not a study", "as mine.py:NAME")
 
 
-def test_a_package_that_is_not_installed(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "path", [folder for folder in sys.path if folder not in ("", str(here))])
+def test_a_package_that_is_not_installed(here: Path) -> None:
     (here / "own" / "inner").mkdir(parents=True)
     (here / "own" / "__init__.py").touch()
     (here / "own" / "inner" / "__init__.py").touch()
     (here / "own" / "inner" / "part.py").write_text("from .. import __name__ as name\ndef f(x: float): return x\n")
     phrase = f"a file of a package is named by its module: PYTHONPATH={here} sweep run own.inner.part:f"
     check_refused(here, ("run", "own/inner/part.py:f", "--axis", "x=1"), "attempted relative import", phrase)
-    phrase = f"No module named 'own'; it is not installed: PYTHONPATH={here} finds it here"
-    check_refused(here, ("run", "own.inner.part:f", "--axis", "x=1"), phrase)
+    by_module = [sys.executable, "-P", "-m", "sweep", "run", "own.inner.part:f", "--axis", "x=1"]  # as the command is
+    done = subprocess.run(by_module, cwd=here, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"No module named 'own'; it is not installed: PYTHONPATH={here} finds it here" in done.stderr
 
 
 def test_a_check_that_raises_is_a_reason(here: Path) -> None:
