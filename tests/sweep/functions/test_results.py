@@ -298,6 +298,12 @@ def test_points_of_a_vectorised_result_are_those_of_single_calls():
         split_points({"a": [1.0, 2.0]}, 3, PLAIN, "points")
 
 
+def test_a_number_for_many_realisations_is_refused_and_a_text_is_that_of_all():
+    with pytest.raises(ResultError, match="'a' is one number, perhaps a mean; expected an array, one for each of 3 r"):
+        split_points({"a": 1.0}, 3, PLAIN, "realisations")
+    assert len(split_points({"a": np.arange(3.0), "s": "x"}, 3, PLAIN, "realisations")) == 3
+
+
 def test_a_tuple_has_the_declared_outputs_in_order():
     declared = Declared("both", "both", (Output("curve", dims=("time",), coords={"time": [0.0, 1.0]}), Output("peak")))
     by_name = flatten({"curve": np.array([1.0, 2.0]), "peak": 2.0}, declared)
