@@ -54,6 +54,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     for axes in grid:
         legend(axes, loc="lower left")
     surprise = chdtrc(np.maximum(dataset["n_observations"].values, 1.0), dataset["discrepancy"].values)
+    figure.draw_without_rendering()
     for axes, own in zip(grid, share.T, strict=True):
         order = [*np.argsort(surprise)[: NAMED // 2], *np.argsort(-own)[: NAMED // 2]]
         chosen = np.array([k for k in dict.fromkeys(order) if kept[k] and own[k] > 0.0], dtype=int)
