@@ -288,7 +288,7 @@ def test_points_of_a_vectorised_result_are_those_of_single_calls():
         "n": np.arange(3),
         "v": np.arange(6.0).reshape(3, 2),
         "s": ["x", "y", "x"],
-        "c": 1.0,
+        "c": "all",
     }
     for i, flat in enumerate(split_points(together, 3, PLAIN, "points")):
         single = flatten({k: v if k == "c" else v[i] for k, v in together.items()}, PLAIN)
@@ -298,10 +298,12 @@ def test_points_of_a_vectorised_result_are_those_of_single_calls():
         split_points({"a": [1.0, 2.0]}, 3, PLAIN, "points")
 
 
-def test_a_number_for_many_realisations_is_refused_and_a_text_is_that_of_all():
-    with pytest.raises(ResultError, match="'a' is one number, perhaps a mean; expected an array, one for each of 3 r"):
-        split_points({"a": 1.0}, 3, PLAIN, "realisations")
-    assert len(split_points({"a": np.arange(3.0), "s": "x"}, 3, PLAIN, "realisations")) == 3
+@pytest.mark.parametrize("noun", ["points", "realisations"])
+@pytest.mark.parametrize("n", [1, 3])
+def test_one_number_for_all_is_refused_and_a_text_is_that_of_each(noun, n):
+    with pytest.raises(ResultError, match=f"'a' is one number, .*; expected an array, one for each of {n} {noun}"):
+        split_points({"a": 1.0}, n, PLAIN, noun)
+    assert len(split_points({"a": np.arange(n), "s": "x"}, n, PLAIN, noun)) == n
 
 
 def test_a_tuple_has_the_declared_outputs_in_order():
