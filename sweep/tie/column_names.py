@@ -68,12 +68,17 @@ class TableOptions:
 def require_epoch(epoch: float | None, what: str) -> None:
     """Raise SweepError for what is no Julian year, if it is given."""
     if epoch is not None and not EPOCHS[0] <= epoch <= EPOCHS[1]:
-        raise SweepError(f"{what} {epoch:g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
+        raise SweepError(f"{what} {epoch:.10g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
 
 
 def quantities() -> list[str]:
     """Return all that ``columns`` may name."""
     return [*VALUES, *(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"]
+
+
+def unit_of(quantity: str) -> str:
+    """Return the unit of plain numbers, but positions."""
+    return "mas/yr" if quantity.startswith("pm") else "mas"
 
 
 def column_of(quantity: str, names: Collection[str], options: TableOptions) -> str | None:

@@ -11,6 +11,7 @@ from core.frames import triad
 from core.tie.astrometry import named_rows
 from core.tie.motion import propagated
 from sweep.contract import SweepError
+from sweep.tie.column_names import NAMES
 from sweep.tie.tables import AstrometricTable
 
 DEFAULT_RADIUS_ARCSEC = 1.0
@@ -42,7 +43,7 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
         return _by_position(satellite, reference, _radius(radius))
     pairs = _pairs(satellite, reference, kind)
     for own, other in pairs:
-        found = _by_name(satellite, reference, own, other)
+        found = _by_name(satellite, reference, own, other, strict=kind == own or own.casefold() in NAMES)
         if len(found.rows):
             return found
     if by is None:
@@ -72,7 +73,10 @@ def _pairs(satellite: AstrometricTable, reference: AstrometricTable, kind: str) 
     return same + [(a, b) for a in satellite.names for b in reference.names if a != b]
 
 
-def _by_name(satellite: AstrometricTable, reference: AstrometricTable, own: str, other: str) -> Match:
+def _by_name(
+    satellite: AstrometricTable, reference: AstrometricTable, own: str, other: str, strict: bool = True
+) -> Match:
+    """Match by two columns; a column that repeats itself is no match, and where it should have names an error."""
     names = [name.casefold() for name in satellite.names[own]]
     wanted = [name.casefold() for name in reference.names[other]]
     place = {name: i for i, name in enumerate(names) if name not in _NO_NAME}
@@ -80,8 +84,9 @@ def _by_name(satellite: AstrometricTable, reference: AstrometricTable, own: str,
     used = {wanted[i] for i in rows}
     if len(place) < len(names):
         twice = sorted({satellite.names[own][i] for i, name in enumerate(names) if name in used and place[name] != i})
-        if twice:
+        if twice and strict:
             raise SweepError(f"{own} {', '.join(twice[:5])} occurs more than once in the table", satellite.path)
+        rows = rows[:0] if twice else rows
     source = np.array([place[wanted[i]] for i in rows], dtype=np.int64)
     unmatched = np.setdiff1d(np.arange(len(wanted)), rows)
     return Match(rows, source, own if own == other else f"{own} = {other}", unmatched)

@@ -63,8 +63,10 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     """
     options.check()
     left = read_table(Path(satellite), options.satellite_options)
-    if not np.all(np.isfinite(left.astrometry.values[:2])):
-        raise SweepError("sources without a position", left.path)
+    if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
+        raise SweepError(
+            f"each source needs a position, and there is no ra and dec in {named_rows(without)}", left.path
+        )
     parts = [_reference(left, reference, options)]
     parts += [_mission(left, name, number, options) for number, name in enumerate(options.missions, 1)]
     matched = np.concatenate([part.matched.source for part in parts])

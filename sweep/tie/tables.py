@@ -26,6 +26,7 @@ from sweep.tie.column_names import (
     error_column_of,
     first_found,
     quantities,
+    unit_of,
 )
 from sweep.tie.column_reader import ColumnReader
 from sweep.tie.correlations import correlations_of
@@ -58,7 +59,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     options = options or TableOptions()
     path = built_in_table(path) or path
     if not path.is_file():
-        raise SweepError("no such file", str(path))
+        raise SweepError("is a folder, not a table" if path.is_dir() else "no such file", str(path))
     digest = digest_of(path)
     if path.suffix.lower() in (".txt", ".dat") and icrf.is_icrf(path):
         astrometry, names = icrf.read_icrf(path)
@@ -178,7 +179,7 @@ class _Reader(ColumnReader):
             return np.full(len(self.table), np.nan)
         if quantity in ("ra", "dec"):
             return self.angle(name, hours=quantity == "ra")
-        return self.in_unit(name, _unit_of(quantity)) * MAS * self._cos_dec(quantity, name, dec)
+        return self.in_unit(name, unit_of(quantity)) * MAS * self._cos_dec(quantity, name, dec)
 
     def _cos_dec(self, quantity: str, name: str, dec: Array) -> Array | float:
         """Return the factor cos(dec) of columns along right ascension that are without it, as in units of time."""
@@ -191,20 +192,28 @@ class _Reader(ColumnReader):
             if np.any(np.isfinite(values)):
                 self.notes.append(f"{Path(self.where).name} has no errors of {quantity}: it counts as not measured")
             return np.full(len(self.table), np.nan)
-        unit = _unit_of(quantity)
-        if of is not None and quantity not in ("ra", "dec") and self.table[name].unit is None:
-            own = self.table[of].unit
-            if own is not None and own.is_equivalent(unit) and not np.isclose(own.to(unit), 1.0):
-                say = f"say --unit {quantity}_error={own} (or {unit})"
-                self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
+        unit = unit_of(quantity)
+        if of is not None and self.table[name].unit is None:
+            self._doubtful_unit(quantity, of, name)
         found = self.in_unit(name, unit) * MAS * self._cos_dec(quantity, name, dec)
         self.check(found < 0.0, f"a negative {name}")
         zero = found == 0.0
         if self.options.zero_errors == "error":
-            self.check(zero, f"a {name} of 0 (say with zero errors whether the value is missing or exact)")
+            self.check(zero, f"a {name} of 0 (say --zero-errors missing, or exact)")
         elif self.options.zero_errors == "missing":
             found = np.where(zero, np.nan, found)
         return found
+
+    def _doubtful_unit(self, quantity: str, of: str, name: str) -> None:
+        """Say what is taken for the unit of an error without one, where the unit of its value is a special one."""
+        unit, own = unit_of(quantity), self.table[of].unit
+        if quantity in ("ra", "dec"):
+            if self.kind(of) in "USO":
+                taken = f"{name!r} has no unit and counts as {unit}, or say --unit {quantity}_error="
+                self.notes.append(f"{of!r} is sexagesimal; {taken}{'s' if quantity == 'ra' else 'arcsec'}")
+        elif own is not None and own.is_equivalent(unit) and not np.isclose(own.to(unit), 1.0):
+            say = f"say --unit {quantity}_error={own} (or {unit})"
+            self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
 
     def _epoch(self) -> Array:
         name = self._column("ref_epoch")
@@ -222,14 +231,12 @@ class _Reader(ColumnReader):
         values = julian_years(self, name)
         if len(self.problems) == known:
             self.check(np.isnan(values), f"no epoch (column {name!r})")
-            wrong = (values < EPOCHS[0]) | (values > EPOCHS[1])
-            years = f"from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
-            self.check(wrong, f"an epoch (column {name!r}) that is no Julian year, MJD or JD {years}")
+            wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
+            self.check((values < EPOCHS[0]) | (values > EPOCHS[1]), wrong)
         return values
 
     def _radial_velocity(self, parallax: Array) -> Array | None:
-        name = self._column("radial_velocity")
-        if name is None:
+        if (name := self._column("radial_velocity")) is None:
             return None
         found = self.in_unit(name, "km/s")
         beyond = (np.abs(found) > FASTEST_KM_S) & (parallax > 0.0)
@@ -243,7 +250,3 @@ class _Reader(ColumnReader):
             if (name := first_found([key], self.table.colnames)) is not None:
                 place[name] = k
         return {name: self.text(name) for name in sorted(place, key=lambda name: place[name])}
-
-
-def _unit_of(quantity: str) -> str:
-    return "mas/yr" if quantity.startswith("pm") else "mas"

@@ -6,6 +6,7 @@ from astropy.table import Table
 
 from core.constants import MAS
 from sweep.contract import SweepError
+from sweep.tie.column_names import TableOptions
 from sweep.tie.link_tables import tie
 from sweep.tie.tables import read_table
 from tests.core.tie.made import stars
@@ -102,3 +103,16 @@ def test_a_correlation_without_a_column_is_said_where_the_others_are_impossible(
     table.write(path, overwrite=True)
     with pytest.raises(SweepError, match=r"impossible .*; there is no column ra_dec_corr, which counts as 0: in row 1"):
         read_table(path)
+
+
+@pytest.mark.parametrize(("name", "unit"), [("ra", "s"), ("dec", "arcsec")])
+def test_the_unit_of_an_error_beside_a_sexagesimal_angle_is_said(tmp_path, name, unit):
+    path = gaia(tmp_path / "g.ecsv", stars(3), **{name: ["12:00:00.0", "01:00:00.0", "03:00:00.0"]})
+    wanted = f"'{name}' is sexagesimal; '{name}_error' has no unit and counts as mas, or say --unit {name}_error={unit}"
+    assert read_table(path).notes == [wanted]
+    assert not read_table(path, TableOptions(units={f"{name}_error": unit})).notes
+
+
+def test_a_folder_is_no_table(tmp_path):
+    with pytest.raises(SweepError, match="is a folder, not a table"):
+        read_table(tmp_path)

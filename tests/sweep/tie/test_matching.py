@@ -61,3 +61,28 @@ def test_one_source_alone_can_be_matched_by_position(tmp_path):
     path = gaia(tmp_path / "one.ecsv", stars(1))
     found = match(read_table(path), read_table(path), "position")
     np.testing.assert_array_equal(found.source, [0])
+
+
+def test_a_column_of_text_that_repeats_itself_holds_no_names(tmp_path):
+    made = stars(6)
+    of_table = {"spectral_type": ["K0", "G2", "K0", "M1", "F5", "A0"]}
+    a = gaia(tmp_path / "a.ecsv", made, name=[f"HR {k}" for k in range(6)], **of_table)
+    b = gaia(tmp_path / "b.ecsv", made, name=[f"HD {k}" for k in range(6)], source_id=np.arange(6), **of_table)
+    satellite, rows = read_table(a), read_table(b)
+    assert match(satellite, rows).by == "position within 1 arcsec"
+    with pytest.raises(SweepError, match="spectral_type K0 occurs more than once"):
+        match(satellite, rows, "spectral_type")
+
+
+def test_a_satellite_without_positions_is_refused(tmp_path):
+    path = gaia(tmp_path / "a.ecsv", stars(6))
+    table = Table.read(path)
+    table.rename_columns(["ra", "dec"], ["_RA.icrs", "_DE.icrs"])
+    table.remove_columns(["ra_error", "dec_error"])
+    table.write(tmp_path / "b.ecsv")
+    with pytest.raises(
+        SweepError, match=r"each source needs a position, .* no ra and dec in row 1, 2, 3, 4, 5 and 1 more"
+    ):
+        tie(tmp_path / "b.ecsv", path)
+    with pytest.raises(SweepError, match=r"nothing in the tables determines .* rows: 6 three-parameter"):
+        tie(path, tmp_path / "b.ecsv", "orientation")
