@@ -9,6 +9,7 @@ from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
 from sweep.contract import SweepError
+from sweep.formatting import with_error
 from sweep.plots.labels import label, symbol
 from sweep.plots.legends import legend
 from sweep.plots.style import COLOURS, finish
@@ -46,7 +47,8 @@ def draw_scatter(
     factor, units = (chosen.factor, [chosen.unit] * 2) if same else (1.0, stored)
     x, y = factor * x, factor * y
     mean, covariance = np.array([x.mean(), y.mean()]), np.cov(x, y)
-    dots: dict[str, Any] = {"color": COLOURS[0], "markersize": 2.0, "markeredgewidth": 0.0, "alpha": 0.35}
+    size = float(np.clip(100.0 / np.sqrt(len(x)), 2.0, 5.0))
+    dots: dict[str, Any] = {"color": COLOURS[0], "markersize": size, "markeredgewidth": 0.0, "alpha": 0.35}
     axes.plot(x, y, ".", rasterized=True, label=f"{len(x)} estimates", **dots)
     for confidence, line in zip(CONFIDENCES, ("solid", "dashed"), strict=True):
         text = f"{100 * confidence:.0f} % of their normal law"
@@ -64,7 +66,7 @@ def draw_scatter(
         axes.set_aspect("equal", adjustable="datalim")
     finish(axes)
     sigmas = [
-        rf"$\sigma$({symbol(name)}) = {s:.3g} ± {s / np.sqrt(2 * len(x)):.1g} {written(unit)}"
+        rf"$\sigma$({symbol(name)}) = {with_error(s, s / np.sqrt(2 * len(x)))} {written(unit)}"
         for name, s, unit in zip(components, np.sqrt(np.diag(covariance)), units, strict=True)
     ]
     correlation = rf"correlation ${covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]):+.2f}$"

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from core.arrays import Array
 from core.constants import ARCSEC
 from core.galaxy_classes import CLASS_NAMES, REASON_NAMES, second_epoch_pm_error
-from sweep.formatting import reading_table
+from sweep.formatting import reading_table, with_error
 from sweep.search.options import Search
 from sweep.search.result import Result, match_columns
 from sweep.search.tables import MAGNITUDES
@@ -137,7 +137,7 @@ def _catalogues_table(summary: Mapping[str, Any]) -> "Table":
             f"{row['pairs']:,}",
             f"{row['matches']:,}",
             f"{row['chance_pairs_uniform']:.3g}",
-            f"{row['chance_pairs_local']:.3g} ± {row['chance_pairs_local_error']:.1g}",
+            with_error(row["chance_pairs_local"], row["chance_pairs_local_error"]),
         )
         for name, row in summary["catalogues"].items()
     )

@@ -71,6 +71,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     figure.legend(
         handles, labels, loc="outside lower center", ncols=1 if stacked else min(4, len(labels)), frameon=False
     )
+    figure.draw_without_rendering()
     for row, places in enumerate(blocks.values()):
         factor, _ = readable(stretched[:, places], "mas")
         for axes, (i, j) in zip(grid[row], combinations(places, 2), strict=True):

@@ -65,11 +65,10 @@ def kept_sources(dataset: xr.Dataset) -> NDArray[np.bool_]:
 def name_points(axes: Axes, x: Array, y: Array, names: Iterable[str], size: float = 6.5) -> None:
     """Write names beside points, the first ones first; one that would cover another, or leave the axes, is left out.
 
-    To be called when everything else is drawn.
+    To be called when everything else is drawn and has its place (`Figure.draw_without_rendering`).
     """
     figure = axes.get_figure(root=True)
     assert figure is not None, "axes of a figure"
-    figure.draw_without_rendering()
     inside, dots = axes.get_window_extent(), figure.dpi / 72.0
     taken: list[Bbox] = []
     if (legend := axes.get_legend()) is not None:

@@ -7,6 +7,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.special import ndtri
 
 from sweep.contract import SweepError
+from sweep.plots.legends import legend_below
 from sweep.plots.scales import logarithmic
 from sweep.plots.style import figure_size, finish, series
 
@@ -50,5 +51,5 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         lower.set_xlim(degree.min() - 0.5, degree.max() + 0.5)
         for axes in (upper, lower):
             finish(axes)
-        upper.legend(frameon=False, ncols=2, fontsize=7.5)
+    legend_below(figure)
     return figure

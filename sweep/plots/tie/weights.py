@@ -7,14 +7,15 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from scipy.special import chdtrc
 
 from core.arrays import Array
+from core.tie.influence import LARGE_SHARE
 from sweep.contract import SweepError
-from sweep.plots.legends import legend
+from sweep.plots.legends import legend, legend_below
 from sweep.plots.style import COLOURS, figure_size, finish, is_stacked
 from sweep.plots.tie.names import kept_sources, name_points
 
 NAMED = 8
 RANKED = 20
-LARGE_SHARE = 0.1
+MARK = {"color": "0.4", "linestyle": "dotted", "linewidth": 1.0, "label": f"{100.0 * LARGE_SHARE:g} %"}
 
 
 def weight_figure(dataset: xr.Dataset) -> Figure:
@@ -43,7 +44,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
             crosses = {"s": 16.0, "color": COLOURS[1], "marker": "x", "linewidths": 0.8}
             axes.scatter(np.full(gone.sum(), left), ratio[gone], label=f"{gone.sum()} dropped, of no weight", **crosses)
         axes.axhline(1.0, color="black", linewidth=0.8, zorder=1)
-        axes.axvline(LARGE_SHARE, color="0.4", linestyle="dotted", linewidth=1.0, zorder=1)
+        axes.axvline(LARGE_SHARE, zorder=1, **MARK)
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xlabel(f"share of the weight in {str(name).replace('_', ' ')}")
@@ -53,6 +54,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     for axes in grid:
         legend(axes, loc="lower left")
     surprise = chdtrc(np.maximum(dataset["n_observations"].values, 1.0), dataset["discrepancy"].values)
+    figure.draw_without_rendering()
     for axes, own in zip(grid, share.T, strict=True):
         order = [*np.argsort(surprise)[: NAMED // 2], *np.argsort(-own)[: NAMED // 2]]
         chosen = np.array([k for k in dict.fromkeys(order) if kept[k] and own[k] > 0.0], dtype=int)
@@ -74,9 +76,10 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
         offset = 0.4 - (number + 0.5) * height
         colour = COLOURS[number % len(COLOURS)]
         left.barh(places + offset, share[order, number], height, color=colour, label=str(name).replace("_", " "))
-    left.axvline(LARGE_SHARE, color="0.4", linestyle="dotted", linewidth=1.0)
-    left.xaxis.set_major_locator(MaxNLocator(5))
-    right.xaxis.set_major_locator(MaxNLocator(5))
+    if share.max() > LARGE_SHARE / 3.0:  # else the mark would leave the bars no room
+        left.axvline(LARGE_SHARE, **MARK)
+    for axes in (left, right):
+        axes.xaxis.set_major_locator(MaxNLocator(2 if is_stacked() else 5))
     left.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100.0 * value:g} %"))
     left.set_xlabel("share of the weight")
     left.set_yticks(places, dataset["source"].values[order].tolist(), fontsize=7)
@@ -86,7 +89,7 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
         finish(axes)
         axes.tick_params(axis="y", length=0.0)
         axes.set_ylim(-0.6, len(order) - 0.4)
-    legend(left, loc="lower right")
+    legend_below(figure)
     return figure
 
 

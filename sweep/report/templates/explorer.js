@@ -214,6 +214,7 @@
       const logX = numeric && !x.logarithmic && isWide(x.values);
       const ink = colour(this.element, "ink");
       const line = colour(this.element, "line");
+      const page = colour(this.element, "page");
       const figure = Bokeh.Plotting.figure({
         height: 416,
         sizing_mode: "stretch_width",
@@ -223,8 +224,8 @@
         ...(numeric ? {} : { x_range: new Bokeh.FactorRange({ factors }) }),
         x_axis_label: plain(x ? labelled(x) : ""),
         y_axis_label: plain(this.labelOf(quantity)),
-        background_fill_alpha: 0,
-        border_fill_alpha: 0,
+        background_fill_color: page, // a transparent figure shows what was painted before its last layout
+        border_fill_color: page,
         outline_line_color: line,
       });
       figure.toolbar.logo = null;

@@ -193,6 +193,23 @@ def test_controls_change_the_plot(show, store_of):
     assert complaints(driver) == []
 
 
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_nothing_of_an_earlier_layout_is_seen(show, store_of, theme):
+    """Left of the frame and beneath it nothing belongs; there the axis stood before the legend had its place."""
+    driver = show([store_of("quasars")], 480, theme)  # as on a telephone, without a scroll bar
+    script = """
+      const view = [...Bokeh.index.roots].find((v) => v.model.type === "Figure");
+      const { left, bottom } = view.frame.bbox;
+      const canvas = view.canvas_view.primary;
+      const scale = canvas.pixel_ratio;
+      const { data } = canvas.ctx.getImageData(scale * 2, scale * (bottom + 15), scale * (left - 3), scale * 60);
+      return [...new Set(Array.from({ length: data.length / 4 }, (_, i) => data.slice(4 * i, 4 * i + 4).join()))];
+    """
+    time.sleep(2.0)  # Bokeh does not say when it has painted its last layout; less would find less, and fail never
+    colours = driver.execute_script(script)
+    assert len(colours) == 1
+
+
 def test_hover_reads_values(show, store_of):
     from selenium.webdriver import ActionChains
 
