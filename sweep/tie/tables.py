@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from core.arrays import Array
 from core.blocks import PARAMETERS
 from core.constants import MAS
-from core.tie.astrometry import Astrometry, kinds
+from core.tie.astrometry import Astrometry, kinds, named_rows
 from sweep.contract import SweepError
 from sweep.tables import reader
 from sweep.tie import hipparcos, icrf
@@ -132,7 +132,7 @@ class _Reader(ColumnReader):
             errors=errors,
             epoch=epoch,
             correlations=correlations,
-            radial_velocity=self._radial_velocity(values[2]),
+            radial_velocity=self._radial_velocity(),
             columns=columns,
             apparent=(self._positions() == "single-epoch") & np.isfinite(epoch),
         )
@@ -235,13 +235,14 @@ class _Reader(ColumnReader):
             self.check((values < EPOCHS[0]) | (values > EPOCHS[1]), wrong)
         return values
 
-    def _radial_velocity(self, parallax: Array) -> Array | None:
+    def _radial_velocity(self) -> Array | None:
         if (name := self._column("radial_velocity")) is None:
             return None
         found = self.in_unit(name, "km/s")
-        beyond = (np.abs(found) > FASTEST_KM_S) & (parallax > 0.0)
-        self.check(beyond, f"a {name} beyond {FASTEST_KM_S:g} km/s, which no star has (leave missing ones blank),")
-        return found
+        if len(beyond := np.flatnonzero(np.abs(found) > FASTEST_KM_S)):
+            what = f"{name} beyond {FASTEST_KM_S:g} km/s, which no star has, is not used"
+            self.notes.append(f"{Path(self.where).name}: {what}: {named_rows(beyond)}")
+        return np.where(np.abs(found) > FASTEST_KM_S, np.nan, found)
 
     def _names(self) -> dict[str, NDArray[np.str_]]:
         wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES
