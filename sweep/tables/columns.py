@@ -110,9 +110,9 @@ def _factor(unit: Any, wanted: str, right_ascension: bool) -> float | None:
     """Return the factor from one unit to another, None if there is none; an hour of right ascension is 15 deg."""
     from astropy.units import Unit, UnitsError, hour, hourangle
 
-    for given in (unit, unit * hourangle / hour) if right_ascension else (unit,):
+    for as_angle in (False, True) if right_ascension else (False,):
         try:
-            return float(given.to(Unit(wanted)))
+            return float((unit * hourangle / hour if as_angle else unit).to(Unit(wanted)))
         except (UnitsError, TypeError, ValueError):
             continue
     return None

@@ -56,6 +56,7 @@ def _read(path: Path, content: bytes) -> Any:
             raise SweepError(f"is compressed, but incomplete: {error}") from error
     start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
     if start.startswith(b"SIMPLE  ="):
+        _require_one_table(content)
         return _by_astropy("fits", io.BytesIO(content) if packed else path)
     readers: dict[bytes, Callable[[bytes], Any]] = {
         b"PAR1": parquet_table,
@@ -95,6 +96,20 @@ def _by_astropy(form: str, source: Any, **options: Any) -> Any:
     except Exception as error:  # each of astropy's readers has its own
         text = " ".join(str(error).split())[:300]
         raise SweepError(f"cannot be read as {form}: {type(error).__name__}: {text}") from error
+
+
+def _require_one_table(content: bytes) -> None:
+    """Raise SweepError for a FITS file with several tables, of which astropy reads the first."""
+    from astropy.io import fits
+
+    kinds = (fits.BinTableHDU, fits.TableHDU)
+    try:
+        with fits.open(io.BytesIO(content)) as units:
+            tables = [f"{unit.name or 'HDU'} ({k})" for k, unit in enumerate(units) if type(unit) in kinds]
+    except Exception:  # astropy's reader of tables says what is wrong
+        return
+    if len(tables) > 1:
+        raise SweepError(f"has {len(tables)} tables in it: {', '.join(tables)}; leave one")
 
 
 def _votable(content: bytes) -> Any:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MISSING = ("", "null", "NULL", "None", "NaN", "nan", "N/A", "n/a", "NA", "<NA>", "--", "---", "...", "\\N")
+_NONE = ("null", "NULL", "None", "none", "NaN", "nan", "NAN", "N/A", "n/a", "NA", "<NA>")
+MISSING = ("", *_NONE, "--", "---", "...", "\\N")
 
 
 def read_rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[str] | None = None) -> Any:
@@ -31,7 +32,7 @@ def read_rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequenc
         "na_values": list(MISSING),
         "keep_default_na": False,
         "float_precision": "round_trip",
-        "decimal": "," if delimiter == ";" and _has_decimal_commas(body) else ".",
+        "decimal": "," if delimiter in (";", "\t") and _has_decimal_commas(body, delimiter) else ".",
         "low_memory": False,
     }
     kinds = dict(enumerate(dtypes)) if dtypes else {}
@@ -61,9 +62,9 @@ def fields_of(line: str, delimiter: str) -> list[str]:
     return [field.strip() for field in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])]
 
 
-def _has_decimal_commas(body: bytes) -> bool:
+def _has_decimal_commas(body: bytes, delimiter: str) -> bool:
     first = body[:4096].split(b"\n")[0].decode("utf-8", "replace")
-    return any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in fields_of(first, ";"))
+    return any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in fields_of(first, delimiter))
 
 
 def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:

@@ -1,6 +1,6 @@
 """How a table is to be read, and which of its columns hold what."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -15,30 +15,34 @@ Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
 
 VALUES: Mapping[str, tuple[str, ...]] = {
-    "ra": ("ra", "RA", "_RA", "RAdeg", "RArad", "ra_icrs", "RA_ICRS"),
-    "dec": ("dec", "DEC", "Dec", "_DE", "DEdeg", "DErad", "dec_icrs", "DE_ICRS"),
-    "parallax": ("parallax", "plx", "Plx"),
-    "pmra": ("pmra", "pm_ra_cosdec", "pmRA", "pm_ra"),
-    "pmdec": ("pmdec", "pm_dec", "pmDE", "pmDec"),
-    "ref_epoch": ("ref_epoch", "epoch", "Epoch", "pos_epoch", "mjd", "MJD"),
-    "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv", "RV"),
+    "ra": ("ra", "RAdeg", "RArad", "ra_icrs", "_RA"),
+    "dec": ("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "_DE"),
+    "parallax": ("parallax", "plx"),
+    "pmra": ("pmra", "pm_ra_cosdec", "pm_ra"),
+    "pmdec": ("pmdec", "pm_dec", "pmDE"),
+    "ref_epoch": ("ref_epoch", "epoch", "pos_epoch", "mjd"),
+    "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv"),
 }
-"""Names under which a quantity is found, the first of them first; those of an error are made from them."""
+"""Names under which a quantity is found, the first of them first, in any case of letters; those of an error are made
+from them.  VizieR computes _RA and _DE for an epoch of its own, so that they are last.
+"""
 
 NAMES = (
     "name",
-    "Name",
     "star",
     "source",
     "source_id",
     "designation",
     "psr_name",
-    "HIP",
     "hip",
     "iers_name",
     "icrf_name",
 )
 CORRELATIONS = tuple(f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr" for i, j in PAIRS)
+_AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
+_CORRELATIONS_AT_VIZIER = {
+    name: f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor" for name, (i, j) in zip(CORRELATIONS, PAIRS, strict=True)
+}
 _ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
 
 
@@ -64,7 +68,7 @@ class TableOptions:
 def require_epoch(epoch: float | None, what: str) -> None:
     """Raise SweepError for what is no Julian year, if it is given."""
     if epoch is not None and not EPOCHS[0] <= epoch <= EPOCHS[1]:
-        raise SweepError(f"{what} {epoch:g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
+        raise SweepError(f"{what} {epoch:.10g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
 
 
 def quantities() -> list[str]:
@@ -72,11 +76,17 @@ def quantities() -> list[str]:
     return [*VALUES, *(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"]
 
 
+def unit_of(quantity: str) -> str:
+    """Return the unit of plain numbers, but positions."""
+    return "mas/yr" if quantity.startswith("pm") else "mas"
+
+
 def column_of(quantity: str, names: Collection[str], options: TableOptions) -> str | None:
     """Return the column that holds a quantity; None for none."""
     if quantity in options.columns:
         return options.columns[quantity]
-    return next((name for name in VALUES.get(quantity, (quantity,)) if name in names), None)
+    wanted = VALUES.get(quantity, (quantity, _CORRELATIONS_AT_VIZIER.get(quantity, quantity)))
+    return first_found(wanted, names)
 
 
 def error_column_of(quantity: str, names: Collection[str], options: TableOptions) -> str | None:
@@ -85,7 +95,14 @@ def error_column_of(quantity: str, names: Collection[str], options: TableOptions
         return options.columns[f"{quantity}_error"]
     value = column_of(quantity, names, options)
     stems = [value, quantity] if value else [quantity]
-    return next((name for stem in stems for form in _ERROR_NAMES if (name := form.format(stem)) in names), None)
+    return first_found([form.format(stem) for stem in stems for form in _ERROR_NAMES], names)
+
+
+def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
+    """Return the first of the wanted names that there is, in its own case of letters or another; None for none."""
+    in_any_case = {name.casefold(): name for name in reversed(list(names))}
+    found = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
+    return next((name for name in found if name is not None), None)
 
 
 def columns_needed(names: Sequence[str], options: TableOptions, further: Collection[str] = ()) -> list[str]:

@@ -9,7 +9,8 @@ from core.arrays import Array
 from core.constants import DEGREE
 from core.tie.astrometry import named_rows
 from sweep.formatting import first_of
-from sweep.tables.columns import column_values
+from sweep.tables.columns import column_values, in_time
+from sweep.tables.rows import MISSING
 
 
 class ColumnReader:
@@ -23,6 +24,10 @@ class ColumnReader:
         """Return what NumPy calls the kind of a column's values, "O" for those of no array."""
         return str(getattr(getattr(self.table[name], "dtype", None), "kind", "O"))
 
+    def rounding(self, name: str) -> float:
+        """Return by which part of itself a number may be rounded; 0 for those in double precision."""
+        return 2.0**-24 if self.kind(name) == "f" and self.table[name].dtype.itemsize < 8 else 0.0
+
     def angle(self, name: str, hours: bool) -> Array:
         """Return a column of angles in rad; text is sexagesimal, in ``hours`` (a right ascension) unless it
         or its unit says degrees.
@@ -32,14 +37,21 @@ class ColumnReader:
         column = self.table[name]
         if self.kind(name) in "USO":
             return self._sexagesimal(name, hours)
-        unit = column.unit or (units.rad if name.endswith("rad") else units.deg)
-        if hours and column.unit is None and not name.endswith(("deg", "rad")) and _like_hours(self.numbers(name)):
+        unit = column.unit or (units.rad if name.casefold().endswith("rad") else units.deg)
+        if (
+            hours
+            and column.unit is None
+            and not name.casefold().endswith(("deg", "rad"))
+            and _like_hours(self.numbers(name))
+        ):
             self.problems.append(
                 f"column {name!r} has no unit and runs over 0..24, as hours do; say --unit ra=hourangle (or ra=deg)"
             )
         try:
             return np.asarray(self.numbers(name) * units.Unit(unit).to("rad"))
         except (units.UnitsError, ValueError, TypeError):
+            if hours and in_time(self.table, name):
+                return column_values(self.table, name, "deg", right_ascension=True) * DEGREE
             self.problems.append(f"column {name!r} is in {unit}, which is no angle")
             return np.full(len(self.table), np.nan)
 
@@ -50,13 +62,19 @@ class ColumnReader:
             self.problems.append(str(error))
             return np.full(len(self.table), np.nan)
 
+    def in_time(self, name: str) -> bool:
+        """Return whether numbers along right ascension are in units of time, so that they lack cos(dec)."""
+        return self.kind(name) in "fiu" and in_time(self.table, name)
+
     def in_unit(self, name: str, unit: str) -> Array:
-        """Return a column in a unit, which it has where it does not say."""
+        """Return a column in a unit, which it has where it does not say; a second of time is 15 arcsec."""
         from astropy import units
 
         values, own = self.numbers(name), self.table[name].unit
         if own is None:
             return values
+        if self.in_time(name):
+            return column_values(self.table, name, unit, right_ascension=True)
         try:
             return np.asarray(values * units.Unit(own).to(unit))
         except (units.UnitsError, ValueError, TypeError):
@@ -67,7 +85,8 @@ class ColumnReader:
         """Return a column as float64 without its unit, NaN where it is missing."""
         column = self.table[name]
         if self.kind(name) not in "fiu" or column.ndim != 1:
-            self.problems.append(f"column {name!r} does not hold numbers")
+            text = self._first_text(name)
+            self.problems.append(f"column {name!r} does not hold numbers" + (f": {text}" if text else ""))
             return np.full(len(self.table), np.nan)
         return np.asarray(np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(np.float64), np.nan))
 
@@ -76,7 +95,15 @@ class ColumnReader:
         column = self.table[name]
         if self.kind(name) in "iu" and not np.any(np.ma.getmaskarray(column)):
             return np.asarray(column).astype(np.str_)  # millions of source_id
-        return np.array([" ".join(str(v).split()) for v in column])
+        return np.array([" ".join(_written(v).split()) for v in column])
+
+    def _first_text(self, name: str) -> str:
+        """Return the first row of a column of text that is no number, else the first row, with its value."""
+        if self.kind(name) not in "USO" or np.ndim(self.table[name]) != 1:
+            return ""
+        texts = [str(text) for text in self.text(name)]
+        row = next((row for row, text in enumerate(texts) if text not in MISSING and not _is_number(text)), 0)
+        return f"row {row + 1} has the text {texts[row]!r}" if texts else ""
 
     def check(self, bad: NDArray[np.bool_], what: str) -> None:
         """Note that rows have something wrong, where ``bad`` holds."""
@@ -87,6 +114,22 @@ class ColumnReader:
     def listed(self) -> str:
         """Return the names of the first columns."""
         return first_of(list(self.table.colnames), 20)
+
+
+def _written(value: Any) -> str:
+    """Return a name as text; whole numbers are the same whether they were stored as integers or not."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, (float, np.floating)) and float(value).is_integer() and abs(float(value)) < 2.0**53:
+        return str(int(value))
+    return str(value)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return not np.isnan(float(text))
+    except ValueError:
+        return False
 
 
 def _like_hours(ra: Array) -> bool:

@@ -12,6 +12,11 @@ _PLACES = [(i, j) for j in range(5) for i in range(j + 1)]
 """Row and column of U1 to U15, column by column.  Source: Michalik et al. 2014, A&A 571, A85, appendix B."""
 
 
+def is_hipparcos(reader: ColumnReader) -> bool:
+    """Return whether a table has positions in radians by the name of Hipparcos-2."""
+    return any(name.casefold() == "rarad" for name in reader.table.colnames)
+
+
 def elements(reader: ColumnReader) -> Array | None:
     """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; or None."""
     for stem in ("UW", "U"):

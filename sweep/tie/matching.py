@@ -1,6 +1,6 @@
 """Which source of the satellite a row of the reference belongs to: by name or by position."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,19 +11,25 @@ from core.frames import triad
 from core.tie.astrometry import named_rows
 from core.tie.motion import propagated
 from sweep.contract import SweepError
+from sweep.tie.column_names import NAMES
 from sweep.tie.tables import AstrometricTable
 
 DEFAULT_RADIUS_ARCSEC = 1.0
 
+_NO_NAME = ("", "--", "nan")
+
 
 @dataclass(frozen=True)
 class Match:
-    """The rows that were matched (R,), the source of the satellite of each (R,), how, and the rows left over."""
+    """The rows that were matched (R,), the source of the satellite of each (R,), how, the rows left over, and those
+    for which the nearest source was taken of several within the radius.
+    """
 
     rows: Indices
     source: Indices
     by: str
     unmatched: Indices
+    ambiguous: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
 
 def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | None = None) -> Match:
@@ -37,7 +43,7 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
         return _by_position(satellite, reference, _radius(radius))
     pairs = _pairs(satellite, reference, kind)
     for own, other in pairs:
-        found = _by_name(satellite, reference, own, other)
+        found = _by_name(satellite, reference, own, other, strict=kind == own or own.casefold() in NAMES)
         if len(found.rows):
             return found
     if by is None:
@@ -50,8 +56,13 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
     own, other = pairs[0]
     raise SweepError(
         f"match by {by}: no name is in both tables; {satellite.path} has {own} like "
-        f"{satellite.names[own][0]!r}, {reference.path} has {other} like {reference.names[other][0]!r}"
+        f"{_example(satellite, own)!r}, {reference.path} has {other} like {_example(reference, other)!r}"
     )
+
+
+def _example(table: AstrometricTable, column: str) -> str:
+    """Return the first name of a column that is not missing."""
+    return next((str(name) for name in table.names[column] if name.casefold() not in _NO_NAME), "")
 
 
 def _pairs(satellite: AstrometricTable, reference: AstrometricTable, kind: str) -> list[tuple[str, str]]:
@@ -62,16 +73,20 @@ def _pairs(satellite: AstrometricTable, reference: AstrometricTable, kind: str) 
     return same + [(a, b) for a in satellite.names for b in reference.names if a != b]
 
 
-def _by_name(satellite: AstrometricTable, reference: AstrometricTable, own: str, other: str) -> Match:
+def _by_name(
+    satellite: AstrometricTable, reference: AstrometricTable, own: str, other: str, strict: bool = True
+) -> Match:
+    """Match by two columns; a column that repeats itself is no match, and where it should have names an error."""
     names = [name.casefold() for name in satellite.names[own]]
     wanted = [name.casefold() for name in reference.names[other]]
-    place = {name: i for i, name in enumerate(names) if name not in ("", "--", "nan")}
+    place = {name: i for i, name in enumerate(names) if name not in _NO_NAME}
     rows = np.array([i for i, name in enumerate(wanted) if name in place], dtype=np.int64)
     used = {wanted[i] for i in rows}
     if len(place) < len(names):
         twice = sorted({satellite.names[own][i] for i, name in enumerate(names) if name in used and place[name] != i})
-        if twice:
+        if twice and strict:
             raise SweepError(f"{own} {', '.join(twice[:5])} occurs more than once in the table", satellite.path)
+        rows = rows[:0] if twice else rows
     source = np.array([place[wanted[i]] for i in rows], dtype=np.int64)
     unmatched = np.setdiff1d(np.arange(len(wanted)), rows)
     return Match(rows, source, own if own == other else f"{own} = {other}", unmatched)
@@ -108,7 +123,7 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     if len(without := np.flatnonzero(~np.isfinite(rows.values[:2]).all(axis=0))):
         raise SweepError(f"match by position: no position in {named_rows(without)}; match by name", reference.path)
     chord = 2.0 * np.sin(0.5 * radius_arcsec * ARCSEC)
-    found = np.full(len(rows), -1)
+    found, several = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
     epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
     for epoch in np.unique(epochs):
         at = np.flatnonzero(epochs == epoch)
@@ -117,9 +132,12 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
             start = np.where(np.isfinite(sources.epoch), sources.epoch, epoch)
             values = propagated(values, sources.radial_velocity, start, np.full(len(sources), epoch))
         tree = cKDTree(triad(values[0], values[1]).r.T)
-        distance, nearest = tree.query(triad(rows.values[0, at], rows.values[1, at]).r.T)
-        found[at] = np.where(distance <= chord, nearest, -1)
+        both = tree.query(triad(rows.values[0, at], rows.values[1, at]).r.T, k=2)
+        distance, nearest = np.asarray(both[0]), np.asarray(both[1])
+        found[at] = np.where(distance[:, 0] <= chord, nearest[:, 0], -1)
+        several[at] = distance[:, 1] <= chord
     matched = np.flatnonzero(found >= 0)
     if not len(matched):
         raise SweepError(f"no row of the reference is within {radius_arcsec:g} arcsec of a source", reference.path)
-    return Match(matched, found[matched], f"position within {radius_arcsec:g} arcsec", np.flatnonzero(found < 0))
+    how = f"position within {radius_arcsec:g} arcsec"
+    return Match(matched, found[matched], how, np.flatnonzero(found < 0), np.flatnonzero(several))

@@ -63,8 +63,10 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     """
     options.check()
     left = read_table(Path(satellite), options.satellite_options)
-    if not np.all(np.isfinite(left.astrometry.values[:2])):
-        raise SweepError("sources without a position", left.path)
+    if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
+        raise SweepError(
+            f"each source needs a position, and there is no ra and dec in {named_rows(without)}", left.path
+        )
     parts = [_reference(left, reference, options)]
     parts += [_mission(left, name, number, options) for number, name in enumerate(options.missions, 1)]
     matched = np.concatenate([part.matched.source for part in parts])
@@ -76,7 +78,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     rows = parts[0].rows if len(parts) == 1 else joined(*(part.rows for part in parts))
     source = place[matched]
     epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
-    notes = [note for part in parts for note in (*_unmatched(part), *part.notes)]
+    notes = [*left.notes, *(note for part in parts for note in (*part.table.notes, *_unmatched(part), *part.notes))]
     try:
         unknowns = unknowns_of(options, own, rows, source, epoch, notes)
         known = None if options.known_spin is None else known_spin(options.known_spin, own, SIGNS[options.sign])
@@ -120,7 +122,8 @@ def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> lis
             worst = far[np.argmax(apart[far])]
             size = f"{apart[worst]:.3g} deg" if refused else f"{apart[worst] * 3600.0:.3g} arcsec"
             row = named_rows(matched.rows[far])
-            found = f"{row} of {Path(table.path).name}: up to {size} from the source of the same name"
+            whose = "their source" if matched.by.startswith("position") else "the source of the same name"
+            found = f"{row} of {Path(table.path).name}: up to {size} from {whose}"
             if refused:
                 raise SweepError(f"{found}; are the names right, the epochs, and the units of the positions?")
             return [found]
@@ -132,8 +135,23 @@ def _taken(table: Astrometry, rows: Indices) -> Astrometry:
 
 
 def _unmatched(part: _Part) -> list[str]:
-    n, total = len(part.matched.unmatched), len(part.table.astrometry)
-    return [f"{n} of {total} rows of {Path(part.table.path).name} match no source"] if n else []
+    n, total, name = len(part.matched.unmatched), len(part.table.astrometry), Path(part.table.path).name
+    found = [f"{n} of {total} rows of {name} match no source"] if n else []
+    if len(part.matched.ambiguous):
+        rows = named_rows(part.matched.ambiguous)
+        found.append(f"{rows} of {name}: several sources are as near as the radius; the nearest is taken")
+    if len(repeated := _repeated(part)):
+        found.append(f"{named_rows(repeated)} of {name}: the same numbers as another row of the source; each counts")
+    return found
+
+
+def _repeated(part: _Part) -> Indices:
+    """Return the rows of a table, in its numbers, that repeat another one of their source."""
+    source, rows = part.matched.source, part.rows
+    several = np.flatnonzero(np.bincount(source)[source] > 1) if len(source) else source
+    numbers = np.array([source, *rows.values, *rows.errors, rows.epoch])[:, several]
+    _, first = np.unique(np.nan_to_num(numbers, nan=-np.inf), axis=1, return_index=True)
+    return np.sort(part.matched.rows[np.delete(several, first)])
 
 
 def zero_motion(n: int) -> Astrometry:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from core.arrays import Array, Indices
+from core.link import LinkError
+from core.tie.astrometry import kinds
 from core.tie.clips import Clipped, Sources, clipped, parse_clip
 from core.tie.influence import LARGE_SHARE, Influence, influence, shares
 from core.tie.solution import Solution
@@ -75,7 +77,9 @@ def solve_link(
             covariances, notes = _covariances(kept, found, errors, resamples, seed)
             squares = sources.discrepancies(found.solution.estimate) if per_source else None
             effect, places, share = _influence(kept, sources, found, setup.problem.unknowns)
-    except ValueError as error:  # LinkError is one
+    except LinkError as error:
+        raise SweepError(f"{error}{_rows_there_are(setup)}") from error
+    except ValueError as error:
         raise SweepError(str(error)) from error
     notes += _large_shares(setup.problem.unknowns.names, setup.names[places], share)
     return Link(
@@ -89,6 +93,13 @@ def solve_link(
         count=sources.count,
         notes=(*setup.notes, *found.notes, *notes),
     )
+
+
+def _rows_there_are(setup: Setup) -> str:
+    """Return which kinds of rows there are, and what is known about the tables, for an error."""
+    found, number = np.unique(kinds(setup.problem.rows), return_counts=True)
+    counted = ", ".join(f"{n} {kind}" for kind, n in zip(found, number, strict=True))
+    return f" (rows: {counted}; {'; '.join(setup.notes)})" if setup.notes else f" (rows: {counted})"
 
 
 def _influence(

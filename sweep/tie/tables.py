@@ -1,9 +1,8 @@
 """Astrometric tables from files: Gaia archive, Hipparcos-2, ICRF text, VLBI rows and others with such columns."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
 
@@ -12,35 +11,43 @@ from numpy.typing import NDArray
 
 from core.arrays import Array
 from core.blocks import PARAMETERS
-from core.constants import ARCSEC, MAS
-from core.tie.astrometry import PAIRS, Astrometry, kinds, positive_definite
+from core.constants import MAS
+from core.tie.astrometry import Astrometry, kinds, named_rows
 from sweep.contract import SweepError
 from sweep.tables import reader
 from sweep.tie import hipparcos, icrf
+from sweep.tie.built_in import built_in_table
 from sweep.tie.column_names import (
-    CORRELATIONS,
     EPOCHS,
     NAMES,
     Positions,
     TableOptions,
     column_of,
     error_column_of,
+    first_found,
     quantities,
+    unit_of,
 )
 from sweep.tie.column_reader import ColumnReader
+from sweep.tie.correlations import correlations_of
+from sweep.tie.epochs import julian_years
 
-MJD_FROM = 15000.0
-"""Epochs above are modified Julian dates."""
+FASTEST_KM_S = 5000.0
+"""Radial velocities beyond are no star's: they are codes for missing ones, or redshifts."""
+
+COARSE = 0.1
+"""Positions that are rounded by more than this part of their errors are too coarse."""
 
 
 @dataclass(frozen=True)
 class AstrometricTable:
-    """What a file holds, its path and SHA-256, and the columns with names."""
+    """What a file holds, its path and SHA-256, the columns with names, and what to know about it."""
 
     path: str
     digest: str
     astrometry: Astrometry
     names: Mapping[str, NDArray[np.str_]]
+    notes: Sequence[str] = ()
 
 
 def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTable:
@@ -52,13 +59,14 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     options = options or TableOptions()
     path = built_in_table(path) or path
     if not path.is_file():
-        raise SweepError("no such file", str(path))
+        raise SweepError("is a folder, not a table" if path.is_dir() else "no such file", str(path))
     digest = digest_of(path)
     if path.suffix.lower() in (".txt", ".dat") and icrf.is_icrf(path):
         astrometry, names = icrf.read_icrf(path)
         return AstrometricTable(str(path), digest, astrometry, names)
-    astrometry, names = astrometry_of(reader.read_table(path), str(path), options)
-    return AstrometricTable(str(path), digest, astrometry, names)
+    found = _Reader(reader.read_table(path), str(path), options)
+    astrometry, names = found.astrometry()
+    return AstrometricTable(str(path), digest, astrometry, names, found.notes)
 
 
 def astrometry_of(table: Any, where: str, options: TableOptions) -> tuple[Astrometry, dict[str, NDArray[np.str_]]]:
@@ -72,20 +80,13 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def built_in_table(path: Path) -> Path | None:
-    """Return the file of a built-in table, where its name is given and there is no such file."""
-    if path.suffix or len(path.parts) != 1 or path.exists():
-        return None
-    folder = Path(str(resources.files("sweeps") / "data"))
-    return next((file for file in sorted(folder.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
-
-
 class _Reader(ColumnReader):
     """Reads the quantities of one table and collects what is wrong with it."""
 
     def __init__(self, table: Any, where: str, options: TableOptions) -> None:
         super().__init__(table)
         self.where, self.options = where, options
+        self.notes: list[str] = []
         for key, column in options.columns.items():
             if key not in quantities():
                 self.problems.append(f"columns: {key} is no quantity; known are {', '.join(quantities())}")
@@ -102,21 +103,24 @@ class _Reader(ColumnReader):
         n = len(self.table)
         values, errors = np.full((2, 5, n), np.nan)
         for i, name in enumerate(PARAMETERS):
-            values[i] = self._values(name)
+            values[i] = self._values(name, values[1])
+            self.check(np.isinf(values[i]), f"an infinite {name}")
         for i, name in enumerate(PARAMETERS):
-            errors[i] = self._errors(name, values[1])
-        for name, row in (("ra", values[0]), ("dec", values[1])):
-            if self._column(name) is None and not np.any(np.isfinite(values[2:])):
-                self.problems.append(f"no column {name}; there are {self.listed()}")
-            self.check(
-                np.isfinite(errors[PARAMETERS.index(name)]) & ~np.isfinite(row), f"an error but no value of {name}"
-            )
+            errors[i] = self._errors(name, values[i], values[1])
+        if self.problems:
+            raise SweepError(self.problems, self.where)
+        for name, row, error in zip(PARAMETERS[:2], values, errors, strict=False):
+            if (column := self._column(name)) is None:
+                if not np.any(np.isfinite(values[2:])):
+                    self.problems.append(f"no column {name}; there are {self.listed()}")
+            elif rounding := self.rounding(column):
+                size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
+                what = f"positions in single precision (column {column!r}), too coarse for their errors,"
+                self.check(size * rounding > COARSE * error, what)
+            self.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
         self.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
         self.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
-        if not self.options.pmra_cos_dec:
-            values[3] *= np.cos(values[1])
-            errors[3] *= np.cos(values[1])
-        correlations = self._correlations(np.isfinite(values) & np.isfinite(errors))
+        correlations = correlations_of(self, self.options, np.isfinite(values) & np.isfinite(errors))
         columns = {
             name: self.numbers(name)
             for name in self.table.colnames
@@ -169,30 +173,47 @@ class _Reader(ColumnReader):
     def _column(self, quantity: str) -> str | None:
         return column_of(quantity, self.table.colnames, self.options)
 
-    def _values(self, quantity: str) -> Array:
+    def _values(self, quantity: str, dec: Array) -> Array:
         name = self._column(quantity)
         if name is None:
             return np.full(len(self.table), np.nan)
         if quantity in ("ra", "dec"):
             return self.angle(name, hours=quantity == "ra")
-        return self.in_unit(name, "mas/yr" if quantity.startswith("pm") else "mas") * MAS
+        return self.in_unit(name, unit_of(quantity)) * MAS * self._cos_dec(quantity, name, dec)
 
-    def _errors(self, quantity: str, dec: Array) -> Array:
-        name = error_column_of(quantity, self.table.colnames, self.options)
+    def _cos_dec(self, quantity: str, name: str, dec: Array) -> Array | float:
+        """Return the factor cos(dec) of columns along right ascension that are without it, as in units of time."""
+        without = quantity == "pmra" and not self.options.pmra_cos_dec
+        return np.cos(dec) if without or (quantity in ("ra", "pmra") and self.in_time(name)) else 1.0
+
+    def _errors(self, quantity: str, values: Array, dec: Array) -> Array:
+        name, of = error_column_of(quantity, self.table.colnames, self.options), self._column(quantity)
         if name is None:
+            if np.any(np.isfinite(values)):
+                self.notes.append(f"{Path(self.where).name} has no errors of {quantity}: it counts as not measured")
             return np.full(len(self.table), np.nan)
-        unit = "mas/yr" if quantity.startswith("pm") else "mas"
-        if str(self.table[name].unit) == "s" and quantity == "ra":  # seconds of time
-            found = self.numbers(name) * 15.0 * np.cos(dec) * ARCSEC
-        else:
-            found = self.in_unit(name, unit) * MAS
+        unit = unit_of(quantity)
+        if of is not None and self.table[name].unit is None:
+            self._doubtful_unit(quantity, of, name)
+        found = self.in_unit(name, unit) * MAS * self._cos_dec(quantity, name, dec)
         self.check(found < 0.0, f"a negative {name}")
         zero = found == 0.0
         if self.options.zero_errors == "error":
-            self.check(zero, f"a {name} of 0 (say with zero errors whether the value is missing or exact)")
+            self.check(zero, f"a {name} of 0 (say --zero-errors missing, or exact)")
         elif self.options.zero_errors == "missing":
             found = np.where(zero, np.nan, found)
         return found
+
+    def _doubtful_unit(self, quantity: str, of: str, name: str) -> None:
+        """Say what is taken for the unit of an error without one, where the unit of its value is a special one."""
+        unit, own = unit_of(quantity), self.table[of].unit
+        if quantity in ("ra", "dec"):
+            if self.kind(of) in "USO":
+                taken = f"{name!r} has no unit and counts as {unit}, or say --unit {quantity}_error="
+                self.notes.append(f"{of!r} is sexagesimal; {taken}{'s' if quantity == 'ra' else 'arcsec'}")
+        elif own is not None and own.is_equivalent(unit) and not np.isclose(own.to(unit), 1.0):
+            say = f"say --unit {quantity}_error={own} (or {unit})"
+            self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
 
     def _epoch(self) -> Array:
         name = self._column("ref_epoch")
@@ -201,41 +222,32 @@ class _Reader(ColumnReader):
         if name is None:
             if self.table.meta.get("extragalactic") is True:
                 return np.full(len(self.table), np.nan)
-            if "RArad" in self.table.colnames:
+            if hipparcos.is_hipparcos(self):
                 return np.full(len(self.table), hipparcos.EPOCH)
             if self._column("ra") is not None:
                 self.problems.append("no column ref_epoch; give the epoch of the positions")
             return np.full(len(self.table), np.nan)
-        values = self.numbers(name)
-        unit = str(self.table[name].unit)
-        if unit == "d" or (np.nanmin(values, initial=np.inf) > MJD_FROM and unit not in ("yr", "a")):
-            values = 2000.0 + (values - 51544.5) / 365.25
-        self.check(
-            ~((values >= EPOCHS[0]) & (values <= EPOCHS[1])), f"a {name} that is neither a Julian year nor an MJD"
-        )
+        known = len(self.problems)
+        values = julian_years(self, name)
+        if len(self.problems) == known:
+            self.check(np.isnan(values), f"no epoch (column {name!r})")
+            wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
+            self.check((values < EPOCHS[0]) | (values > EPOCHS[1]), wrong)
         return values
 
     def _radial_velocity(self) -> Array | None:
-        name = self._column("radial_velocity")
-        return None if name is None else self.in_unit(name, "km/s")
-
-    def _correlations(self, present: NDArray[np.bool_]) -> Array | None:
-        if "RArad" in self.table.colnames and (elements := hipparcos.elements(self)) is not None:
-            return hipparcos.correlations(elements)
-        names = [self._column(name) for name in CORRELATIONS]
-        if not any(names):
+        if (name := self._column("radial_velocity")) is None:
             return None
-        found = np.array([np.zeros(len(self.table)) if name is None else self.numbers(name) for name in names])
-        for row, name, (i, j) in zip(found, names, PAIRS, strict=True):
-            both = present[i] & present[j]
-            if name is not None and np.any(np.isfinite(row)):  # a column of blanks is as none
-                self.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
-            row[~(both & np.isfinite(row))] = 0.0
-        self.check(~positive_definite(found), "correlations that are impossible (not positive definite)")
-        return found
+        found = self.in_unit(name, "km/s")
+        if len(beyond := np.flatnonzero(np.abs(found) > FASTEST_KM_S)):
+            what = f"{name} beyond {FASTEST_KM_S:g} km/s, which no star has, is not used"
+            self.notes.append(f"{Path(self.where).name}: {what}: {named_rows(beyond)}")
+        return np.where(np.abs(found) > FASTEST_KM_S, np.nan, found)
 
     def _names(self) -> dict[str, NDArray[np.str_]]:
         wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES
-        text = [name for name in self.table.colnames if name in wanted or self.kind(name) in "US"]
-        text.sort(key=lambda name: wanted.index(name) if name in wanted else len(wanted))
-        return {name: self.text(name) for name in text}
+        place = {name: len(wanted) for name in self.table.colnames if self.kind(name) in "US"}
+        for k, key in reversed(list(enumerate(wanted))):
+            if (name := first_found([key], self.table.colnames)) is not None:
+                place[name] = k
+        return {name: self.text(name) for name in sorted(place, key=lambda name: place[name])}

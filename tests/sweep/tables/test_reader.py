@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy import units as u
 from astropy.coordinates import Angle
+from astropy.io import fits
 from astropy.table import Table
 
 from sweep.contract import SweepError
@@ -197,3 +198,21 @@ def test_two_tables_in_one_votable(tmp_path):
     body = text[text.index("<TABLE") : text.index("</TABLE>") + 8]
     with pytest.raises(SweepError, match="has 2 tables in it; leave one"):
         read_table(written(tmp_path, "t.vot", text.replace(body, body + body)))
+
+
+def test_two_tables_in_one_fits_file(tmp_path):
+    units = [
+        fits.PrimaryHDU(),
+        *(fits.BinTableHDU(Table({"ra": [x]}), name=name) for x, name in ((1.0, "A"), (2.0, "B"))),
+    ]
+    fits.HDUList(units).writeto(tmp_path / "two.fits")
+    with pytest.raises(SweepError, match=r"has 2 tables in it: A \(1\), B \(2\); leave one"):
+        read_table(tmp_path / "two.fits")
+    fits.HDUList([units[0], fits.ImageHDU(np.zeros((2, 2))), units[2]]).writeto(tmp_path / "one.fits")
+    assert read_table(tmp_path / "one.fits")["ra"].tolist() == [2.0]
+
+
+def test_decimal_commas_between_tabs(tmp_path):
+    table = read_table(written(tmp_path, "t.tsv", "ra\tdec\n10,5\t-3,25\n11\t0\n"))
+    assert table["ra"].tolist() == [10.5, 11.0]
+    assert table["dec"].tolist() == [-3.25, 0.0]

@@ -150,7 +150,10 @@ def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time(tmp_path):
         ({"pmra_error": np.array([0.1, 0.1, -0.1, 0.1])}, "a negative pmra_error in row 3"),
         ({"pmra_error": np.array([0.1, 0.1, 0.0, 0.1])}, "a pmra_error of 0 .* in row 3"),
         ({"pmra_error": np.array([0.1, np.nan, 0.1, 0.1])}, "only one coordinate of the motion .* in row 2"),
-        ({"ref_epoch": np.array([2016.0, 0.0, 2016.0, 2016.0])}, "neither a Julian year nor an MJD in row 2"),
+        (
+            {"ref_epoch": np.array([2016.0, 0.0, 2016.0, 2016.0])},
+            "no Julian year, MJD or JD from 1700 to 2300 in row 2",
+        ),
         ({"ra_dec_corr": np.array([0.0, 0.0, 1.5, 0.0])}, "impossible .* in row 3"),
         ({"parallax": np.array(["a", "b", "c", "d"])}, "'parallax' does not hold numbers"),
     ],
