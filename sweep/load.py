@@ -129,7 +129,27 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None)
         where = _line_of(error)
         text = error.msg if isinstance(error, SyntaxError) else str(error)
         message = f"{type(error).__name__}{f': {text}' if text else ''}"
-        raise SweepError(f"{shown(reference)}: cannot be imported: {message}{where}") from error
+        hint = _how_to_find(error, place, attribute)
+        raise SweepError(f"{shown(reference)}: cannot be imported: {message}{where}{hint}") from error
+
+
+def _how_to_find(error: BaseException, place: str, attribute: str) -> str:
+    """Return how to name a function of a package that is not installed."""
+    if isinstance(error, ImportError) and "attempted relative import" in str(error):
+        names = [Path(place).stem]
+        folder = Path(place).absolute().parent
+        while (folder / "__init__.py").is_file():
+            names.insert(0, folder.name)
+            folder = folder.parent
+        if len(names) == 1:
+            return ""
+        return (
+            f"; a file of a package is named by its module: PYTHONPATH={folder} sweep run {'.'.join(names)}:{attribute}"
+        )
+    missing = error.name if isinstance(error, ModuleNotFoundError) else None
+    if missing and f"{place}.".startswith(f"{missing}.") and Path(*place.split(".")).with_suffix(".py").is_file():
+        return f"; it is not installed: PYTHONPATH={Path.cwd()} finds it here"
+    return ""
 
 
 def _line_of(error: BaseException) -> str:

@@ -46,7 +46,7 @@ def indices_of_grid(
         rng = np.random.default_rng(seed)
         drawn = (values + rng.standard_normal(values.shape) * np.sqrt(noise) for _ in range(RESAMPLES))
         variance += np.var([_indices(one, 2.0 * noise, equal) for one in drawn], axis=0, ddof=1)
-    sigma = np.sqrt(variance)
+    sigma = np.where(np.isnan(found), np.nan, np.sqrt(variance))
     return found[0], sigma[0], found[1], sigma[1]
 
 
@@ -70,7 +70,7 @@ def weights_of_order(order: int, n: int) -> Array:
 def _indices(values: Array, noise: Array, weights: Sequence[Array]) -> Array:
     """Return first-order and total indices, (2, axes)."""
     whole = _variance(values, noise, weights, ())
-    if not whole > 0.0:
+    if not whole > 0.0 or values.min() == values.max():  # the weights do not add up to one to the last bit
         return np.full((2, values.ndim), np.nan)
     axes = range(values.ndim)
     alone = [_variance(values, noise, weights, [k for k in axes if k != axis]) for axis in axes]

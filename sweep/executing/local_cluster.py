@@ -15,7 +15,11 @@ from distributed import LocalCluster
 
 from sweep.contract import SweepError
 from sweep.executing.forkserver import ENVIRONMENT, SAFE_PATH, signals_blocked, start_method
-from sweep.executing.upstream import leave_a_worker_that_runs_its_script, lost_workers_replaced
+from sweep.executing.upstream import (
+    leave_a_worker_that_runs_its_script,
+    lost_workers_replaced,
+    only_scripts_with_a_file_run,
+)
 
 PATIENCE_S = 0.5
 """What workers get to finish in when a run is stopped."""
@@ -76,6 +80,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
         if issubclass(kind, LocalCluster):
             defaults = {"dashboard_address": here, "silence_logs": False}
             if options.get("processes", True):
+                stack.enter_context(only_scripts_with_a_file_run())
                 method = method or stack.enter_context(start_method())
                 stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
                 defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # what they are forked from has it

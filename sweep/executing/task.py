@@ -87,7 +87,10 @@ def failure_of(error: BaseException) -> Failure:
         return Failure("NaN", str(error))
     if isinstance(error, ResultError):
         return Failure("exception", str(error))
-    text = str(error)
+    try:
+        text = str(error)
+    except Exception as unsaid:  # whatever a class of the user's raises
+        text = f"its message cannot be made: {type(unsaid).__name__}"
     return Failure("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from sweep.contract import Experiment, check_finite, checked
 from sweep.executing.captured import captured
 from sweep.executing.deadlines import Deadlines
+from sweep.executing.own_process import forks_ended, is_interruption
 from sweep.executing.task import PointBlock, Task, TaskResult, failed, failure_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.planning.streams import block_generators
@@ -25,11 +26,12 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
     begun = time.perf_counter()
     with captured() as said:
         try:
-            with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(points)):
+            limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
+            with forks_ended(), deadlines.within(limit):
                 result.values.update(enumerate(experiment.many(points)))
-        except (KeyboardInterrupt, GeneratorExit):
-            raise
         except BaseException as error:  # who is to blame is found out one by one
+            if is_interruption(error):
+                raise
             result.failures.update(dict.fromkeys(range(len(points)), failure_of(error)))
         if (told := said.taken()) is not None:
             result.said[0] = told
@@ -68,12 +70,13 @@ def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBl
     begun = time.perf_counter()
     try:
         blocks = block_generators(task.seed, [(unit.stream, unit.block) for unit in units])
-        drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
+        with forks_ended():
+            drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
         sums = checked("evaluate_catalogues", drawn, "sum", shapes)
         check_finite(sums, experiment.nan_sums)
-    except (KeyboardInterrupt, GeneratorExit):
-        raise
-    except BaseException:
+    except BaseException as error:
+        if is_interruption(error):
+            raise
         return None
     flat = iter(np.concatenate([array.reshape(sum(n_cat), len(points), -1) for array in sums.values()], axis=2))
     result = failed(len(units) * len(points), experiment.sums_width)

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 REPLACE_EVERY_S = 5
@@ -62,6 +63,23 @@ def skip_end_of_clusters() -> None:
     """Let the process end without Dask's own clean-up, which waits ten seconds for a cluster that has half started."""
     if distributed := sys.modules.get("distributed"):
         atexit.unregister(distributed.deploy.spec.close_clusters)
+
+
+@contextmanager
+def only_scripts_with_a_file_run() -> Iterator[None]:
+    """Keep worker processes that are started in this block from running a script that came by standard input: Python
+    gives the name of its file as ``<stdin>``, which is none.
+    """
+    script = sys.modules["__main__"]
+    name = getattr(script, "__file__", None)
+    if name is None or Path(name).is_file():
+        yield
+        return
+    del script.__file__
+    try:
+        yield
+    finally:
+        script.__file__ = name
 
 
 def leave_a_worker_that_runs_its_script() -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sweep.contract import Experiment, GeneratorPair, Point, check_finite, checked
 from sweep.executing.captured import Captured, captured
 from sweep.executing.deadlines import Deadlines, TimeLimitError
+from sweep.executing.own_process import forks_ended, is_interruption
 from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, failure_of, joined, too_long
 from sweep.executing.together import alike, catalogues_together, points_together, takes_several
 from sweep.functions.adapter import FunctionExperiment
@@ -99,7 +100,7 @@ def _try(
 ) -> bool:
     """Compute some points of a unit into these rows of its result; return whether that went well."""
     try:
-        with deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
+        with forks_ended(), deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
             if isinstance(experiment, FunctionExperiment):
                 values = function_values(experiment, points, unit.block.n_sim, pairs)
                 result.values.update(zip(rows, values, strict=True))
@@ -108,9 +109,9 @@ def _try(
     except TimeLimitError:
         result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
         return False
-    except (KeyboardInterrupt, GeneratorExit):
-        raise
     except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
+        if is_interruption(error):
+            raise
         result.failures.update(dict.fromkeys(rows, failure_of(error)))
         return False
     result.sums[rows] = sums

@@ -13,7 +13,7 @@ from sweep.functions.layout import SLOTS, Layout, layout_of_json
 from sweep.functions.named_results import Declared
 from sweep.functions.realisations import Realisations, drawn
 from sweep.functions.results import Flat, flatten, split_points
-from sweep.functions.signature import Signature, name_of, signature_of
+from sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
 
 COUNT = 1
 """Numbers in front of each row: of how many evaluations it is.  So no row is all NaN, which means one that is lost."""
@@ -58,6 +58,15 @@ class FunctionExperiment(Experiment):
 
     def __post_init__(self) -> None:
         """Do nothing: `experiment_of` checks the declaration."""
+
+    def parameter(self, name: str) -> Parameter:
+        """Return the declared parameter; raises ValueError that says what an argument is that cannot be one."""
+        others = {} if self.function is None else dict(self.function.signature.others)
+        if name in others:
+            raise ValueError(f"is of type {others[name]} in {self.name}, none of {ALLOWED}: it stays at its default")
+        if self.rng and name in ("n_sim", "precision", "max_n_sim"):
+            raise ValueError(f"is no parameter, but of the sampling: sampling={{{name!r}: ...}}, [sampling] in a study")
+        return super().parameter(name)
 
     @property
     def deterministic(self) -> bool:

@@ -149,7 +149,8 @@ def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
 def _differences_of_field(expected: Field, found: Field) -> Iterator[str]:
     name = expected.name
     if expected.type != found.type and (expected.type, found.type) != ("float", "int"):
-        yield f"{name!r} is of type {found.type}, expected {expected.type}"
+        hint = "; return it as float(...) at every point" if (expected.type, found.type) == ("int", "float") else ""
+        yield f"{name!r} is of type {found.type}, expected {expected.type}{hint}"
     if expected.dims != found.dims:
         yield f"{name!r} has {_dims(found.dims)}, expected {_dims(expected.dims)}"
     if expected.unit != found.unit:

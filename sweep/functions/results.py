@@ -79,6 +79,10 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
             output = declared.by_name.get(name)
             if value.unit and (output is None or not same_unit(output.unit, value.unit)):
                 raise ResultError(f"is in {value.unit}; declare that as the unit of its output")
+            if value.array.ndim == 0 and value.type in ("float", "int"):
+                raise ResultError(
+                    f"is one number, perhaps a sum or mean; expected an array, one for each of {n} {noun}"
+                )
             array = np.broadcast_to(value.array, (n,)) if value.array.ndim == 0 else value.array
             if len(array) != n:
                 raise ResultError(f"has {len(array)} values, expected one for each of {n} {noun}")

@@ -22,12 +22,16 @@ ALLOWED = "float, int, bool, str or Literal[...]"
 
 @dataclass(frozen=True)
 class Signature:
-    """What a plain function takes: parameters, and whether it wants a generator or a number of realisations."""
+    """What a plain function takes: parameters, and whether it wants a generator or a number of realisations.
+
+    ``others`` are the arguments that cannot be parameters and stay at their defaults, with their types in words.
+    """
 
     name: str
     parameters: tuple[Parameter, ...]
     rng: bool = False
     n_sim: bool = False
+    others: tuple[tuple[str, str], ...] = ()
 
 
 def name_of(function: Callable[..., Any]) -> str:
@@ -60,6 +64,7 @@ def signature_of(function: Callable[..., Any]) -> Signature:
         found = {}
     rng = RNG in found
     parameters = []
+    others = []
     for argument in found.values():
         if argument.name == RNG or (rng and argument.name == N_SIM):
             if argument.kind is argument.POSITIONAL_ONLY:
@@ -68,11 +73,13 @@ def signature_of(function: Callable[..., Any]) -> Signature:
         try:
             if (parameter := _parameter(argument)) is not None:
                 parameters.append(parameter)
+            else:
+                others.append((argument.name, _type_in_words(argument)))
         except ValueError as error:
             problems.append(str(error))
     if problems:
         raise SweepError(problems, f"function {name}")
-    return Signature(name, tuple(parameters), rng, rng and N_SIM in found)
+    return Signature(name, tuple(parameters), rng, rng and N_SIM in found, tuple(others))
 
 
 def _refusals(function: Callable[..., Any]) -> typing.Iterator[str]:
@@ -129,6 +136,13 @@ def _parameter(argument: inspect.Parameter) -> Parameter | None:
         choices=choices or told.choices,
         required=required,
     )
+
+
+def _type_in_words(argument: inspect.Parameter) -> str:
+    told = argument.annotation
+    if told is argument.empty:
+        return type(argument.default).__name__
+    return _words(get_args(told)[0] if get_origin(told) is Annotated else told)
 
 
 def _plain(default: Any) -> Any:

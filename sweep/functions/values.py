@@ -39,15 +39,25 @@ def coordinate_of(dim: str, given: Any) -> Coordinate:
     value = value_of(given)
     if value.array.ndim != 1:
         raise ResultError(f"the coordinate {dim!r} has the shape {value.array.shape}, expected one dimension")
-    return _coordinate(dim, value, unit or value.unit)
+    try:
+        return _coordinate(dim, value, unit or value.unit)
+    except ResultError as error:
+        raise ResultError(f"the coordinate {dim!r} {error}") from error
 
 
 def _coordinate(dim: str, value: Value, unit: str) -> Coordinate:
     array = value.array
     if (value.type == "float" and not np.isfinite(array).all()) or (value.type == "datetime" and np.isnat(array).any()):
-        raise ResultError(f"the coordinate {dim!r} has values that are not finite")
+        raise ResultError("has values that are not finite")
     plain = array.view("i8") if value.type == "datetime" else array
     return Coordinate(dim, value.type, tuple(plain.tolist()), "" if value.type == "datetime" else unit)
+
+
+def _coordinate_of_xarray(dim: str, along: Any) -> Coordinate:
+    try:
+        return _coordinate(dim, value_of(along.values), str(along.attrs.get("units", "")))
+    except ResultError as error:
+        raise ResultError(f"along {dim!r} {error}") from error
 
 
 def is_xarray(value: object) -> bool:
@@ -65,17 +75,15 @@ def value_of(value: Any) -> Value:
             raise ResultError("is a Dataset; results are not nested: return its variables under names of their own")
         inner = value_of(value.values)
         dims = tuple(map(str, value.dims))
-        coordinates = []
-        for dim in dims:
-            if dim in value.coords:
-                along = value.coords[dim]
-                coordinates.append(_coordinate(dim, value_of(along.values), str(along.attrs.get("units", ""))))
+        if twice := [dim for dim in dims if dims.count(dim) > 1]:
+            raise ResultError(f"has the dimension {twice[0]!r} twice")
+        coordinates = [_coordinate_of_xarray(dim, value.coords[dim]) for dim in dims if dim in value.coords]
         unit, meaning = (str(value.attrs.get(key, "")) for key in ("units", "long_name"))
         return inner._replace(dims=dims, coordinates=tuple(coordinates), unit=unit, meaning=meaning)
-    if isinstance(value, np.ma.MaskedArray):
-        if n := int(np.ma.getmaskarray(value).sum()):
+    if isinstance(value, np.ma.MaskedArray) or hasattr(value, "unmasked"):  # of NumPy or astropy
+        if n := int(np.sum(value.mask)):
             raise ResultError(f"has {n} masked values; fill them, with NaN where the output declares nan=True")
-        value = value.data
+        value = value.unmasked if hasattr(value, "unmasked") else value.data
     unit = ""
     if hasattr(value, "unit") and hasattr(value, "value") and hasattr(value, "to_value"):  # of astropy
         unit, value = str(value.unit), value.value
@@ -106,10 +114,14 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:  # noqa: PLR0911 (one for e
         return _of_list(value)
     if isinstance(value, np.ndarray | np.generic | complex) or hasattr(value, "__array__"):
         return _of_array(np.asarray(value))
+    if hasattr(value, "jyear"):  # of astropy
+        raise ResultError("is a Time of astropy; return .utc.datetime64, or a number such as .jyear")
     raise ResultError(f"is of type {type(value).__name__}; {WHAT_RESULTS_ARE}")
 
 
 def _of_list(value: list[Any] | tuple[Any, ...]) -> tuple[Type, NDArray[Any]]:
+    if any(hasattr(element, "unit") and hasattr(element, "to_value") for element in value):
+        raise ResultError("is a list of quantities; make one of them: astropy.units.Quantity(...)")
     try:
         array = np.asarray(value)
         elements = np.array(value, dtype=object)
@@ -117,7 +129,7 @@ def _of_list(value: list[Any] | tuple[Any, ...]) -> tuple[Type, NDArray[Any]]:
         raise ResultError("has parts of different lengths") from error
     except OverflowError as error:
         raise ResultError("has integers of more than 64 bits") from error
-    kinds = {type(element) for element in elements.reshape(-1).tolist()}
+    kinds = {bool if type(e) is np.bool_ else type(e) for e in elements.reshape(-1).tolist()}
     if kinds & {list, tuple}:
         raise ResultError("has parts of different lengths")
     if array.dtype.kind in "fO" and kinds == {int}:
@@ -163,7 +175,12 @@ def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
     strange = next(e for e in elements if not isinstance(e, str))
     if isinstance(strange, list | tuple | np.ndarray):
         raise ResultError("has parts of different lengths")
-    raise ResultError(f"holds a value of type {type(strange).__name__}; {WHAT_RESULTS_ARE}")
+    kinds = sorted({type(element).__name__ for element in elements})
+    if len(kinds) > 1:
+        raise ResultError(f"mixes values of types {', '.join(kinds)}")
+    number = isinstance(strange, int | float)
+    hint = f"make it an array of numbers, .astype({kinds[0]})" if number else WHAT_RESULTS_ARE
+    raise ResultError(f"holds objects of type {kinds[0]}; {hint}")
 
 
 def _texts(array: NDArray[Any]) -> NDArray[Any]:

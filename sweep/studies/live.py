@@ -12,7 +12,7 @@ from sweep.contract import Experiment, SweepError, shown
 from sweep.functions.adapter import is_plain_function
 from sweep.functions.signature import name_of
 from sweep.session import importable, keep
-from sweep.studies.points import columns_of
+from sweep.studies.points import columns_of, is_quantity
 from sweep.studies.reader import study_from_dict
 from sweep.studies.study import Study
 from sweep.tables.file import content_digest
@@ -44,7 +44,9 @@ def live_study(document: Mapping[str, Any]) -> Study:
     say the same.
     """
     plain: dict[str, Any] = {
-        str(key): value if key == "points" else _plain(value) for key, value in document.items() if key != "experiment"
+        str(key): value if key == "points" else _plain(value, str(key))
+        for key, value in document.items()
+        if key != "experiment"
     }
     if "points" in plain:
         plain["points"] = _points(document["points"])
@@ -67,24 +69,32 @@ def _name_of(function: Mentioned) -> str:
     return function.name if isinstance(function, Experiment) else name_of(function)
 
 
-def _plain(value: Any) -> Any:
-    """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers."""
+def _plain(value: Any, where: str) -> Any:
+    """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
+
+    Raises SweepError that names the place for a quantity of astropy: what its unit is to become is not known here.
+    """
     if isinstance(value, Mapping):
-        return _plain_table(value)
+        return _plain_table(value, where)
+    if is_quantity(value):
+        unit = str(value.unit)
+        told = f"in {unit}" if unit else "without a unit"
+        numbers = f"give numbers in the unit of the parameter, .to_value({unit!r})"
+        raise SweepError(f"{where}: is a quantity {told}; {numbers}")
     if isinstance(value, np.generic):
         return value.item()
     if hasattr(value, "tolist"):  # of NumPy, pandas and xarray's arrays
-        return _plain(value.tolist())
+        return _plain(value.tolist(), where)
     if hasattr(value, "values") and hasattr(value.values, "tolist"):
-        return _plain(value.values.tolist())
+        return _plain(value.values.tolist(), where)
     if isinstance(value, list | tuple | range | set | frozenset):
         items = sorted(value) if isinstance(value, set | frozenset) else value
-        return [_plain(item) for item in items]
+        return [_plain(item, where) for item in items]
     return value
 
 
-def _plain_table(table: Mapping[Any, Any]) -> dict[str, Any]:
-    return {str(key): _plain(item) for key, item in table.items()}
+def _plain_table(table: Mapping[Any, Any], where: str) -> dict[str, Any]:
+    return {str(key): _plain(item, f"{where}.{key}") for key, item in table.items()}
 
 
 def _points(given: Any) -> dict[str, Any]:
@@ -95,10 +105,12 @@ def _points(given: Any) -> dict[str, Any]:
         return {"file": str(given)}
     if isinstance(given, Mapping):
         if any(isinstance(given.get(key), str) for key in ("file", "design")) or isinstance(given.get("columns"), dict):
-            return _plain_table(given)
-        return {"columns": _plain_table(given)}
+            return _plain_table(given, "points")
+        quantities, units = columns_of({name: column for name, column in given.items() if is_quantity(column)})
+        columns = _plain_table({name: quantities.get(name, column) for name, column in given.items()}, "points")
+        return {"columns": columns, **({"units": units} if units else {})}
     if hasattr(given, "colnames"):
-        columns, units = columns_of(given)
+        columns, units = columns_of({name: given[name] for name in given.colnames})
         return {"columns": columns, **({"units": units} if units else {})}
     if hasattr(given, "columns") and hasattr(given, "to_dict"):
         if twice := given.columns[given.columns.duplicated()].tolist():

@@ -41,7 +41,16 @@ def parse_axis(text: str) -> Any:
             }
         return {"start": parse_value(start), "stop": parse_value(stop), "step": parse_value(last)}
     listed = parse_value(text)
-    return listed if isinstance(listed, list) else [parse_value(part.strip()) for part in text.split(",")]
+    return listed if isinstance(listed, list) else _split(text)
+
+
+def _split(text: str) -> list[Any]:
+    """Return values with commas between them; raises SweepError where a comma would cut a text in quotes."""
+    parts = [part.strip() for part in text.split(",")]
+    for part in parts:
+        if part[:1] in ("'", '"') and (len(part) == 1 or part[-1] != part[0]):
+            raise SweepError(f'{shown(part)}: commas divide values; give texts with commas to --axis as ["a,b", "c"]')
+    return [parse_value(part) for part in parts]
 
 
 def parse_range(text: str) -> Any:
@@ -54,7 +63,7 @@ def parse_range(text: str) -> Any:
     if len(parts) in (2, 3):
         spacing = {"spacing": parts[2]} if len(parts) == 3 else {}
         return {"low": parse_value(parts[0]), "high": parse_value(parts[1]), **spacing}
-    return {"values": [parse_value(part.strip()) for part in text.split(",")]}
+    return {"values": _split(text)}
 
 
 def parse_places(texts: Sequence[str]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sweep.contract import shown
+from sweep.contract import SweepError, shown
 from sweep.formatting import split_assignment
 from sweep.studies.form import Sampling
 from sweep.studies.option_values import parse_axis, parse_range, parse_value
@@ -66,7 +66,11 @@ def _override_value(document: dict[str, Any], option: str, problems: list[str], 
         return ()
     sampling_key = key.removeprefix("sampling.")
     if as_axis:
-        section, other, parsed = "axes", "fixed", parse_axis(value)
+        try:
+            section, other, parsed = "axes", "fixed", parse_axis(value)
+        except SweepError as error:
+            problems.append(f"{flag} {shown(option)}: {error}")
+            return ()
     elif sampling_key in Sampling.model_fields:
         section, other, key, parsed = "sampling", "", sampling_key, parse_value(value)
     elif key.startswith("points.") and isinstance(document.setdefault("points", {}), dict):

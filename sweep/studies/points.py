@@ -76,7 +76,8 @@ def _checked(columns: Columns, problems: Problems) -> Columns:
 
 def _of_file(form: PointsForm, experiment: Experiment, folder: Path, problems: Problems) -> Columns:
     try:
-        columns, units = columns_of(read_table(folder / str(form.file)))
+        table = read_table(folder / str(form.file))
+        columns, units = columns_of({name: table[name] for name in table.colnames})
     except SweepError as error:
         for problem in error.problems:
             problems.add(("points", "file"), f"{shown(form.file)}: {problem}")
@@ -84,11 +85,22 @@ def _of_file(form: PointsForm, experiment: Experiment, folder: Path, problems: P
     return _in_units(columns, units | form.units, experiment, ("points", "file"), problems)
 
 
-def columns_of(table: Any) -> tuple[dict[str, list[Any]], dict[str, str]]:
-    """Return the columns of an astropy Table as Python's values, None where one is missing, and units by column."""
-    columns = {name: np.ma.asarray(table[name]).tolist() for name in table.colnames}
-    units = {name: str(unit) for name in table.colnames if (unit := getattr(table[name], "unit", None))}
+def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:
+    """Return columns of astropy, by name, as Python's values, None where one is missing, and units by column."""
+    columns = {str(name): _values(column) for name, column in table.items()}
+    units = {str(name): str(unit) for name, column in table.items() if (unit := getattr(column, "unit", None))}
     return columns, units
+
+
+def is_quantity(value: object) -> bool:
+    """Return whether a value is a quantity of astropy, without importing astropy."""
+    return hasattr(value, "unit") and hasattr(value, "to_value")
+
+
+def _values(column: Any) -> list[Any]:
+    if is_quantity(column):
+        column = np.ma.masked_array(getattr(column, "unmasked", column).value, getattr(column, "mask", False))
+    return list(np.atleast_1d(np.ma.asarray(column)).tolist())
 
 
 def _in_units(

@@ -76,6 +76,8 @@ def read_text(path: Path) -> str:
 
 def parsed(text: str, path: Path) -> dict[str, Any]:
     """Return the document of a TOML text; raises SweepError that quotes the line where it is not valid."""
+    if path.suffix == ".py":
+        raise SweepError(f"is Python, not a study; name a function in it, as {path}:NAME", str(path))
     if _has_deep_key(text):
         raise SweepError(TOO_DEEP, str(path))
     try:

@@ -405,6 +405,27 @@ def test_bad_experiment_file(here: Path, monkeypatch: pytest.MonkeyPatch, statem
     check_refused(here, ("params", "mine.py:experiment"), phrase)
 
 
+def test_python_is_no_study(here: Path) -> None:
+    (here / "mine.py").write_text("def f(x: float):\n    return x\n")
+    check_refused(here, ("run", "mine.py", "--axis", "x=1"), "mine.py: is Python, not a study", "as mine.py:NAME")
+
+
+def test_a_package_that_is_not_installed(here: Path) -> None:
+    (here / "own" / "inner").mkdir(parents=True)
+    (here / "own" / "__init__.py").touch()
+    (here / "own" / "inner" / "__init__.py").touch()
+    (here / "own" / "inner" / "part.py").write_text("from ..other import unit\ndef f(x: float): return x\n")
+    (here / "own" / "other.py").write_text("unit = 1.0\n")
+    for reference, phrase in (
+        ("own/inner/part.py:f", f"named by its module: PYTHONPATH={here} sweep run own.inner.part:f"),
+        ("own.inner.part:f", f"No module named 'own'; it is not installed: PYTHONPATH={here} finds it here"),
+    ):
+        command = [sys.executable, "-P", "-m", "sweep", "run", reference, "--axis", "x=1"]  # as the command is
+        done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert phrase in done.stderr
+
+
 def test_a_check_that_raises_is_a_reason(here: Path) -> None:
     (here / "mine.py").write_text(
         "import dataclasses, core.experiment\n"

@@ -45,6 +45,14 @@ def test_one_with_a_guard_computes(tmp_path):
     assert (done.returncode, done.stdout) == (0, "[2. 4.]\n"), done.stderr
 
 
+def test_a_script_that_comes_by_standard_input_computes_in_processes(tmp_path):
+    script = SCRIPT.format(guard="if __name__ == '__main__':") + "    print(__file__)"
+    done = subprocess.run(
+        [sys.executable, "-"], input=script, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "[2. 4.]\n<stdin>\n"), done.stderr
+
+
 @pytest.mark.slow
 def test_it_can_be_caught_as_any_other_error(tmp_path):
     done = run_script(tmp_path, SCRIPT.format(guard="if False:") + CATCHES)

@@ -5,10 +5,13 @@ import datetime
 from collections import namedtuple
 from decimal import Decimal
 
+import astropy.units as u
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from astropy.time import Time
+from astropy.utils.masked import Masked
 
 from sweep.contract import NotFiniteError, Output, ResultError
 from sweep.functions.layout import differences, held
@@ -98,6 +101,12 @@ def test_what_holds_results():
     assert back(3.5, one)[1].fields[0].unit == "m"
 
 
+def test_masked_quantities_without_a_masked_value_are_quantities():
+    found, layout = back({"y": Masked([1.0, 2.0] * u.km, mask=[False, False])})
+    assert found["y"].tolist() == [1.0, 2.0]
+    assert layout.fields[0].unit == "km"
+
+
 def test_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside():
     time = xr.DataArray([0.0, 1.5], dims="time", attrs={"units": "d"})
     array = xr.DataArray(
@@ -140,7 +149,11 @@ REFUSED = {
     "an object": ({"y": object()}, "'y' is of type object"),
     "decimal": ({"y": Decimal(1)}, "'y' is of type Decimal"),
     "bytes": ({"y": b"x"}, "'y' is of type bytes"),
-    "objects": ({"y": np.array([1.0, None], dtype=object)}, "'y' holds a value of type float"),
+    "objects": ({"y": np.array([1.0, None], dtype=object)}, "'y' mixes values of types NoneType, float"),
+    "objects that are numbers": (
+        {"y": np.array([1, 2], dtype=object)},
+        "'y' holds objects of type int; make it an array of numbers, .astype(int)",
+    ),
     "a large int": ({"y": 2**63}, "integers have 64 bits at most"),
     "large ints": ({"y": [2**64]}, "'y' has integers of more than 64 bits"),
     "a large unsigned": ({"y": np.uint64(2**63)}, "integers have 63 bits and a sign"),
@@ -154,6 +167,19 @@ REFUSED = {
     "no values": ({"y": []}, "'y' has no values"),
     "mixed": ({"y": [1, "a"]}, "'y' mixes values of types int, str"),
     "masked": ({"y": np.ma.array([1.0, 2.0], mask=[0, 1])}, "'y' has 1 masked values"),
+    "masked quantity": ({"y": Masked([1.0, 2.0] * u.km, mask=[False, True])}, "'y' has 1 masked values"),
+    "masked array of astropy": ({"y": Masked([1.0, 2.0], mask=[True, True])}, "'y' has 2 masked values"),
+    "quantities": ({"y": [1.0 * u.km, 2.0 * u.m]}, "'y' is a list of quantities; make one of them"),
+    "a truth value of NumPy among numbers": ({"y": [np.True_, 2.5]}, "'y' mixes values of types bool, float"),
+    "a time of astropy": ({"y": Time(2020.0, format="jyear")}, "'y' is a Time of astropy; return .utc.datetime64"),
+    "a coordinate of durations": (
+        {"y": xr.DataArray([1.0], dims="k", coords={"k": pd.to_timedelta([1], "h")})},
+        "'y' along 'k' is a duration",
+    ),
+    "a coordinate that is NaN": (
+        {"y": xr.DataArray([1.0], dims="k", coords={"k": [np.nan]})},
+        "'y' along 'k' has values that are not finite",
+    ),
     "like a parameter": ({"beta": 1.0}, "the output 'beta' has the name of a parameter"),
     "a name of ours": ({"status": 1.0}, "the output 'status': the platform gives this name"),
     "no name": ({1: 1.0}, "the name 1 of an output is no text"),
@@ -169,6 +195,12 @@ def test_what_is_no_result_is_refused_by_name(what):
     with pytest.raises(ResultError) as caught:
         flatten(result, PLAIN)
     assert sentence in str(caught.value)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate dimension names")
+def test_a_dimension_that_is_there_twice_is_refused():
+    with pytest.raises(ResultError, match="'y' has the dimension 'k' twice"):
+        flatten({"y": xr.DataArray([[1.0]], dims=("k", "k"))}, PLAIN)
 
 
 def test_what_is_not_finite_is_refused_by_name_unless_it_is_declared():
@@ -217,7 +249,7 @@ def test_later_points_are_compared_by_name_with_what_is_expected_and_found():
     assert not differences(expected, layout_of(dict(reversed(first.items()))))
     assert not differences(expected, layout_of(first | {"y": 2}))  # an integer is a float, exactly
     for changed, sentence in (
-        ({"n": 3.0}, "'n' is of type float, expected int"),
+        ({"n": 3.0}, "'n' is of type float, expected int; return it as float(...) at every point"),
         ({"y": "a"}, "'y' is of type text, expected float"),
         ({"y": [1.0]}, "'y' has the dimensions (y_dim_0), expected no dimensions"),
         ({"more": 1}, "'more' was not returned by the first point"),
@@ -256,7 +288,7 @@ def test_points_of_a_vectorised_result_are_those_of_single_calls():
         "n": np.arange(3),
         "v": np.arange(6.0).reshape(3, 2),
         "s": ["x", "y", "x"],
-        "c": 1.0,
+        "c": "all",
     }
     for i, flat in enumerate(split_points(together, 3, PLAIN, "points")):
         single = flatten({k: v if k == "c" else v[i] for k, v in together.items()}, PLAIN)
@@ -264,6 +296,14 @@ def test_points_of_a_vectorised_result_are_those_of_single_calls():
         assert flat.texts.items() >= single.texts.items()
     with pytest.raises(ResultError, match="'a' has 2 values, expected one for each of 3 points"):
         split_points({"a": [1.0, 2.0]}, 3, PLAIN, "points")
+
+
+@pytest.mark.parametrize("noun", ["points", "realisations"])
+@pytest.mark.parametrize("n", [1, 3])
+def test_one_number_for_all_is_refused_and_a_text_is_that_of_each(noun, n):
+    with pytest.raises(ResultError, match=f"'a' is one number, .*; expected an array, one for each of {n} {noun}"):
+        split_points({"a": 1.0}, n, PLAIN, noun)
+    assert len(split_points({"a": np.arange(n), "s": "x"}, n, PLAIN, noun)) == n
 
 
 def test_a_tuple_has_the_declared_outputs_in_order():

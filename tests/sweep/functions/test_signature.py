@@ -94,6 +94,24 @@ def test_a_type_that_is_none_is_refused_by_name():
     assert "parameter y: the type complex" in text
 
 
+def test_an_argument_that_cannot_be_a_parameter_is_told_so_where_it_is_asked_for():
+    made = experiment_of(several)
+    with pytest.raises(ValueError, match=r"^is of type dict in several, none of float, .*: it stays at its default$"):
+        made.parameter("options")
+    with pytest.raises(ValueError, match="unknown parameter 'optons'"):
+        made.parameter("optons")
+
+
+def test_what_belongs_to_the_sampling_is_told_so():
+    def drawn(x: float, *, rng):
+        return rng.normal(x)
+
+    with pytest.raises(ValueError, match=r"^is no parameter, but of the sampling: sampling=\{'n_sim': \.\.\.\}"):
+        experiment_of(drawn).parameter("n_sim")
+    with pytest.raises(ValueError, match="unknown parameter 'n_sim'"):
+        experiment_of(several).parameter("n_sim")
+
+
 def test_methods_of_objects_partials_and_callable_objects_are_functions():
     assert [p.name for p in signature_of(Thing().method).parameters] == ["x"]
     assert [p.name for p in signature_of(Thing()).parameters] == ["x"]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sweep.contract import SweepError
-from sweep.studies.option_values import parse_places
+from sweep.studies.option_values import parse_axis, parse_places, parse_range
 
 
 def test_places_are_listed_by_axis():
@@ -20,3 +20,15 @@ def test_places_are_listed_by_axis():
 def test_any_text_is_a_place_or_a_clear_error(text):
     with contextlib.suppress(SweepError):  # any other exception fails
         parse_places([text])
+
+
+@pytest.mark.parametrize("parse", [parse_axis, parse_range])
+@pytest.mark.parametrize("text", ['a,"c,d"', "'c,d',a", '"'])
+def test_a_comma_in_quotes_does_not_cut_a_text(parse, text):
+    with pytest.raises(SweepError, match="commas divide values"):
+        parse(text)
+
+
+def test_an_axis_of_texts_may_be_quoted_or_a_list():
+    assert parse_axis("a,'c',\"d\"") == ["a", "c", "d"]
+    assert parse_axis('["a", "c,d"]') == ["a", "c,d"]

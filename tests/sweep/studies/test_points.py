@@ -6,7 +6,8 @@ import astropy.units as u
 import numpy as np
 import pandas as pd
 import pytest
-from astropy.table import MaskedColumn, Table
+from astropy.table import MaskedColumn, QTable, Table
+from astropy.utils.masked import Masked
 
 from linksweep import Parameter, SweepError, experiment
 from sweep.contract import Parameter as Declared
@@ -100,6 +101,51 @@ def test_a_table_is_the_same_whatever_holds_it(kind, tmp_path):
 def test_what_is_wrong_is_told_by_name_and_row(points, problem):
     with pytest.raises(SweepError, match=problem):
         read(points)
+
+
+def far(distance: Annotated[float, Declared("distance", unit="m")], n: int = 1):
+    return distance * n
+
+
+def points_of_far(points):
+    return study_of_function(far, points=points).axes
+
+
+@pytest.mark.parametrize("kind", [dict, QTable], ids=["a mapping", "a QTable"])
+def test_quantities_as_columns_are_converted_to_the_unit_of_the_parameter(kind):
+    columns = points_of_far(kind({"distance": [1.0, 2.5] * u.km, "n": [1, 2]}))
+    assert columns == {"distance": (1000.0, 2500.0), "n": (1, 2)}
+
+
+def test_quantities_as_columns_without_a_value_or_of_another_kind_are_refused():
+    with pytest.raises(SweepError, match=r"^points\.columns\.distance: has no value in row 2$"):
+        points_of_far(QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])}))
+    with pytest.raises(SweepError, match=r"^points\.columns\.distance: its column is in s, and the parameter is in m$"):
+        points_of_far(QTable({"distance": [1.0, 2.0] * u.s}))
+
+
+@pytest.mark.parametrize(
+    ("given", "place"),
+    [
+        ({"axes": {"distance": [1.0, 2.0] * u.km}}, "axes.distance"),
+        ({"axes": {"distance": [1.0 * u.km, 2.0 * u.km]}}, "axes.distance"),
+        ({"fixed": {"distance": 3.0 * u.km}}, "fixed.distance"),
+        ({"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, "points.distance"),
+    ],
+    ids=["an axis", "a list", "a number", "a list as column"],
+)
+def test_quantities_elsewhere_are_refused_with_their_unit(given, place):
+    with pytest.raises(SweepError) as caught:
+        study_of_function(far, **given)
+    assert caught.value.problems == [
+        f"{place}: is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
+    ]
+
+
+def test_a_table_that_is_wrong_does_not_leave_parameters_without_a_value_too():
+    with pytest.raises(SweepError) as caught:
+        points_of_far({"distance": [1.0], "m": [1]})
+    assert caught.value.problems == ["points.columns.m: unknown parameter 'm'; known are distance, n"]
 
 
 def test_a_parameter_is_in_one_place_only():

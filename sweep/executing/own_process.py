@@ -1,0 +1,39 @@
+"""What the code of an experiment may do to the process that runs it: fork it, and stop it."""
+
+import os
+import sys
+import threading
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def forks_ended() -> Iterator[None]:
+    """End a child process that is forked in this block and leaves it: it would go on with the run, beside its parent.
+
+    The child ends as a Python process does: with the code of `sys.exit`, with 1 and a traceback, or with 0.
+    """
+    parent = os.getpid()
+    try:
+        yield
+    except BaseException as error:
+        if os.getpid() != parent:
+            _end(error)
+        raise
+    if os.getpid() != parent:
+        os._exit(0)
+
+
+def _end(error: BaseException) -> None:
+    code = error.code if isinstance(error, SystemExit) else 1
+    if not isinstance(error, SystemExit):
+        traceback.print_exception(error, file=sys.__stderr__)
+    os._exit(0 if code is None else code if isinstance(code, int) else 1)
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Return whether an exception stops the run: one of the user's, which Python raises in the main thread.  All
+    others are the experiment's.
+    """
+    return isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread()
