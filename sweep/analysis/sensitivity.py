@@ -101,6 +101,9 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     shape = values.shape[: len(others)]
     made = {i: method.estimate(values[i], None if errors is None else errors[i]) for i in np.ndindex(*shape)}
     names = list(next(iter(made.values())))
+    if unknown := sum(bool(np.isnan(one[names[0]]).all()) for one in made.values()):
+        where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
+        method.notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
     unit = "" if "first" in names else units_of(array.attrs)
     variables = {
         name: (

@@ -228,7 +228,7 @@ def test_what_has_no_indices_says_why(tmp_path):
     with pytest.raises(SweepError, match="8 points are too few for indices: at least 18"):
         sensitivity(good.isel(point=slice(8)))
     pytest.importorskip("SALib")
-    few = run(f, tmp_path / "q.zarr", points={"design": "saltelli", "n": 8, "ranges": {"a": [0, 0.5], "b": [0, 1]}})
+    few = run(f, tmp_path / "q.zarr", points={"design": "saltelli", "n": 32, "ranges": {"a": [0, 0.5], "b": [0, 1]}})
     with pytest.raises(SweepError, match="indices of a saltelli design need all of its points"):
         sensitivity(few.isel(point=slice(8)))
     excluding = {"experiment": f, "axes": {"a": [0.1, 0.2], "b": [1.0, 2.0]}, "exclude": [{"a": 0.1, "b": 1.0}]}
@@ -316,3 +316,17 @@ def test_errors_of_noisy_grids_cover_the_truth():
 @pytest.mark.parametrize("n", [5, 7, 9])
 def test_a_result_that_is_the_same_everywhere_has_no_indices_and_no_errors(value, n):
     assert np.isnan(indices_of_grid(np.full((n, n), value), None, [True, False])).all()
+
+
+@pytest.mark.parametrize(("design", "said"), [(None, True), ("sobol", True), ("saltelli", True), ("morris", False)])
+def test_a_result_that_does_not_vary_is_said_to(design, said, tmp_path):
+    run = {"axes": {"x": [0.0, 1.0, 2.0], "y": [0.0, 1.0]}}
+    if design:
+        run = {"points": {"design": design, "n": 32, "ranges": {"x": [0.0, 1.0], "y": [0.0, 1.0]}}}
+    found = sensitivity(linksweep.run(flat, tmp_path / "flat.zarr", pool="serial", **run))
+    assert ("flat does not vary" in found.attrs["notes"]) == said
+    assert np.isnan(next(iter(found.data_vars.values()))).all() == said  # effects of morris are known to be 0
+
+
+def flat(x: float, y: float):
+    return 7.3
