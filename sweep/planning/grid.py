@@ -176,8 +176,8 @@ class Grid:
         defaults, axes = self.study.experiment.defaults(), self.study.axes
         values = {name: [value] for name, value in self._fixed.items()} | {n: list(v) for n, v in axes.items()}
         return [
-            (name, {v: f"{json.dumps(name)}: {as_json(v)}" for v in values[name] if v != defaults[name]})
-            for name in sorted(values)
+            (name, {v: f"{key}: {as_json(v)}" for v in values[name] if v != defaults[name]})
+            for name, key in ((name, json.dumps(name)) for name in sorted(values))
             if any(v != defaults[name] for v in values[name])
         ]
 

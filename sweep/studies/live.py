@@ -19,6 +19,9 @@ from sweep.tables.file import content_digest
 
 Mentioned = Callable[..., Any] | Experiment
 
+PLAIN = frozenset("biufU")
+"""Kinds of arrays whose lists are of Python's own numbers and texts."""
+
 
 def study_of_function(
     function: Mentioned | str,
@@ -84,7 +87,8 @@ def _plain(value: Any, where: str) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     if hasattr(value, "tolist"):  # of NumPy, pandas and xarray's arrays
-        return _plain(value.tolist(), where)
+        items = value.tolist()
+        return items if getattr(getattr(value, "dtype", None), "kind", "") in PLAIN else _plain(items, where)
     if hasattr(value, "values") and hasattr(value.values, "tolist"):
         return _plain(value.values.tolist(), where)
     if isinstance(value, list | tuple | range | set | frozenset):
