@@ -9,32 +9,47 @@ import numpy as np
 from sweep.contract import Experiment, check_finite, checked
 from sweep.executing.captured import captured
 from sweep.executing.deadlines import Deadlines
+from sweep.executing.each_alone import dependence
 from sweep.executing.own_process import forks_ended, is_interruption
-from sweep.executing.task import PointBlock, Task, TaskResult, failed, failure_of
+from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed
 from sweep.functions.adapter import FunctionExperiment
 from sweep.planning.streams import block_generators
 
 MOST_CATALOGUES = 256
 """Catalogues in one call."""
 
+_DEPENDENCE: dict[tuple[str, str | None], str] = {}
+"""How points of vectorised functions depend on those beside them, by the reference and the digest of the function."""
 
-def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult:
-    """Return the results of all points of a task from one call of a vectorised function."""
+
+def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
+    """Return the results of all points of a task from one call of a vectorised function, or None where it raises.
+
+    The first time in a process the first and the last of them are computed alone, too; where that gives something else,
+    all points fail, here and from then on.
+    """
     defaults = experiment.defaults()
     points = [defaults | unit.points[0] for unit in task.units]
     result = failed(len(points), experiment.sums_width)
     begun = time.perf_counter()
+    who = task.experiment_reference, task.source_digest
     with captured() as said:
         try:
             limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
             with forks_ended(), deadlines.within(limit):
-                result.values.update(enumerate(experiment.many(points)))
+                values = experiment.many(points)
+                if who not in _DEPENDENCE:
+                    _DEPENDENCE[who] = dependence(experiment, points, values)
         except BaseException as error:  # who is to blame is found out one by one
             if is_interruption(error):
                 raise
-            result.failures.update(dict.fromkeys(range(len(points)), failure_of(error)))
+            return None
         if (told := said.taken()) is not None:
             result.said[0] = told
+    if wrong := _DEPENDENCE[who]:
+        result.failures.update(dict.fromkeys(range(len(points)), Failure("exception", wrong)))
+    else:
+        result.values.update(enumerate(values))
     result.seconds[:] = (time.perf_counter() - begun) / len(points)
     return result
 

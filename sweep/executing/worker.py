@@ -44,7 +44,7 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     if isinstance(experiment, FunctionExperiment) and experiment.vectorised and len(task.units) > 1:
         together = points_together(experiment, task, deadlines)
-        if not together.failures:
+        if together is not None:
             yield together
             return
     with captured() as said:
