@@ -147,6 +147,19 @@ def test_digests_of_points_are_long_and_do_not_depend_on_the_order_of_axes():
     assert {tuple(sorted(point.parameters.items())): point.digest for point in grid.points()} == found[0]
 
 
+def test_a_point_at_the_default_of_a_parameter_is_that_of_a_study_without_it():
+    document = {"title": "", "experiment": COINS, "axes": {"coins": [1, 5]}}
+    before = [point.digest for point in make_grid(study_from_dict(document)).points()]
+    default = study_from_dict(document).experiment.defaults()["metal"]
+    other = next(metal for metal in ("gold", "tin") if metal != default)
+    document["axes"]["metal"] = [default, other]
+    grid = make_grid(study_from_dict(document))
+    after = {tuple(point.parameters[name] for name in ("coins", "metal")): point.digest for point in grid.points()}
+    assert [after[coins, default] for coins in (1, 5)] == before
+    assert not {after[coins, other] for coins in (1, 5)} & set(before)
+    assert grid.digests(grid.indices()) == [point.digest for point in grid.points()]
+
+
 GRIDS = {
     "plain": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5, 3]}},
     "excluded": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5]}, "exclude": [{"metal": "tin", "coins": 5}]},
