@@ -106,7 +106,6 @@ def run_study(
     plan = Plan(make_grid(study))
     for sentence in plan.grid.warnings:
         progress.say(f"warning: {sentence}")
-    told = provenance(study)
     with watched() as interruptions, ExitStack() as stack:
         try:
             stack.enter_context(locked(store, break_lock=break_lock))
@@ -115,7 +114,7 @@ def run_study(
             if retry or found is None or (part := part_of_larger(found, plan.grid)) is None:
                 raise
             return _left_alone(part, store, progress)
-        found = replace_store(store, study, told) if fresh else find_store(store, study)
+        found = replace_store(store, study, provenance(study)) if fresh else find_store(store, study)
         plan = plan if fresh else _as_stored(plan, found)
         study = plan.grid.study
         opened = None if found is None else Store(found, study)
