@@ -367,6 +367,7 @@ def test_each_rule_of_the_classes_in_a_search():
     assert matches.reason.tolist() == [0, CROWDED, OFFSET, RIVAL, 0]
     assert matches.n_near.tolist() == [0, 3, 0, 1, 0]
     np.testing.assert_allclose(matches.n_sigma, [0, 0, 4, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(matches.d_dec / ARCSEC, [0, 0, 2, 0, 0], atol=1e-6)  # galaxy - star
     kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], Rules(4.5, 100.0 * ARCSEC, 3))
     assert kinder.reason.tolist() == [0, 0, 0, RIVAL, 0]
 

@@ -167,6 +167,14 @@ RESULTS = {
         },
         "the sum 'total' has the shape (1, 3), expected (1, 2); evaluate: the sum 'other' has the shape (1, 2)",
     ),
+    "a transposed array": (
+        {
+            "sums": '{"total": (2, 3)}',
+            "evaluate": '{"total": [[[1.0] * 2] * 3 for p in points]}',
+            "summarise": '{"mean": sums["total"][:, 0, 0]}',
+        },
+        "the sum 'total' has the shape (1, 3, 2), expected (1, 2, 3)",
+    ),
     "text": (
         {"evaluate": '{"total": ["many" for p in points]}'},
         "the sum 'total' is of type <U4, expected real numbers",

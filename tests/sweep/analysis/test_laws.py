@@ -281,6 +281,13 @@ def test_the_error_of_a_crossing_is_its_scatter():
     assert places.std() == pytest.approx(stated, rel=4.0 / np.sqrt(2 * 600))
 
 
+def test_the_error_of_a_crossing_is_mostly_that_of_the_nearer_point():
+    errors = np.array([0.1, 0.1, 0.4, 0.1, 0.1])
+    result = find(grid([-2.0, -1.0, 1.0, 2.0, 3.0], errors, x=np.arange(5.0)), Limit("width", ">", 0.5), "n")
+    assert result["first"].values == pytest.approx(1.75)
+    assert result["first_error"].values == pytest.approx(0.5 * np.hypot(0.25 * 0.1, 0.75 * 0.4))
+
+
 def test_a_crossing_between_points_that_move_together():
     y, error = N**-0.5, 0.01 * N**-0.5
     shared = grid(y, width_mc_covariance_n=(("n", "n_other"), np.outer(error, error) * (0.999999 + 1e-6 * np.eye(5))))
@@ -319,8 +326,8 @@ def test_up_to_several_times_and_a_value_on_the_limit():
 
 def test_units_are_converted_and_lines_of_another_kind_left_out(dataset_of):
     dataset = dataset_of("quasars")
-    in_uas = find(dataset, parse_limit("sigma_spin < 1 uas/yr"), "v_max")
-    in_mas = find(dataset, parse_limit("sigma_spin < 0.001"), "v_max")
+    in_uas = find(dataset, parse_limit("sigma_spin < 0.9 uas/yr"), "v_max")
+    in_mas = find(dataset, parse_limit("sigma_spin < 0.0009"), "v_max")
     assert in_uas["first"].values == pytest.approx(in_mas["first"].values, rel=1e-12, nan_ok=True)
     assert in_uas["met"].values.tolist() == [NEVER, FROM]
     assert 15.0 < in_uas["first"].sel(model="gaia").item() < 17.0

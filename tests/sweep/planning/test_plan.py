@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sweep.contract import SweepError
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, ledger_key
@@ -28,6 +29,12 @@ def work_of(plan):
 
 def keys_of(document):
     return [key for work in work_of(plan_of(document)) for key in work.ledger_keys()]
+
+
+def test_a_grid_of_too_many_points_is_refused_with_its_size():
+    axes = {"coins": list(range(1, 5002)), "chance": [0.2 + 0.0001 * k for k in range(2000)]}
+    with pytest.raises(SweepError, match=r"the grid has 10,002,000 points \(coins 5,001 x chance 2,000\); at most 10,"):
+        make_grid(study_from_dict({"title": "", "experiment": COINS, "axes": axes}))
 
 
 def one_point(n_sim, n_cat):
