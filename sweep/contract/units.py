@@ -30,6 +30,11 @@ def unit_problem(text: object) -> str | None:
     return None
 
 
+def is_quantity(value: object) -> bool:
+    """Return whether a value, or a type, is a quantity of astropy, without importing astropy."""
+    return hasattr(value, "unit") and hasattr(value, "to_value")
+
+
 @lru_cache(maxsize=256)
 def same_unit(one: str, other: str) -> bool:
     """Return whether two texts are the same unit."""

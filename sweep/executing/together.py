@@ -30,9 +30,10 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
     """
     defaults = experiment.defaults()
     points = [defaults | unit.points[0] for unit in task.units]
-    result = failed(len(points), experiment.sums_width)
-    begun = time.perf_counter()
     who = task.experiment_reference, task.source_digest
+    if wrong := _DEPENDENCE.get(who):
+        return failed(len(points), experiment.sums_width, Failure("exception", wrong))
+    begun = time.perf_counter()
     with captured() as said:
         try:
             limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
@@ -44,12 +45,13 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
             if is_interruption(error):
                 raise
             return None
-        if (told := said.taken()) is not None:
-            result.said[0] = told
-    if wrong := _DEPENDENCE[who]:
-        result.failures.update(dict.fromkeys(range(len(points)), Failure("exception", wrong)))
-    else:
+        told = said.taken()
+    wrong = _DEPENDENCE[who]
+    result = failed(len(points), experiment.sums_width, Failure("exception", wrong) if wrong else None)
+    if not wrong:
         result.values.update(enumerate(values))
+    if told is not None:
+        result.said[0] = told
     result.seconds[:] = (time.perf_counter() - begun) / len(points)
     return result
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import ResultError, shown
+from sweep.contract.units import is_quantity
 from sweep.functions.layout import Coordinate, Type
 
 TEXT_BYTES = 16
@@ -85,7 +86,7 @@ def value_of(value: Any) -> Value:
             raise ResultError(f"has {n} masked values; fill them, with NaN where the output declares nan=True")
         value = value.unmasked if hasattr(value, "unmasked") else value.data
     unit = ""
-    if hasattr(value, "unit") and hasattr(value, "value") and hasattr(value, "to_value"):  # of astropy
+    if is_quantity(value):
         unit, value = str(value.unit), value.value
     return Value(*_typed(value), unit=unit)
 
@@ -120,7 +121,7 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:  # noqa: PLR0911 (one for e
 
 
 def _of_list(value: list[Any] | tuple[Any, ...]) -> tuple[Type, NDArray[Any]]:
-    if any(hasattr(element, "unit") and hasattr(element, "to_value") for element in value):
+    if any(map(is_quantity, set(map(type, value)))):
         raise ResultError("is a list of quantities; make one of them: astropy.units.Quantity(...)")
     try:
         array = np.asarray(value)

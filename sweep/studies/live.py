@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Experiment, SweepError, shown
+from sweep.contract.units import is_quantity
 from sweep.functions.adapter import is_plain_function
 from sweep.functions.signature import name_of
 from sweep.session import importable, keep
-from sweep.studies.points import columns_of, is_quantity
+from sweep.studies.points import columns_of
 from sweep.studies.reader import study_from_dict
 from sweep.studies.study import Study
 from sweep.tables.file import content_digest

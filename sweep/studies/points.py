@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Experiment, SweepError, shown, suggest
-from sweep.contract.units import factor_between
+from sweep.contract.units import factor_between, is_quantity
 from sweep.load import load_function
 from sweep.studies.designs import DESIGNS, MORRIS_LEVELS
 from sweep.studies.form import PointsForm
@@ -90,11 +90,6 @@ def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str
     columns = {str(name): _values(column) for name, column in table.items()}
     units = {str(name): str(unit) for name, column in table.items() if (unit := getattr(column, "unit", None))}
     return columns, units
-
-
-def is_quantity(value: object) -> bool:
-    """Return whether a value is a quantity of astropy, without importing astropy."""
-    return hasattr(value, "unit") and hasattr(value, "to_value")
 
 
 def _values(column: Any) -> list[Any]:

@@ -37,13 +37,9 @@ class ColumnReader:
         column = self.table[name]
         if self.kind(name) in "USO":
             return self._sexagesimal(name, hours)
-        unit = column.unit or (units.rad if name.casefold().endswith("rad") else units.deg)
-        if (
-            hours
-            and column.unit is None
-            and not name.casefold().endswith(("deg", "rad"))
-            and _like_hours(self.numbers(name))
-        ):
+        lower = name.casefold()
+        unit = column.unit or (units.rad if lower.endswith("rad") else units.deg)
+        if hours and column.unit is None and not lower.endswith(("deg", "rad")) and _like_hours(self.numbers(name)):
             self.problems.append(
                 f"column {name!r} has no unit and runs over 0..24, as hours do; say --unit ra=hourangle (or ra=deg)"
             )
