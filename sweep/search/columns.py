@@ -10,6 +10,7 @@ from core.arrays import Array, Flags, Indices
 from core.table_catalogue import ALONG_RA
 from sweep.contract import suggest
 from sweep.tables.columns import column_values, in_time, missing_values, rows_listed
+from sweep.tables.names import error_column, first_found, value_column
 
 UNITS: Mapping[str, str] = {
     "ra": "deg",
@@ -30,7 +31,10 @@ TYC = ("TYC1", "TYC2", "TYC3")
 
 NAME = "name"
 NAMES = ("name", "objname", "object", "designation", "main_id", "id")
-"""Columns with an object's own name, in any case of letters."""
+"""Columns with an object's own name, the first of them first."""
+
+_MOTIONS_AND_POSITIONS = ("ra", "dec", "pmra", "pmdec")
+"""Quantities that are found under the names that any archive has for them, as their errors are."""
 
 COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id", NAME)
 
@@ -51,9 +55,16 @@ class ColumnReader:
 
     def column(self, key: str) -> str:
         """Return the name of the column of a quantity, whether or not the table has it."""
-        if key == NAME and key not in self.columns:
-            return next((name for name in self.table.colnames if name.lower() in NAMES), key)
-        return self.columns.get(key, key)
+        if key in self.columns:
+            return self.columns[key]
+        names = self.table.colnames
+        if key in _MOTIONS_AND_POSITIONS:
+            found = value_column(key, names)
+        elif (quantity := key.removesuffix("_error")) != key:
+            found = error_column(quantity, names, value_column(quantity, names))
+        else:
+            found = first_found(NAMES if key == NAME else (key,), names)
+        return found or key
 
     def has(self, key: str) -> bool:
         """Return whether the table has the column of a quantity."""

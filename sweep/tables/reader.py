@@ -6,7 +6,7 @@ import io
 import lzma
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -108,6 +108,10 @@ def _require_one_table(content: bytes) -> None:
             tables = [f"{unit.name or 'HDU'} ({k})" for k, unit in enumerate(units) if type(unit) in kinds]
     except Exception:  # astropy's reader of tables says what is wrong
         return
+    _require_one(tables)
+
+
+def _require_one(tables: Sequence[str]) -> None:
     if len(tables) > 1:
         raise SweepError(f"has {len(tables)} tables in it: {', '.join(tables)}; leave one")
 
@@ -127,8 +131,7 @@ def _votable(content: bytes) -> Any:
         infos = [info for resource in document.resources for info in resource.infos if info.name == "QUERY_STATUS"]
         said = "".join(f": {info.value}: {' '.join((info.content or '').split())[:200]}" for info in infos)
         raise SweepError(f"has no table in it{said}")
-    if len(tables) > 1:
-        raise SweepError(f"has {len(tables)} tables in it; leave one")
+    _require_one([f"{table.name or table.ID or 'table'} ({k})" for k, table in enumerate(tables, 1)])
     return tables[0].to_table(use_names_over_ids=True)
 
 

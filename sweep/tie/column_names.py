@@ -1,31 +1,19 @@
 """How a table is to be read, and which of its columns hold what."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 from core.blocks import PARAMETERS
 from core.tie.astrometry import PAIRS
 from sweep.contract import SweepError
+from sweep.tables.names import VALUES, error_column, first_found, value_column
 
 EPOCHS = (1700.0, 2300.0)
 """Julian years that an epoch may be."""
 
 Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
-
-VALUES: Mapping[str, tuple[str, ...]] = {
-    "ra": ("ra", "RAdeg", "RArad", "ra_icrs", "_RA"),
-    "dec": ("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "_DE"),
-    "parallax": ("parallax", "plx"),
-    "pmra": ("pmra", "pm_ra_cosdec", "pm_ra"),
-    "pmdec": ("pmdec", "pm_dec", "pmDE"),
-    "ref_epoch": ("ref_epoch", "epoch", "pos_epoch", "mjd"),
-    "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv"),
-}
-"""Names under which a quantity is found, the first of them first, in any case of letters; those of an error are made
-from them.  VizieR computes _RA and _DE for an epoch of its own, so that they are last.
-"""
 
 NAMES = (
     "name",
@@ -43,7 +31,6 @@ _AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
 _CORRELATIONS_AT_VIZIER = {
     name: f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor" for name, (i, j) in zip(CORRELATIONS, PAIRS, strict=True)
 }
-_ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
 
 
 @dataclass(frozen=True)
@@ -85,24 +72,16 @@ def column_of(quantity: str, names: Collection[str], options: TableOptions) -> s
     """Return the column that holds a quantity; None for none."""
     if quantity in options.columns:
         return options.columns[quantity]
-    wanted = VALUES.get(quantity, (quantity, _CORRELATIONS_AT_VIZIER.get(quantity, quantity)))
-    return first_found(wanted, names)
+    if quantity in _CORRELATIONS_AT_VIZIER:
+        return first_found([quantity, _CORRELATIONS_AT_VIZIER[quantity]], names)
+    return value_column(quantity, names)
 
 
 def error_column_of(quantity: str, names: Collection[str], options: TableOptions) -> str | None:
     """Return the column that holds the error of a quantity; None for none."""
     if f"{quantity}_error" in options.columns:
         return options.columns[f"{quantity}_error"]
-    value = column_of(quantity, names, options)
-    stems = [value, quantity] if value else [quantity]
-    return first_found([form.format(stem) for stem in stems for form in _ERROR_NAMES], names)
-
-
-def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
-    """Return the first of the wanted names that there is, in its own case of letters or another; None for none."""
-    in_any_case = {name.casefold(): name for name in reversed(list(names))}
-    found = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
-    return next((name for name in found if name is not None), None)
+    return error_column(quantity, names, column_of(quantity, names, options))
 
 
 def columns_needed(names: Sequence[str], options: TableOptions, further: Collection[str] = ()) -> list[str]:

@@ -15,6 +15,7 @@ from core.constants import MAS
 from core.tie.astrometry import Astrometry, kinds, named_rows
 from sweep.contract import SweepError
 from sweep.tables import reader
+from sweep.tables.names import first_found
 from sweep.tie import hipparcos, icrf
 from sweep.tie.built_in import built_in_table
 from sweep.tie.column_names import (
@@ -24,7 +25,6 @@ from sweep.tie.column_names import (
     TableOptions,
     column_of,
     error_column_of,
-    first_found,
     quantities,
     unit_of,
 )

@@ -603,3 +603,23 @@ def test_units_on_the_command_line_are_checked(text, folder):
     result = run(*ARGUMENTS, "--unit", text)
     assert result.exit_code == 2
     assert result.output.startswith("error: ")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        {name: name.upper() for name in star_table().colnames},
+        {"ra": "RA_ICRS", "dec": "DE_ICRS", "ra_error": "e_RA_ICRS", "dec_error": "e_DE_ICRS", "pmdec": "pmDE"},
+    ],
+    ids=["upper case", "VizieR"],
+)
+def test_columns_are_found_under_the_names_of_archives(folder, names):
+    wanted = read_stars(folder / "stars.fits")
+    table = star_table()
+    table.rename_columns(list(names), list(names.values()))
+    table.write("other.ecsv")
+    found = read_stars(folder / "other.ecsv")
+    assert found.numbers.keys() == wanted.numbers.keys()
+    for key, values in wanted.numbers.items():
+        np.testing.assert_array_equal(found.numbers[key], values)
+    np.testing.assert_array_equal(found.tyc, wanted.tyc)

@@ -196,8 +196,9 @@ def test_two_tables_in_one_votable(tmp_path):
     Table({"ra": [1.0]}).write(one, format="votable")
     text = one.getvalue().decode()
     body = text[text.index("<TABLE") : text.index("</TABLE>") + 8]
-    with pytest.raises(SweepError, match="has 2 tables in it; leave one"):
-        read_table(written(tmp_path, "t.vot", text.replace(body, body + body)))
+    named = body.replace("<TABLE", '<TABLE name="second"', 1)
+    with pytest.raises(SweepError, match=r"has 2 tables in it: table \(1\), second \(2\); leave one"):
+        read_table(written(tmp_path, "t.vot", text.replace(body, body + named)))
 
 
 def test_two_tables_in_one_fits_file(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 from astropy.table import Table
 
 from core.tie.astrometry import PAIRS, kinds
-from sweep.tie.column_names import first_found
+from sweep.tables.names import first_found
 from sweep.tie.tables import read_table
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
