@@ -1,6 +1,6 @@
 """A plain function as an `Experiment`, so that one road leads from a study to a store."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeGuard
@@ -9,7 +9,7 @@ import numpy as np
 
 from sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
 from sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
-from sweep.functions.layout import SLOTS, Layout, layout_of_json
+from sweep.functions.layout import SLOTS, Layout
 from sweep.functions.named_results import Declared
 from sweep.functions.realisations import Realisations, drawn
 from sweep.functions.results import Flat, flatten, split_points
@@ -17,6 +17,8 @@ from sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
 
 COUNT = 1
 """Numbers in front of each row: of how many evaluations it is.  So no row is all NaN, which means one that is lost."""
+
+_RECORDED = [field.name for field in fields(Output) if field.name != "coords"]
 
 
 @dataclass(frozen=True)
@@ -177,26 +179,8 @@ class FunctionExperiment(Experiment):
         return {
             "rng": self.rng,
             "layout": None if self.layout is None else self.layout.as_json(),
-            "outputs": [_recorded(output) for output in self.declared],
+            "outputs": [{name: getattr(one, name) for name in _RECORDED} for one in self.declared],
         }
-
-
-def _recorded(output: Output) -> dict[str, Any]:
-    return {one.name: getattr(output, one.name) for one in fields(output) if one.name != "coords"}
-
-
-def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter, ...]) -> FunctionExperiment:
-    """Return the experiment that a store has recorded, which computes nothing."""
-    told = record["function"]
-    outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in told["outputs"])
-    empty = _undeclared(record["name"], parameters, outputs, told["rng"])
-    return empty if told["layout"] is None else empty.with_layout(layout_of_json(told["layout"]))
-
-
-def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
-    """Return the layout of results that a store has recorded; None where there is none."""
-    layout = record.get("function", {}).get("layout")
-    return None if layout is None else layout_of_json(layout)
 
 
 def is_plain_function(found: object) -> TypeGuard[Callable[..., Any]]:
@@ -218,7 +202,7 @@ def _made(function: Callable[..., Any]) -> FunctionExperiment:
     if not hasattr(function, ATTRIBUTE) and (found := problems(function, declaration)):
         raise SweepError(found, f"function {name_of(function)}")
     signature = signature_of(function)
-    made = _undeclared(signature.name, signature.parameters, declaration.outputs, signature.rng)
+    made = undeclared_experiment(signature.name, signature.parameters, declaration.outputs, signature.rng)
     return replace(
         made,
         function=PlainFunction(function, signature, declaration),
@@ -227,9 +211,10 @@ def _made(function: Callable[..., Any]) -> FunctionExperiment:
     )
 
 
-def _undeclared(
+def undeclared_experiment(
     name: str, parameters: tuple[Parameter, ...], outputs: tuple[Output, ...], rng: bool
 ) -> FunctionExperiment:
+    """Return the experiment of a function whose results are not known yet."""
     return FunctionExperiment(
         name=name,
         version=1,

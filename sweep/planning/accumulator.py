@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Array, Value, check_finite
+from sweep.contract import Array, Value
 from sweep.planning.block_rows import BlockRows
 from sweep.planning.grid import AT_ONCE, GridPoint
 from sweep.planning.plan import Block, Plan, PlanSize, Work, ledger_key
@@ -250,19 +250,3 @@ class Accumulator:
 def _among(digests: Sequence[bytes], some: Collection[bytes]) -> NDArray[np.bool_]:
     """Return which of the digests are among some."""
     return np.array([digest in some for digest in digests], dtype=bool) if some else np.zeros(len(digests), dtype=bool)
-
-
-def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Exception]:
-    """Return those of the points whose results cannot be computed from their sums or are not finite, and why."""
-    experiment = accumulator.plan.grid.study.experiment
-    n = accumulator.realisations[list(indices)].astype(float)
-    n_cat = np.full(len(indices), float(accumulator.plan.grid.study.sampling.n_cat))
-    try:
-        results = experiment.results(accumulator.total[list(indices)], n, n_cat)
-        check_finite(results, experiment.nan_outputs())
-    except Exception as error:  # whatever a user's function raises
-        if len(indices) == 1:
-            return {indices[0]: error}
-        half = len(indices) // 2
-        return failing(accumulator, indices[:half]) | failing(accumulator, indices[half:])
-    return {}

@@ -23,7 +23,7 @@ def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array) -> int:
     n_cat = float(sampling.n_cat)
     try:
         results = study.experiment.results(sums, np.array([n_cat * n_sim]), np.array([n_cat]))
-    except Exception:  # of a user's function: the point ends here, and `failing` of the accumulator says why
+    except Exception:  # of a user's function: the point ends here, and `sweep.planning.failing` says why
         return parts
     with np.errstate(divide="ignore", invalid="ignore"):
         errors = [np.abs(results[e] / results[value]) for value, e in study.experiment.errors_of_headline()]

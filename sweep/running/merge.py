@@ -11,9 +11,9 @@ import xarray as xr
 
 from sweep.code_identity import code_differences
 from sweep.contract import Array, Named, SweepError, Value
-from sweep.functions.adapter import layout_of_record
 from sweep.functions.layout import Layout
 from sweep.functions.layout import differences as layout_differences
+from sweep.functions.record import layout_of_record
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan

@@ -14,7 +14,8 @@ from sweep.executing.worker import function_values, run_block
 from sweep.formatting import first_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat
-from sweep.planning.accumulator import Accumulator, failing
+from sweep.planning.accumulator import Accumulator
+from sweep.planning.failing import failing
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan, Work
 from sweep.planning.point_status import Status

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.executing.task import Failure, TaskResult, failure_of
-from sweep.planning.accumulator import Accumulator, failing
+from sweep.planning.accumulator import Accumulator
+from sweep.planning.failing import failing
 from sweep.planning.grid import AT_ONCE, GridPoint, describe
 from sweep.planning.plan import Block, Plan, PlanSize, Work
 from sweep.planning.point_status import Status

@@ -6,7 +6,8 @@ from dataclasses import fields, replace
 from typing import Any
 
 from sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError
-from sweep.functions.adapter import FunctionExperiment, experiment_of_record, layout_of_record
+from sweep.functions.adapter import FunctionExperiment
+from sweep.functions.record import experiment_of_record, layout_of_record
 from sweep.studies.reader import study_of_attributes
 from sweep.studies.study import Study
 from sweep.tables.file import as_json

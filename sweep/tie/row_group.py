@@ -1,5 +1,6 @@
 """One row group of a satellite's Parquet table, and what is computed of it, in this process or on a Dask worker."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -9,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Array, Flags, Indices
-from core.tie.astrometry import Astrometry
 from core.tie.clips import separation
 from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
 from core.tie.problem import Problem
@@ -21,7 +21,7 @@ from sweep.tie.known_spin import known_spin
 from sweep.tie.options import SIGNS, Options
 from sweep.tie.reference_rows import with_jitter
 from sweep.tie.setup import zero_motion
-from sweep.tie.tables import astrometry_of, digest_of
+from sweep.tie.tables import AstrometricTable, astrometric_table, digest_of
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class RowGroup:
 
     def problem(self) -> Problem:
         """Read the rows; raises SweepError for wrong ones, with their numbers in the row group."""
-        own = self.astrometry()
+        own = self.read().astrometry
         assert self.unknowns is not None, "the first pass finds them"
         spin = self.options.known_spin
         known = None if spin is None else known_spin(spin, own, SIGNS[self.options.sign])
@@ -47,14 +47,14 @@ class RowGroup:
         rows = with_jitter(zero_motion(len(own)), self.options.jitter_of(None))
         return Problem(own, rows, source, self.unknowns, self.epoch, weights, known)
 
-    def astrometry(self) -> Astrometry:
+    def read(self) -> AstrometricTable:
         """Read the rows."""
         if digest_once(self.path) != self.digest:
             raise SweepError("is not the same file on every worker, or was changed", str(self.path))
         table = read_row_group(self.path, self.number, self.columns)
         where = f"{self.path}, the {len(table)} rows from row {self.first + 1} on"
-        found, _ = astrometry_of(table, where, self.options.satellite_options)
-        if not np.all(np.isfinite(found.values[:2])):
+        found = astrometric_table(table, where, self.digest, self.options.satellite_options)
+        if not np.all(np.isfinite(found.astrometry.values[:2])):
             raise SweepError("sources without a position", where)
         return found
 
@@ -67,18 +67,20 @@ def digest_once(path: Path) -> str:
 
 class Scanned(NamedTuple):
     """What a first look at a row group finds: a value in each bin of the column that bins divide, by its name; the
-    epochs and how many sources have each; and the places of the sources (2, n), rad, where they are wanted.
+    epochs and how many sources have each; the places of the sources (2, n), rad, where they are wanted; and notes.
     """
 
     sample: dict[str, Array]
     epochs: Array
     counts: Indices
     places: Array | None
+    notes: Sequence[str]
 
 
 def look_through(group: RowGroup, per_source: bool) -> Scanned:
     """Return what a first look finds; the places of the sources with ``per_source``."""
-    own = group.astrometry()
+    table = group.read()
+    own = table.astrometry
     columns: dict[str, Array] = {}
     if group.options.bins is not None and group.options.bins[0] in own.columns:
         name, edges = group.options.bins
@@ -86,7 +88,7 @@ def look_through(group: RowGroup, per_source: bool) -> Scanned:
         columns[name] = own.columns[name][np.unique(bin_of, return_index=True)[1]]
     epochs, counts = np.unique(own.epoch[np.isfinite(own.epoch)], return_counts=True)
     places = own.values[:2] if per_source else None
-    return Scanned(columns, epochs, counts, places)
+    return Scanned(columns, epochs, counts, places, table.notes)
 
 
 def cell_sums(group: RowGroup, factors: Array | Flags | None) -> NormalSums:

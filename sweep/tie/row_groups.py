@@ -5,7 +5,7 @@ groups: the same bits whatever computes them; and of each source whether it is k
 at all of them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial, reduce
 from itertools import pairwise
@@ -36,6 +36,9 @@ from sweep.tie.unknowns_of import unknowns_of
 
 FROM_ROWS = 100_000
 """Smaller tables are solved as a whole."""
+
+MOST_NOTES = 5
+"""Notes on rows that are shown."""
 
 
 def why_whole(satellite: str | Path, reference: str | Path, options: Options) -> str | None:
@@ -135,13 +138,16 @@ def set_up_row_groups(
     n = sum(sizes)
     values = np.zeros((5, n)) if per_source else np.broadcast_to(np.nan, (5, n))  # which takes no memory
     samples, of_epochs = [], []
+    noted: dict[str, int] = {}
     for group, one in zip(groups, run(row_group.look_through, ((group, per_source) for group in groups)), strict=True):
         if one.places is not None:
             values[:2, group.first : group.first + one.places.shape[1]] = one.places
         samples.append(one.sample)
         of_epochs.append((one.epochs, one.counts))
+        for note in one.notes:
+            noted.setdefault(note, group.first)
     epoch = _median_epoch(of_epochs) if options.epoch is None else options.epoch
-    notes: list[str] = []
+    notes = _listed(path.name, noted)
     try:
         unknowns = _unknowns(replace(groups[0], epoch=epoch), samples, notes)
     except ValueError as error:  # LinkError is one
@@ -158,6 +164,15 @@ def set_up_row_groups(
     return Setup(left, right, matched, problem, source, called, tuple(notes)), RowGroupTable(groups, n, run)
 
 
+def _listed(name: str, noted: Mapping[str, int]) -> list[str]:
+    """Return the first notes of row groups, each with the first row of the first group that has it."""
+    notes = [f"{name}, from row {first + 1} on: {note}" for note, first in noted.items()]
+    return [
+        *notes[:MOST_NOTES],
+        *([f"{name}: {len(notes) - MOST_NOTES} more such notes"] if notes[MOST_NOTES:] else []),
+    ]
+
+
 def _median_epoch(found: Sequence[tuple[Array, Indices]]) -> float:
     """Return what `default_epoch` returns of all epochs, from the different ones and how often each occurs."""
     epochs, place = np.unique(np.concatenate([epochs for epochs, _ in found]), return_inverse=True)
@@ -170,7 +185,7 @@ def _median_epoch(found: Sequence[tuple[Array, Indices]]) -> float:
 
 def _unknowns(group: RowGroup, samples: list[dict[str, Array]], notes: list[str]) -> Unknowns:
     """Return the unknowns of the whole table: what is determined is that of the first rows, the bins those of all."""
-    own = group.astrometry()
+    own = group.read().astrometry
     few = own.taken(slice(0, min(len(own), 1000)))
     if group.options.bins is not None:
         name = group.options.bins[0]

@@ -78,7 +78,9 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     rows = parts[0].rows if len(parts) == 1 else joined(*(part.rows for part in parts))
     source = place[matched]
     epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
-    notes = [*left.notes, *(note for part in parts for note in (*part.table.notes, *_unmatched(part), *part.notes))]
+    notes = left.named_notes()
+    for part in parts:
+        notes += [*part.table.named_notes(), *_unmatched(part), *part.notes]
     try:
         unknowns = unknowns_of(options, own, rows, source, epoch, notes)
         known = None if options.known_spin is None else known_spin(options.known_spin, own, SIGNS[options.sign])

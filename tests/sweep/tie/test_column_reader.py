@@ -74,7 +74,9 @@ def test_radial_velocities_that_no_star_has_count_as_missing(tmp_path):
     codes = gaia(tmp_path / "codes.ecsv", stars(5), radial_velocity=[20.0, -9999.0, np.inf, 2e5, np.nan])
     found = read_table(codes)
     np.testing.assert_array_equal(found.astrometry.radial_velocity, [20.0, *[np.nan] * 4])
-    assert found.notes == ["codes.ecsv: radial_velocity beyond 5000 km/s, which no star has, is not used: row 2, 3, 4"]
+    assert found.named_notes() == [
+        "codes.ecsv: radial_velocity beyond 5000 km/s, which no star has, is not used: row 2, 3, 4"
+    ]
 
 
 def test_names_are_the_same_however_they_are_stored(tmp_path):
@@ -92,7 +94,7 @@ def test_values_without_errors_are_said(tmp_path):
     table.remove_column("parallax_error")
     table.write(tmp_path / "without.ecsv")
     link = tie(path, tmp_path / "without.ecsv", by="source_id")
-    assert "without.ecsv has no errors of parallax: it counts as not measured" in link.attrs["notes"]
+    assert "without.ecsv: no errors of parallax, which counts as not measured" in link.attrs["notes"]
 
 
 def test_a_correlation_without_a_column_is_said_where_the_others_are_impossible(tmp_path):

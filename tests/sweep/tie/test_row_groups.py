@@ -73,6 +73,25 @@ def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     assert found.source.values.tolist() == list(range(1, 3001))
 
 
+def test_what_is_noted_of_rows_is_said(tmp_path, by_groups):
+    radial_velocity = np.zeros(3000)
+    radial_velocity[[701, 1500]] = -9999.0
+    path = quasars(tmp_path / "q.parquet", radial_velocity=radial_velocity)
+    found = tie(path, "zero-motion", unknowns="spin").attrs["notes"]
+    beyond = "radial_velocity beyond 5000 km/s, which no star has, is not used"
+    assert "q.parquet, from row 1 on: no errors of ra, which counts as not measured" in found
+    assert f"q.parquet, from row 701 on: {beyond}: row 2" in found
+    assert f"q.parquet, from row 1401 on: {beyond}: row 100" not in found
+    assert f"q.parquet, from row 1401 on: {beyond}: row 101" in found
+
+
+def test_of_many_notes_the_first_are_said(tmp_path, by_groups):
+    path = quasars(tmp_path / "q.parquet", group=10, radial_velocity=np.where(np.arange(3000) % 11, 0.0, -9999.0))
+    found = [note for note in tie(path, "zero-motion", unknowns="spin").attrs["notes"] if note.startswith("q.parquet")]
+    assert len(found) == 6
+    assert found[-1].endswith("more such notes")
+
+
 def test_the_bits_are_the_same_on_any_workers(tmp_path, by_groups):
     path = quasars(tmp_path / "quasars.parquet")
     options = {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"}

@@ -1,0 +1,207 @@
+"""The quantities of an astrometric table: values, errors, correlations, epochs and names, in rad and rad/yr."""
+
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Array
+from core.blocks import PARAMETERS
+from core.constants import MAS
+from core.tie.astrometry import Astrometry, kinds, named_rows
+from sweep.contract import SweepError
+from sweep.tables.names import first_found
+from sweep.tie import hipparcos
+from sweep.tie.column_names import (
+    EPOCHS,
+    NAMES,
+    Positions,
+    TableOptions,
+    column_of,
+    error_column_of,
+    quantities,
+    unit_of,
+)
+from sweep.tie.column_reader import ColumnReader
+from sweep.tie.correlations import correlations_of
+from sweep.tie.epochs import julian_years
+
+FASTEST_KM_S = 5000.0
+"""Radial velocities beyond are no star's: they are codes for missing ones, or redshifts."""
+
+COARSE = 0.1
+"""Positions that are rounded by more than this part of their errors are too coarse."""
+
+
+class AstrometryReader(ColumnReader):
+    """Reads the quantities of one table and collects what is wrong with it."""
+
+    def __init__(self, table: Any, where: str, options: TableOptions) -> None:
+        super().__init__(table)
+        self.where, self.options = where, options
+        self.notes: list[str] = []
+        for key, column in options.columns.items():
+            if key not in quantities():
+                self.problems.append(f"columns: {key} is no quantity; known are {', '.join(quantities())}")
+            elif column not in table.colnames:
+                self.problems.append(f"columns: no column {column!r} for {key}; there are {self.listed()}")
+        if not self.problems:
+            self._set_units()
+        if self.problems:
+            raise SweepError(self.problems, self.where)
+        if not len(table):
+            raise SweepError("has no rows", self.where)
+
+    def astrometry(self) -> tuple[Astrometry, dict[str, NDArray[np.str_]]]:
+        """Return the astrometry and the columns with names; raises SweepError with all that is wrong and its rows."""
+        n = len(self.table)
+        values, errors = np.full((2, 5, n), np.nan)
+        for i, name in enumerate(PARAMETERS):
+            values[i] = self._values(name, values[1])
+            self.check(np.isinf(values[i]), f"an infinite {name}")
+        for i, name in enumerate(PARAMETERS):
+            errors[i] = self._errors(name, values[i], values[1])
+        if self.problems:
+            raise SweepError(self.problems, self.where)
+        for name, row, error in zip(PARAMETERS[:2], values, errors, strict=False):
+            if (column := self._column(name)) is None:
+                if not np.any(np.isfinite(values[2:])):
+                    self.problems.append(f"no column {name}; there are {self.listed()}")
+            elif rounding := self.rounding(column):
+                size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
+                what = f"positions in single precision (column {column!r}), too coarse for their errors,"
+                self.check(size * rounding > COARSE * error, what)
+            self.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
+        self.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
+        self.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
+        correlations = correlations_of(self, self.options, np.isfinite(values) & np.isfinite(errors))
+        columns = {
+            name: self.numbers(name)
+            for name in self.table.colnames
+            if getattr(self.table[name], "ndim", 2) == 1 and self.kind(name) in "fiu"
+        }
+        epoch = self._epoch()
+        found = Astrometry(
+            values=values,
+            errors=errors,
+            epoch=epoch,
+            correlations=correlations,
+            radial_velocity=self._radial_velocity(),
+            columns=columns,
+            apparent=(self._positions() == "single-epoch") & np.isfinite(epoch),
+        )
+        try:
+            kinds(found)
+        except ValueError as error:
+            self.problems.append(str(error))
+        if self.problems:
+            raise SweepError(self.problems, self.where)
+        return found, self._names()
+
+    def _set_units(self) -> None:
+        """Give columns the units that the options say; a column has another only if it says so itself."""
+        from astropy import units
+
+        self.table = self.table.copy(copy_data=False)
+        for quantity, text in self.options.units.items():
+            stem, is_error = quantity.removesuffix("_error"), quantity.endswith("_error")
+            name = (error_column_of if is_error else column_of)(stem, self.table.colnames, self.options)
+            try:
+                unit = units.Unit(text)
+            except ValueError:
+                self.problems.append(f"units: {quantity} in {text!r}, which is no unit")
+                continue
+            if quantity not in quantities() or name is None:
+                self.problems.append(f"units: no column of {quantity}")
+            elif self.table[name].unit not in (None, unit):
+                self.problems.append(f"units: {quantity} in {text}, and column {name!r} says {self.table[name].unit}")
+            else:
+                self.table[name].unit = unit
+
+    def _positions(self) -> str:
+        said = self.options.positions or self.table.meta.get("positions", "single-epoch")
+        if said not in get_args(Positions):
+            self.problems.append(f"positions {said!r}: they are {' or '.join(get_args(Positions))}")
+        return str(said)
+
+    def _column(self, quantity: str) -> str | None:
+        return column_of(quantity, self.table.colnames, self.options)
+
+    def _values(self, quantity: str, dec: Array) -> Array:
+        name = self._column(quantity)
+        if name is None:
+            return np.full(len(self.table), np.nan)
+        if quantity in ("ra", "dec"):
+            return self.angle(name, hours=quantity == "ra")
+        return self.in_unit(name, unit_of(quantity)) * MAS * self._cos_dec(quantity, name, dec)
+
+    def _cos_dec(self, quantity: str, name: str, dec: Array) -> Array | float:
+        """Return the factor cos(dec) of columns along right ascension that are without it, as in units of time."""
+        without = quantity == "pmra" and not self.options.pmra_cos_dec
+        return np.cos(dec) if without or (quantity in ("ra", "pmra") and self.in_time(name)) else 1.0
+
+    def _errors(self, quantity: str, values: Array, dec: Array) -> Array:
+        name, of = error_column_of(quantity, self.table.colnames, self.options), self._column(quantity)
+        if name is None:
+            if np.any(np.isfinite(values)):
+                self.notes.append(f"no errors of {quantity}, which counts as not measured")
+            return np.full(len(self.table), np.nan)
+        unit = unit_of(quantity)
+        if of is not None and self.table[name].unit is None:
+            self._doubtful_unit(quantity, of, name)
+        found = self.in_unit(name, unit) * MAS * self._cos_dec(quantity, name, dec)
+        self.check(found < 0.0, f"a negative {name}")
+        zero = found == 0.0
+        if self.options.zero_errors == "error":
+            self.check(zero, f"a {name} of 0 (say --zero-errors missing, or exact)")
+        elif self.options.zero_errors == "missing":
+            found = np.where(zero, np.nan, found)
+        return found
+
+    def _doubtful_unit(self, quantity: str, of: str, name: str) -> None:
+        """Say what is taken for the unit of an error without one, where the unit of its value is a special one."""
+        unit, own = unit_of(quantity), self.table[of].unit
+        if quantity in ("ra", "dec"):
+            if self.kind(of) in "USO":
+                taken = f"{name!r} has no unit and counts as {unit}, or say --unit {quantity}_error="
+                self.notes.append(f"{of!r} is sexagesimal; {taken}{'s' if quantity == 'ra' else 'arcsec'}")
+        elif own is not None and own.is_equivalent(unit) and not np.isclose(own.to(unit), 1.0):
+            say = f"say --unit {quantity}_error={own} (or {unit})"
+            self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
+
+    def _epoch(self) -> Array:
+        name = self._column("ref_epoch")
+        if self.options.epoch is not None:
+            return np.full(len(self.table), self.options.epoch)
+        if name is None:
+            if self.table.meta.get("extragalactic") is True:
+                return np.full(len(self.table), np.nan)
+            if hipparcos.is_hipparcos(self):
+                return np.full(len(self.table), hipparcos.EPOCH)
+            if self._column("ra") is not None:
+                self.problems.append("no column ref_epoch; give the epoch of the positions")
+            return np.full(len(self.table), np.nan)
+        known = len(self.problems)
+        values = julian_years(self, name)
+        if len(self.problems) == known:
+            self.check(np.isnan(values), f"no epoch (column {name!r})")
+            wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
+            self.check((values < EPOCHS[0]) | (values > EPOCHS[1]), wrong)
+        return values
+
+    def _radial_velocity(self) -> Array | None:
+        if (name := self._column("radial_velocity")) is None:
+            return None
+        found = self.in_unit(name, "km/s")
+        if len(beyond := np.flatnonzero(np.abs(found) > FASTEST_KM_S)):
+            what = f"{name} beyond {FASTEST_KM_S:g} km/s, which no star has, is not used"
+            self.notes.append(f"{what}: {named_rows(beyond)}")
+        return np.where(np.abs(found) > FASTEST_KM_S, np.nan, found)
+
+    def _names(self) -> dict[str, NDArray[np.str_]]:
+        wanted = [self.options.columns["name"]] if "name" in self.options.columns else NAMES
+        place = {name: len(wanted) for name in self.table.colnames if self.kind(name) in "US"}
+        for k, key in reversed(list(enumerate(wanted))):
+            if (name := first_found([key], self.table.colnames)) is not None:
+                place[name] = k
+        return {name: self.text(name) for name in sorted(place, key=lambda name: place[name])}
