@@ -39,10 +39,11 @@ def override(
     problems: list[str] = []
     by_place: dict[Place, str] = {}
     before = set(document.get("axes", {})) if isinstance(document.get("axes"), dict) else set()
-    for setting in settings:
-        by_place[_override_value(document, setting, problems, as_axis=False)] = f"--set {_quoted(setting)}"
-    for axis in axes:
-        by_place[_override_value(document, axis, problems, as_axis=True)] = f"--axis {_quoted(axis)}"
+    given: dict[Place, str] = {}
+    for flag, option in [*(("--set", setting) for setting in settings), *(("--axis", axis) for axis in axes)]:
+        place = _override_value(document, option, problems, as_axis=flag == "--axis")
+        by_place[place] = named = f"{flag} {_quoted(option)}"
+        _given_once(given, ("fixed", *place[1:]) if place[:1] == ("axes",) else place, named, problems)
     if any(place[:1] == ("fixed",) or (place[:1] == ("axes",) and place[1] not in before) for place in by_place):
         document.pop("conclusion", None)
     chosen = [("--points", points), ("--design", design), *(("--range", text) for text in ranges)]
@@ -53,6 +54,12 @@ def override(
         by_place[("points",)] = laid[0]
     written = [f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes] + laid
     return Overrides(tuple(written), by_place, tuple(problems))
+
+
+def _given_once(given: dict[Place, str], place: Place, option: str, problems: list[str]) -> None:
+    """Report an option that gives another value to what an earlier one gave; one of the two would be lost."""
+    if place and given.setdefault(place, option) != option:
+        problems.append(f"{given[place]} and {option}: {place[-1]} is given twice; leave out one of the two")
 
 
 def _override_value(document: dict[str, Any], option: str, problems: list[str], as_axis: bool) -> tuple[str, ...]:
@@ -104,11 +111,13 @@ def _override_points(
     if design is not None:
         kept = {key: kept[key] for key in ("seed", "ranges") if key in kept}
     points = {**kept, **points}
+    given: dict[Place, str] = {}
     for option in ranges:
         key, value = split_assignment(option)
         if not key or not isinstance(points.setdefault("ranges", {}), dict):
             problems.append(f"--range {shown(option)}: must be written NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=A,B,C")
             continue
+        _given_once(given, ("ranges", key), f"--range {_quoted(option)}", problems)
         points["ranges"] = points["ranges"] | {key: parse_range(value)}
     document["points"] = points
 

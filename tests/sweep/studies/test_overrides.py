@@ -1,0 +1,31 @@
+"""Options that contradict each other; what else they do to a study is tested where studies are read."""
+
+import pytest
+
+from sweep.contract import SweepError
+from sweep.studies.reader import load_study
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"axes": ["v_max=14,15"], "settings": ["v_max=16"]}, "--set v_max=16 and --axis v_max=14,15: v_max"),
+        ({"axes": ["v_max=14,15", "v_max=16"]}, "--axis v_max=14,15 and --axis v_max=16: v_max"),
+        ({"settings": ["n_sim=10", "sampling.n_sim=20"]}, "--set n_sim=10 and --set sampling.n_sim=20: n_sim"),
+        ({"settings": ["title=a", "title=b"]}, "--set title=a and --set title=b: title"),
+        (
+            {"design": "random:8", "ranges": ["v_max=14:15", "v_max=14:16"]},
+            "--range v_max=14:15 and --range v_max=14:16: v_max",
+        ),
+    ],
+)
+def test_no_option_is_dropped_for_another(options, told):
+    with pytest.raises(SweepError) as refused:
+        load_study("quasars", **options)
+    assert f"{told} is given twice; leave out one of the two" in str(refused.value)
+
+
+def test_an_option_may_be_repeated():
+    study = load_study("quasars", settings=["n_sim=10", "n_sim=10"], axes=["v_max=14,15", "v_max=14,15"])
+    assert study.sampling.n_sim == 10
+    assert study.axes["v_max"] == (14.0, 15.0)
