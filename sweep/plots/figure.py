@@ -57,6 +57,8 @@ def draw_figure(
         kind == "scatter" or (kind is None and _suits_scatter(dataset, variables, over))
     ):
         return _drawn(dataset, dataset.squeeze(_single(dataset)), "scatter", list(variables), over)
+    if (dataset["status"].values == Status.EXCLUDED).all():
+        raise SweepError("every point is excluded by the study")
     names = list(variables) or [main_quantity(dataset)]
     for name in names:
         require_quantity(dataset, name)
