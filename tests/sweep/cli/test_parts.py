@@ -41,3 +41,19 @@ def test_tables_for_programs_have_a_column_that_says_so(part_excluded):
 def test_a_figure_of_excluded_points_alone_is_refused(part_excluded):
     with pytest.raises(linksweep.SweepError, match="every point is excluded by the study"):
         linksweep.plot(linksweep.open(part_excluded).sel(b=3.0))
+
+
+def half(a: int, b: int = 1):
+    if a == 2:
+        raise ValueError("two is bad")
+    return float(a * b)
+
+
+@pytest.mark.parametrize(("at", "count"), [("a=2", 2), ("a=2,b=1", 1)])
+def test_a_figure_of_failed_points_alone_is_refused(at, count, tmp_path):
+    linksweep.run(half, tmp_path / "half.zarr", axes={"a": [1, 2, 3], "b": [1, 2]}, pool="serial")
+    picture = tmp_path / "p.png"
+    told = CliRunner().invoke(main, ["plot", str(tmp_path / "half.zarr"), "--at", at, "-o", str(picture)])
+    assert told.exit_code == 2
+    assert f"half: there is no value to draw here: of {count} points {count} failed" in told.stderr
+    assert not picture.exists()
