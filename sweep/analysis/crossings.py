@@ -4,6 +4,9 @@ Both interpolate linearly between two points: in the logarithm of the quantity w
 axis where all of it is above 0 and its unit (magnitudes) is not a logarithm already.
 """
 
+from contextlib import suppress
+from typing import Any
+
 import numpy as np
 import xarray as xr
 
@@ -11,7 +14,7 @@ from sweep.analysis.conditions import Limit, parse_limit
 from sweep.analysis.lines import Lines, lines, require_done
 from sweep.analysis.quantity import require_quantity
 from sweep.attributes import LOGARITHMIC_UNITS, described, units_of
-from sweep.contract import Array, SweepError, small_sample_factor
+from sweep.contract import Array, SweepError, shown, small_sample_factor
 from sweep.studies.study import POINT
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
@@ -115,6 +118,7 @@ def interpolate(
         [0.59264, 0.00097]
     """
     found = lines(dataset, variable, over, covariance)
+    at = _number(over, at)
     rows = np.full((len(found), 2), np.nan)
     for line, used in enumerate(found.used):
         x, y, errors = found.x[used], found.value[line, used], found.errors_of(line)
@@ -171,6 +175,16 @@ def _cross(found: Lines, line: int, limit: Limit, threshold: float) -> tuple[flo
     state = SEVERAL if len(flips) > 1 else FROM if met[-1] else UP_TO
     ends = [part for i in (flips[0], flips[-1]) for part in _crossing(found, x, y, errors, int(i), threshold)]
     return (float(state), float(len(flips)), *ends, np.nan, np.nan)
+
+
+def _number(over: str, at: Any) -> float:
+    """Return a value of an axis as a number; raises SweepError for texts and quantities with a unit."""
+    number: float | None = None
+    with suppress(TypeError, ValueError):
+        number = None if isinstance(at, str) else float(at)
+    if number is None:
+        raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
+    return number
 
 
 def _crossing(found: Lines, x: Array, y: Array, errors: Array, i: int, threshold: float) -> tuple[float, float]:

@@ -162,7 +162,7 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         require_done(part)
     dimension = str(dataset[axis].dims[0])
     along = [name for name, coordinate in dataset.coords.items() if dimension in coordinate.dims]
-    above, below = (part[variable].drop_vars(along, errors="ignore") for part in parts)
+    above, below = (part[variable].astype(float).drop_vars(along, errors="ignore") for part in parts)
     bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
     result = (above / bottom).rename("ratio").drop_attrs(deep=False).assign_attrs(described("", meaning)).to_dataset()

@@ -98,7 +98,7 @@ def lines(
     others = [str(d) for d in value.dims if d != dimension]
     order = np.argsort(dataset[over].values, kind="stable")
     ordered = dataset.isel({dimension: order})
-    template = ordered[variable]
+    template = ordered[variable].astype(float)  # of integers and truth values too, whose errors may be NaN
     status = ordered["status"].broadcast_like(template)
     error = standard_error(ordered, variable)
     covariance = _covariance(ordered, variable, dimension, order, covariance)

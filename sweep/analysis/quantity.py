@@ -185,7 +185,13 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
     """Raise SweepError unless a variable is one of the dataset's quantities."""
     names = quantities(dataset)
     if variable not in names:
-        raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names)}")
+        if variable in dataset.data_vars and dataset[variable].dtype.kind not in "biufc":
+            raise SweepError(f"{variable} has no numbers, but {_kind_in_words(dataset[variable])}")
+        raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names) if names else '; there are none'}")
+
+
+def _kind_in_words(variable: xr.DataArray) -> str:
+    return "times" if variable.dtype.kind in "Mm" else "texts"
 
 
 def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -222,7 +228,9 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
         dimensions = {dataset[axis].dims[0] for axis in axes}
         if len(dimensions) == 1:
             return next(axis for axis in axes if axis in dimensions or len(axes) == 1)
-        raise SweepError(f"name the axis; {variable} has {', '.join(axes) or 'none with several numbers'}")
+        if not axes:
+            raise SweepError(f"{variable} has no axis with several numbers")
+        raise SweepError(f"name the axis; {variable} has {', '.join(axes)}")
     if over not in axes:
         raise SweepError(
             f"{shown(over)} is no axis with several numbers of {variable}; there are {', '.join(axes) or 'none'}"

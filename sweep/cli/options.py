@@ -155,8 +155,11 @@ def link_in(store: "Location", at: tuple[str, ...]) -> Any:
     return result
 
 
-def part_of(store: "Location", at: tuple[str, ...]) -> Any:
-    """Return the dataset of a store, of it the part that ``--at`` names."""
+def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) -> Any:
+    """Return the dataset of a store, of it the part that ``--at`` names.
+
+    Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
+    """
     from sweep.analysis.selection import select
     from sweep.stores.store import open_dataset
     from sweep.studies.option_values import parse_places
@@ -164,7 +167,20 @@ def part_of(store: "Location", at: tuple[str, ...]) -> Any:
     places = parse_places(at)
     dataset = open_dataset(store)
     with naming(store):
-        return select(dataset, places)
+        part = select(dataset, places)
+        if at and not excluded_too:
+            _require_points(part, ",".join(at))
+        return part
+
+
+def _require_points(part: Any, at: str) -> None:
+    """Raise SweepError where a part of a grid has only points that the study excludes: nothing of it can be shown."""
+    from sweep.contract import SweepError
+    from sweep.planning.point_status import Status
+
+    if (part["status"].values == Status.EXCLUDED).all():
+        points = "this point" if part["status"].size == 1 else "all of these points"
+        raise SweepError(f"--at {at}: the study excludes {points}")
 
 
 @contextmanager

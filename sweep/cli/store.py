@@ -44,7 +44,8 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
 
         click.echo(as_format(link, table_format).rstrip("\n"))
         return
-    print_table(part_of(store, at), table_format, with_components=True)
+    part = part_of(store, at, excluded_too=table_format != "text")  # the others have a column that says so
+    print_table(part, table_format, with_components=True)
 
 
 @main.command()

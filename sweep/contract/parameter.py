@@ -18,6 +18,17 @@ HUGE = 1e300
 LARGEST_INT = 2**63 - 1
 """Beyond it no array of integers holds a value."""
 
+
+def bound_in_words(raw: object) -> str:
+    """Return what a finite number misses that is refused for its size alone; '' for anything else.
+
+    >>> bound_in_words(-1e305), bound_in_words(float("inf"))
+    (', of less than 1e+300', '')
+    """
+    is_huge = isinstance(raw, (int, float)) and HUGE <= abs(raw) < np.inf
+    return f", of less than {HUGE:g}" if is_huge else ""
+
+
 Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
 
 
@@ -139,7 +150,7 @@ class Parameter:
         raise self._refused(raw)
 
     def _refused(self, raw: object, more: str = "") -> ValueError:
-        return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more}")
+        return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more or bound_in_words(raw)}")
 
     def _text(self, raw: object) -> Value:
         known = (*self.choices, *(named.name for named in self.defined))
@@ -160,9 +171,9 @@ class Parameter:
         raise self._refused(raw)
 
     def _whole(self, raw: object) -> int:
-        number = self._number(raw)
         if isinstance(raw, int) and abs(raw) > LARGEST_INT:
             raise self._refused(raw, ", of 64 bits at most")
+        number = self._number(raw)
         return int(raw) if isinstance(raw, int) else int(number)
 
     def _number(self, raw: object) -> float:

@@ -10,7 +10,7 @@ from sweep.analysis.measured_claims import claims_of
 from sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
 from sweep.analysis.sensitivity import is_sensitivity
 from sweep.contract import SweepError, shown, suggest
-from sweep.planning.point_status import Status
+from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.plots.kinds import GRID, SCALING
 from sweep.plots.labels import value_text
 from sweep.plots.scaling import is_scaling
@@ -57,10 +57,14 @@ def draw_figure(
         kind == "scatter" or (kind is None and _suits_scatter(dataset, variables, over))
     ):
         return _drawn(dataset, dataset.squeeze(_single(dataset)), "scatter", list(variables), over)
+    if (dataset["status"].values == Status.EXCLUDED).all():
+        raise SweepError("every point is excluded by the study")
     names = list(variables) or [main_quantity(dataset)]
     for name in names:
         require_quantity(dataset, name)
         _require_one_unit(dataset, name)
+    if not any(np.isfinite(dataset[name].values).any() for name in names):
+        raise SweepError(_why_nothing(dataset, names))
     part = _without_single(dataset, over)
     possible = possible_kinds(part, names[0])
     chosen = kind or _suitable(part, names[0], over)
@@ -74,6 +78,12 @@ def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
     if is_scaling(dataset):
         return list(SCALING)
     return [name for name, kind in GRID.items() if kind.load().possible(dataset, variable)]
+
+
+def _why_nothing(dataset: xr.Dataset, names: Sequence[str]) -> str:
+    unfinished = unfinished_in_words(count_status(dataset["status"].values))
+    why = f": of {dataset['status'].size} points {unfinished}" if unfinished else ""
+    return f"{' and '.join(names)}: there is no value to draw here{why}"
 
 
 def _drawn(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:

@@ -5,6 +5,7 @@ import sys
 from typing import Any
 
 from sweep.contract import shown
+from sweep.contract.parameter import HUGE, bound_in_words
 
 MAX_AXIS_VALUES = 1_000_000
 
@@ -39,7 +40,7 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
         )
     for key in ("start", "stop", "step", "num"):
         if key in spec and not is_number(spec[key]):
-            raise ValueError(f"{key} = {shown(spec[key])}: must be a finite number")
+            raise ValueError(f"{key} = {shown(spec[key])}: must be a finite number{bound_in_words(spec[key])}")
     start, stop = spec["start"], spec["stop"]
     if "step" in spec:
         return _stepped(start, stop, spec["step"], whole)
@@ -91,4 +92,4 @@ def _rounded(x: float, step: float = math.inf) -> float:
 
 def is_number(x: object) -> bool:
     """Return whether x is a finite number."""
-    return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < 1e300
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < HUGE

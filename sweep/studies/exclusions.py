@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping
 
 from sweep.contract import shown
+from sweep.contract.parameter import bound_in_words
 from sweep.studies.axes import is_number
 from sweep.studies.study import Condition
 from sweep.studies.values import Values
@@ -44,7 +45,7 @@ def _condition(index: int, name: str, rule: object, given: Collection[str], valu
     bounds: dict[str, float] = {}
     for key, raw in rule.items():
         if not is_number(raw):
-            problems.add((*where, key), f"{shown(raw)}: must be a finite number")
+            problems.add((*where, key), f"{shown(raw)}: must be a finite number{bound_in_words(raw)}")
         else:
             bounds[key] = float(raw)
     return Condition(name, above=bounds.get("above"), below=bounds.get("below"))

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, KeysView, Mapping, ValuesView
 from os import PathLike
 from typing import Any
 
@@ -92,10 +92,22 @@ def _plain(value: Any, where: str) -> Any:
         return items if getattr(getattr(value, "dtype", None), "kind", "") in PLAIN else _plain(items, where)
     if hasattr(value, "values") and hasattr(value.values, "tolist"):
         return _plain(value.values.tolist(), where)
-    if isinstance(value, list | tuple | range | set | frozenset):
-        items = sorted(value) if isinstance(value, set | frozenset) else value
+    if isinstance(value, Iterator):
+        once = f"is a {type(value).__name__}, which gives its values only once"
+        raise SweepError(f"{where}: {once}; give a list, list(...), of them")
+    if isinstance(value, list | tuple | range | set | frozenset | KeysView | ValuesView):
+        items = _in_order(value, where) if isinstance(value, set | frozenset) else value
         return [_plain(item, where) for item in items]
     return value
+
+
+def _in_order(values: set[Any] | frozenset[Any], where: str) -> list[Any]:
+    """Return the values of a set from the least to the largest: its own order differs between processes."""
+    try:
+        return sorted(values)
+    except TypeError:
+        kinds = ", ".join(sorted({type(value).__name__ for value in values}))
+        raise SweepError(f"{where}: is a set of {kinds}, which have no order; give a list") from None
 
 
 def _plain_table(table: Mapping[Any, Any], where: str) -> dict[str, Any]:

@@ -50,7 +50,7 @@ def override(
     laid = [f"{flag} {_quoted(text)}" for flag, text in chosen if text is not None]
     if laid:
         document.pop("conclusion", None)
-        _override_points(document, points, design, ranges, problems)
+        by_place |= _override_points(document, points, design, ranges, problems)
         by_place[("points",)] = laid[0]
     written = [f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes] + laid
     return Overrides(tuple(written), by_place, tuple(problems))
@@ -98,8 +98,8 @@ def _override_value(document: dict[str, Any], option: str, problems: list[str], 
 
 def _override_points(
     document: dict[str, Any], file: str | None, design: str | None, ranges: Sequence[str], problems: list[str]
-) -> None:
-    """Lay --points, --design and --range over the table [points] of a document."""
+) -> dict[Place, str]:
+    """Lay --points, --design and --range over the table [points] of a document; return the place of each range."""
     points: dict[str, Any] = {"file": str(Path(file).resolve())} if file is not None else {}
     if design is not None:
         name, *numbers = design.split(":")
@@ -117,9 +117,10 @@ def _override_points(
         if not key or not isinstance(points.setdefault("ranges", {}), dict):
             problems.append(f"--range {shown(option)}: must be written NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=A,B,C")
             continue
-        _given_once(given, ("ranges", key), f"--range {_quoted(option)}", problems)
+        _given_once(given, ("points", "ranges", key), f"--range {_quoted(option)}", problems)
         points["ranges"] = points["ranges"] | {key: parse_range(value)}
     document["points"] = points
+    return given
 
 
 def _quoted(option: str) -> str:

@@ -38,7 +38,8 @@ class Problems:
         if len(self.found) >= MAX_PROBLEMS:
             raise SweepError([*self.found, "... and perhaps more problems like these"], self._where)
         whole = (*self._table, *place)
-        source = self.overridden.get(whole[:2]) or self.overridden.get(whole[:1])
+        around = (self.overridden.get(whole[:n]) for n in range(len(whole), 0, -1))
+        source = next(filter(None, around), None)
         if source is None:
             line = line_of(self._lines(), whole)
             source = f"line {line}" if line else None

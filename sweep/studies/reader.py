@@ -229,7 +229,7 @@ class _Reader:
         return found, origin, columns
 
     def _check_required(self, experiment: Experiment, form: Form, points: Mapping[str, object]) -> None:
-        if form.points is not None and not points:
+        if "points" in self.document and not points:
             return  # the table is wrong, and which parameters it has is not known
         for parameter in experiment.parameters:
             if parameter.required and parameter.name not in {**form.axes, **form.fixed, **points}:

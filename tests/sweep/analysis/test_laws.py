@@ -254,6 +254,33 @@ def test_interpolation_at_a_point_has_its_error_and_between_two_less():
     )
     with pytest.raises(SweepError, match="n = 301 is beyond the points, which go from 10 to 300"):
         interpolate(dataset, "width", "n", 301.0)
+    with pytest.raises(SweepError, match="n = '30': must be a number, in the unit of the axis"):
+        interpolate(dataset, "width", "n", "30")
+
+
+def test_truth_values_and_integers_have_crossings_and_values_between():
+    dataset = grid(N)
+    dataset["flag"] = dataset["width"] > 60.0
+    dataset["count"] = dataset["width"].astype(np.int64)
+    dataset.attrs["function"] = 1
+    for condition, crossing in [("flag > 0.5", np.sqrt(50.0 * 100.0)), ("count > 60", 60.0)]:
+        found = find(dataset, condition, over="n")
+        assert found["first"].values == pytest.approx(crossing)
+        assert np.isnan(found["first_error"].values).all()  # there is none, and none is made of the type
+    between = interpolate(dataset, "count", "n", 100.0)
+    assert between["count"].values == pytest.approx(100.0)
+    assert np.isnan(between["count_mc_error"].values).all()
+    assert ratio(dataset, "flag", "n", of=100.0, to=300.0)["ratio"].values == pytest.approx(1.0)
+
+
+def test_what_has_no_numbers_says_what_it_has():
+    dataset = grid(N).drop_vars("width").assign(name=(("model", "n"), np.full((2, 5), "a", dtype=object)))
+    dataset["when"] = (("model", "n"), np.full((2, 5), np.datetime64("2020-01-01", "ns")))
+    for variable, told in [("name", "texts"), ("when", "times")]:
+        with pytest.raises(SweepError, match=f"{variable} has no numbers, but {told}"):
+            find(dataset, f"{variable} < 3", over="n")
+    with pytest.raises(SweepError, match="no quantity 'heads'; there are none"):
+        find(dataset, "heads < 3", over="n")
 
 
 # Crossings
@@ -508,7 +535,7 @@ def test_an_experiment_without_errors_is_fitted_by_its_scatter(coin_store):
         (["fit", "STORE", "--law", "levelling", "--expect", "1"], "--expect is an exponent and goes with --law power"),
         (["fit", "STORE", "--fall", "1"], "--fall goes with --law levelling"),
         (["fit", "STORE", "--range", "3"], "--range: '3': a range is LOW:HIGH"),
-        (["fit", "STORE", "--at", "coins=1"], "name the axis; share has none with several numbers"),
+        (["fit", "STORE", "--at", "coins=1"], "share has no axis with several numbers"),
         (["fit", "STORE", "--at", "coins"], "--at: 'coins': a place is AXIS=VALUE"),
         (["find", "STORE", "--where", "share = 1"], "--where: 'share = 1': a condition is VARIABLE, one of < <= > >="),
         (["find", "STORE", "--where", "heads < 1"], "no quantity 'heads'; known are share"),

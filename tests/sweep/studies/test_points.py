@@ -111,6 +111,12 @@ def points_of_far(points):
     return study_of_function(far, points=points).axes
 
 
+def test_a_wrong_number_of_points_is_the_only_problem():
+    """Which parameters a wrong table has is not known: those without a default are not asked for."""
+    with pytest.raises(SweepError, match=r"^points\.n: input should be a valid integer, not '4'$"):
+        points_of_far({"design": "random", "n": "4", "ranges": {"distance": [1.0, 2.0]}})
+
+
 @pytest.mark.parametrize("kind", [dict, QTable], ids=["a mapping", "a QTable"])
 def test_quantities_as_columns_are_converted_to_the_unit_of_the_parameter(kind):
     columns = points_of_far(kind({"distance": [1.0, 2.5] * u.km, "n": [1, 2]}))

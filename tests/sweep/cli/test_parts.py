@@ -1,0 +1,59 @@
+"""Parts of a grid that ``--at`` names: those that the study excludes are not shown as if they were empty."""
+
+import pytest
+from click.testing import CliRunner
+
+import linksweep
+from sweep.cli import main
+
+
+def law(a: float, b: float = 1.0):
+    return b / a
+
+
+@pytest.fixture(scope="module")
+def part_excluded(tmp_path_factory):
+    store = tmp_path_factory.mktemp("excluded") / "law.zarr"
+    document = {
+        "experiment": law,
+        "axes": {"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]},
+        "exclude": [{"b": 3.0}, {"a": 2.0, "b": 2.0}],
+    }
+    linksweep.run(document, store, pool="serial")
+    return str(store)
+
+
+@pytest.mark.parametrize("command", ["show", "fit", "find --where law<1", "plot -o p.png", "sensitivity"])
+@pytest.mark.parametrize(("at", "points"), [("a=2,b=2", "this point"), ("b=3", "all of these points")])
+def test_a_part_that_the_study_excludes_is_refused(part_excluded, command, at, points, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = CliRunner().invoke(main, [*command.split(), part_excluded, "--at", at])
+    assert (told.exit_code, told.stdout) == (2, "")
+    assert f"--at {at}: the study excludes {points}" in told.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_for_programs_have_a_column_that_says_so(part_excluded):
+    told = CliRunner().invoke(main, ["show", part_excluded, "--at", "a=2,b=2", "--format", "csv"])
+    assert (told.exit_code, told.stdout.split()) == (0, ["law,status", ",excluded"])
+
+
+def test_a_figure_of_excluded_points_alone_is_refused(part_excluded):
+    with pytest.raises(linksweep.SweepError, match="every point is excluded by the study"):
+        linksweep.plot(linksweep.open(part_excluded).sel(b=3.0))
+
+
+def half(a: int, b: int = 1):
+    if a == 2:
+        raise ValueError("two is bad")
+    return float(a * b)
+
+
+@pytest.mark.parametrize(("at", "count"), [("a=2", 2), ("a=2,b=1", 1)])
+def test_a_figure_of_failed_points_alone_is_refused(at, count, tmp_path):
+    linksweep.run(half, tmp_path / "half.zarr", axes={"a": [1, 2, 3], "b": [1, 2]}, pool="serial")
+    picture = tmp_path / "p.png"
+    told = CliRunner().invoke(main, ["plot", str(tmp_path / "half.zarr"), "--at", at, "-o", str(picture)])
+    assert told.exit_code == 2
+    assert f"half: there is no value to draw here: of {count} points {count} failed" in told.stderr
+    assert not picture.exists()
