@@ -23,10 +23,10 @@ def bound_in_words(raw: object) -> str:
     """Return what a finite number misses that is refused for its size alone; '' for anything else.
 
     >>> bound_in_words(-1e305), bound_in_words(float("inf"))
-    (', of less than 1e+300', '')
+    (', below 1e+300 in size', '')
     """
     is_huge = isinstance(raw, (int, float)) and HUGE <= abs(raw) < np.inf
-    return f", of less than {HUGE:g}" if is_huge else ""
+    return f", below {HUGE:g} in size" if is_huge else ""
 
 
 Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]

@@ -36,6 +36,6 @@ def test_a_wrong_range_is_blamed_on_its_own_option():
         load_study("quasars", design="sobol:8", ranges=["v_max=14:15", "v_mxa=14:15", "error_scale=2:1e305"])
     told = str(refused.value)
     assert "points.ranges.v_mxa (--range v_mxa=14:15): unknown parameter" in told
-    assert "(--range error_scale=2:1e305): high = 1e+305: must be a finite number, of less than 1e+300" in told
+    assert "(--range error_scale=2:1e305): high = 1e+305: must be a finite number, below 1e+300 in size" in told
     with pytest.raises(SweepError, match=r"points.design \(--design sobl:8\): no design"):
         load_study("quasars", design="sobl:8", ranges=["v_max=14:15"])
