@@ -160,6 +160,8 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
 
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """
+    from sweep.analysis.long_table import array_outputs
+    from sweep.analysis.quantity import ERROR_SUFFIXES
     from sweep.analysis.selection import select
     from sweep.stores.store import open_dataset
     from sweep.studies.option_values import parse_places
@@ -168,6 +170,9 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
     dataset = open_dataset(store)
     with naming(store):
         part = select(dataset, places)
+        for name in set(array_outputs(dataset)) - set(array_outputs(part)):
+            if not name.endswith(ERROR_SUFFIXES):  # a place along an output's own dimension is for that output
+                part[name].attrs["headline"] = 1
         if at and not excluded_too:
             _require_points(part, ",".join(at))
         return part

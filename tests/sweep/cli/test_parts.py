@@ -1,6 +1,8 @@
 """Parts of a grid that ``--at`` names: those that the study excludes are not shown as if they were empty."""
 
+import numpy as np
 import pytest
+import xarray as xr
 from click.testing import CliRunner
 
 import linksweep
@@ -57,3 +59,21 @@ def test_a_figure_of_failed_points_alone_is_refused(at, count, tmp_path):
     assert told.exit_code == 2
     assert f"half: there is no value to draw here: of {count} points {count} failed" in told.stderr
     assert not picture.exists()
+
+
+def cooling(a: float):
+    t = np.array([0.0, 1.0, 2.0])
+    curve = xr.DataArray(a * np.exp(-t), dims="t", coords={"t": t}, attrs={"units": "K"})
+    return {"tot": a, "curve": curve}
+
+
+def test_an_output_is_shown_where_a_place_along_its_own_dimension_is_chosen(tmp_path):
+    store = str(tmp_path / "cooling.zarr")
+    linksweep.run(cooling, store, axes={"a": [1.0, 2.0]}, pool="serial")
+    whole = CliRunner().invoke(main, ["show", store])
+    assert "curve: values at each point, 3 along t" in " ".join(whole.stdout.split())
+    told = CliRunner().invoke(main, ["show", store, "--at", "t=1"])
+    assert told.exit_code == 0
+    lines = told.stdout.splitlines()
+    assert next(line.split() for line in lines if "tot" in line) == ["a", "tot", "curve"]
+    assert next(line.split()[-1] for line in lines if line.split()[:1] == ["2"]) == "0.7358"
