@@ -63,7 +63,7 @@ def test_a_figure_of_failed_points_alone_is_refused(at, count, tmp_path):
 
 def cooling(a: float):
     t = np.array([0.0, 1.0, 2.0])
-    curve = xr.DataArray(a * np.exp(-t), dims="t", coords={"t": t}, attrs={"units": "K"})
+    curve = xr.DataArray(a * np.exp(-t), dims="t", coords={"t": t})
     return {"tot": a, "curve": curve}
 
 
