@@ -179,12 +179,10 @@ def _cross(found: Lines, line: int, limit: Limit, threshold: float) -> tuple[flo
 
 def _number(over: str, at: Any) -> float:
     """Return a value of an axis as a number; raises SweepError for texts and quantities with a unit."""
-    number: float | None = None
-    with suppress(TypeError, ValueError):
-        number = None if isinstance(at, str) else float(at)
-    if number is None:
-        raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
-    return number
+    if not isinstance(at, str):
+        with suppress(TypeError, ValueError):
+            return float(at)
+    raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
 
 
 def _crossing(found: Lines, x: Array, y: Array, errors: Array, i: int, threshold: float) -> tuple[float, float]:

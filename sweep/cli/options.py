@@ -170,10 +170,12 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
     dataset = open_dataset(store)
     with naming(store):
         part = select(dataset, places)
+        if not at:
+            return part
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):
             if not name.endswith(ERROR_SUFFIXES):  # a place along an output's own dimension is for that output
                 part[name].attrs["headline"] = 1
-        if at and not excluded_too:
+        if not excluded_too:
             _require_points(part, ",".join(at))
         return part
 

@@ -18,6 +18,8 @@ HUGE = 1e300
 LARGEST_INT = 2**63 - 1
 """Beyond it no array of integers holds a value."""
 
+Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
+
 
 def bound_in_words(raw: object) -> str:
     """Return what a finite number misses that is refused for its size alone; '' for anything else.
@@ -27,9 +29,6 @@ def bound_in_words(raw: object) -> str:
     """
     is_huge = isinstance(raw, (int, float)) and HUGE <= abs(raw) < np.inf
     return f", below {HUGE:g} in size" if is_huge else ""
-
-
-Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
 
 
 class Function(Protocol):

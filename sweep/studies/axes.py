@@ -39,8 +39,8 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
             f"keys {shown(sorted(map(str, keys)))}: allowed are values; start, stop, step; start, stop, num and spacing"
         )
     for key in ("start", "stop", "step", "num"):
-        if key in spec and not is_number(spec[key]):
-            raise ValueError(f"{key} = {shown(spec[key])}: must be a finite number{bound_in_words(spec[key])}")
+        if key in spec and (wrong := number_problem(spec[key])):
+            raise ValueError(f"{key} = {wrong}")
     start, stop = spec["start"], spec["stop"]
     if "step" in spec:
         return _stepped(start, stop, spec["step"], whole)
@@ -91,5 +91,10 @@ def _rounded(x: float, step: float = math.inf) -> float:
 
 
 def is_number(x: object) -> bool:
-    """Return whether x is a finite number."""
+    """Return whether x is a finite number that may stand in a study."""
     return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < HUGE
+
+
+def number_problem(x: object) -> str | None:
+    """Return why x is no such number, None for one."""
+    return None if is_number(x) else f"{shown(x)}: must be a finite number{bound_in_words(x)}"

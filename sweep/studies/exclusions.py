@@ -3,8 +3,7 @@
 from collections.abc import Collection, Mapping
 
 from sweep.contract import shown
-from sweep.contract.parameter import bound_in_words
-from sweep.studies.axes import is_number
+from sweep.studies.axes import number_problem
 from sweep.studies.study import Condition
 from sweep.studies.values import Values
 
@@ -44,8 +43,8 @@ def _condition(index: int, name: str, rule: object, given: Collection[str], valu
         problems.add(where, f"{name} has no value to compare: it is neither an axis nor fixed, and has no default")
     bounds: dict[str, float] = {}
     for key, raw in rule.items():
-        if not is_number(raw):
-            problems.add((*where, key), f"{shown(raw)}: must be a finite number{bound_in_words(raw)}")
+        if problem := number_problem(raw):
+            problems.add((*where, key), problem)
         else:
             bounds[key] = float(raw)
     return Condition(name, above=bounds.get("above"), below=bounds.get("below"))

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Array, Parameter, shown
-from sweep.contract.parameter import bound_in_words
-from sweep.studies.axes import is_number
+from sweep.studies.axes import number_problem
 
 WAYS = 'write [low, high], { low, high, spacing = "log" } or { values = [...] }'
 
@@ -84,8 +83,8 @@ def read_range(parameter: Parameter, spec: object) -> Range:
         raise ValueError(f"{parameter.name} is {parameter.allowed()}: write {{ values = [...] }}")
     low, high = spec["low"], spec["high"]
     for key in ("low", "high"):
-        if not is_number(spec[key]):
-            raise ValueError(f"{key} = {shown(spec[key])}: must be a finite number{bound_in_words(spec[key])}")
+        if wrong := number_problem(spec[key]):
+            raise ValueError(f"{key} = {wrong}")
         parameter.parse(spec[key])
     if not low < high:
         raise ValueError(f"low = {shown(low)} must be less than high = {shown(high)}")

@@ -167,10 +167,8 @@ def set_up_row_groups(
 def _listed(name: str, noted: Mapping[str, int]) -> list[str]:
     """Return the first notes of row groups, each with the first row of the first group that has it."""
     notes = [f"{name}, from row {first + 1} on: {note}" for note, first in noted.items()]
-    return [
-        *notes[:MOST_NOTES],
-        *([f"{name}: {len(notes) - MOST_NOTES} more such notes"] if notes[MOST_NOTES:] else []),
-    ]
+    more = len(notes) - MOST_NOTES
+    return notes if more <= 0 else [*notes[:MOST_NOTES], f"{name}: {more} more such notes"]
 
 
 def _median_epoch(found: Sequence[tuple[Array, Indices]]) -> float:
