@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -11,10 +12,15 @@ from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would fight for cores; NumPy comes later
 
-from tests.forked import Nursery
+from tests.forked import Nursery, run
+from tests.tiers import ALL, QUICK, examples
 
-settings.register_profile("any machine", deadline=None)  # a busy one takes longer, which proves nothing
-settings.load_profile("any machine")
+# Memory that is given back to the system after each array and taken again costs more than what is computed in it.
+for _name in ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"):
+    os.environ.setdefault(_name, str(2**28))  # read when a process starts: those of xdist do later
+
+settings.register_profile(ALL, deadline=None)  # a busy machine takes longer, which proves nothing
+settings.register_profile(QUICK, parent=settings.get_profile(ALL), max_examples=examples(100))
 
 # Compiled modules are kept, whatever the environment says: tests start hundreds of processes, each of which would
 # compile them again.
@@ -29,12 +35,40 @@ FIRST = ("test_paper", "test_kills", "test_faults", "test_tutorial", "test_slurm
 """Files that take longest: a process that got one of them at the end would keep the others waiting."""
 
 
+NURSERY = pytest.StashKey[Nursery]()
+
+
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run the tests that are marked slow, too")
 
 
+def runs_all(config):
+    return config.getoption("--all") or "slow" in config.getoption("markexpr")
+
+
+def pytest_configure(config):
+    settings.load_profile(ALL if runs_all(config) else QUICK)
+
+
+def nursery(config):
+    """Return the process from which those of `sweep` are forked; one for all workers of pytest-xdist."""
+    if NURSERY not in config.stash:
+        config.stash[NURSERY] = Nursery()
+    return config.stash[NURSERY]
+
+
+def pytest_configure_node(node):
+    """Tell a worker of pytest-xdist, from the process that starts it, where to ask."""
+    node.workerinput["nursery"] = nursery(node.config).address
+
+
+def pytest_unconfigure(config):
+    if NURSERY in config.stash:
+        config.stash[NURSERY].close()
+
+
 def pytest_collection_modifyitems(config, items):
-    if not config.getoption("--all") and "slow" not in config.getoption("markexpr"):
+    if not runs_all(config):
         slow = [item for item in items if item.get_closest_marker("slow")]
         config.hook.pytest_deselected(items=slow)
         items[:] = [item for item in items if not item.get_closest_marker("slow")]
@@ -100,15 +134,8 @@ def start_sweep():
         process.communicate()
 
 
-@pytest.fixture(scope="session")
-def nursery():
-    """The process from which those of `sweep` are forked."""
-    nursery = Nursery()
-    yield nursery
-    nursery.close()
-
-
 @pytest.fixture
-def sweep(nursery):
+def sweep(request):
     """A function that runs `sweep` as a process to its end and returns (exit code, stdout, stderr)."""
-    return nursery.run
+    config = request.config
+    return partial(run, config.workerinput["nursery"] if hasattr(config, "workerinput") else nursery(config).address)

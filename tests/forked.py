@@ -1,79 +1,106 @@
 """Processes of `sweep` that need not import what each of them imports: forked from one that has.
 
-``python -m tests.forked`` reads requests, a JSON document a line, and answers each with the exit code of its process.
+``python -m tests.forked ADDRESS`` waits at a Unix socket; it imports when it is first asked.  A request is a JSON
+document on a line, and its answer the exit code of its process.
 """
 
+import atexit
+import gc
 import importlib
 import json
 import os
+import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 import warnings
 from pathlib import Path
 from typing import Any
 
-IMPORTED = ("sweep.cli", "sweep.running.run", "sweep.executing.clusters", "dask.array", "distributed.deploy", "pandas")
-"""What nearly every command takes, most of its CPU time if it does little."""
+IMPORTED = (
+    *("sweep.cli", "sweep.running.run", "sweep.executing.clusters", "dask.array", "distributed.deploy", "pandas"),
+    *("core.experiment", "rich.progress", "rich.table", "pyarrow", "scipy.stats", "sweep.analysis.laws"),
+    *("matplotlib.backends.backend_agg", "sweep.plots.figure", "sweep.report.page", "sweep.tie.setup"),
+    *("astropy.table", "astropy.time", "astropy.io.ascii", "astropy.io.fits"),
+)
+"""What commands take, most of their CPU time if they do little."""
 
 LONGEST_S = 1200.0
 
 
 class Nursery:
-    """The process that has imported, and starts others."""
+    """The process that has imported, and starts others; all processes of a session of tests share it."""
 
     def __init__(self) -> None:
-        command = [sys.executable, "-m", "tests.forked"]
-        self._process = subprocess.Popen(
-            command,
-            cwd=Path(__file__).parent.parent,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-
-    def run(self, *arguments: Any, cwd: Any = None) -> tuple[int, str, str]:
-        """Run ``sweep`` with these arguments to its end; return exit code, standard output and standard error."""
-        assert self._process.stdin
-        assert self._process.stdout
-        with tempfile.TemporaryDirectory() as folder:
-            request = {
-                "arguments": [str(a) for a in arguments],
-                "cwd": str(cwd or Path.cwd()),
-                "environment": dict(os.environ),
-                "folder": folder,
-            }
-            late = threading.Timer(LONGEST_S, self.close)
-            late.start()
-            self._process.stdin.write(json.dumps(request) + "\n")
-            self._process.stdin.flush()
-            code = self._process.stdout.readline()
-            late.cancel()
-            assert code, f"sweep {' '.join(request['arguments'])} took longer than {LONGEST_S:g} s"
-            out, err = ((Path(folder) / name).read_bytes().decode() for name in ("out", "err"))
-            return int(code), out, err
+        self._folder = tempfile.mkdtemp()
+        self.address = f"{self._folder}/socket"
+        command = [sys.executable, "-m", "tests.forked", self.address]
+        self._process = subprocess.Popen(command, cwd=Path(__file__).parent.parent, start_new_session=True)
 
     def close(self) -> None:
         """End it, and whatever it has started."""
         if self._process.poll() is None:
             os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.communicate()
+        self._process.wait()
+        shutil.rmtree(self._folder)
 
 
-def serve() -> dict[str, Any]:
-    """Answer requests until there are no more; return the request in each process that is to carry it out."""
-    for name in IMPORTED:
-        importlib.import_module(name)
-    for line in sys.stdin:
-        child = os.fork()
-        if not child:
-            request: dict[str, Any] = json.loads(line)
-            return request
-        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
-    sys.exit()
+def run(address: str, *arguments: Any, cwd: Any = None) -> tuple[int, str, str]:
+    """Run ``sweep`` with these arguments to its end; return exit code, standard output and standard error."""
+    with tempfile.TemporaryDirectory() as folder, connected(address) as connection:
+        request = {
+            "arguments": [str(a) for a in arguments],
+            "cwd": str(cwd or Path.cwd()),
+            "environment": dict(os.environ),
+            "folder": folder,
+        }
+        connection.settimeout(LONGEST_S)
+        with connection.makefile("rw") as stream:
+            print(json.dumps(request), file=stream, flush=True)
+            code = int(stream.readline())
+        out, err = ((Path(folder) / name).read_bytes().decode() for name in ("out", "err"))
+        return code, out, err
+
+
+def connected(address: str) -> socket.socket:
+    """Return a connection to the process that has imported, which may just have been started."""
+    start = time.monotonic()
+    while True:
+        connection = socket.socket(socket.AF_UNIX)
+        try:
+            connection.connect(address)
+            return connection
+        except (FileNotFoundError, ConnectionRefusedError):
+            connection.close()
+            assert time.monotonic() < start + LONGEST_S, f"nothing at {address}"
+            time.sleep(0.05)
+
+
+def serve(address: str) -> dict[str, Any]:
+    """Answer requests until this process is killed; return the request in each process that is to carry it out."""
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(address)
+        listener.listen(128)
+        connection, _ = listener.accept()
+        for name in IMPORTED:
+            importlib.import_module(name)
+        gc.collect()
+        gc.freeze()  # a collection in a forked process would touch, and so copy, all that is imported
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those who answer
+        while os.fork():
+            connection.close()
+            connection, _ = listener.accept()
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    with connection, connection.makefile("rw") as stream:
+        request: dict[str, Any] = json.loads(stream.readline())
+        if child := os.fork():
+            print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), file=stream, flush=True)
+            os._exit(0)
+    return request
 
 
 def become(request: dict[str, Any]) -> None:
@@ -90,10 +117,25 @@ def become(request: dict[str, Any]) -> None:
     warnings.simplefilter("default")
 
 
+def end(code: Any) -> None:
+    """End this process as Python does, without taking its modules apart: that would copy nearly all of its memory."""
+    if isinstance(code, str):
+        print(code, file=sys.stderr)
+        code = 1
+    threading._shutdown()  # type: ignore[attr-defined]  # waits for the threads
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code or 0)
+
+
 if __name__ == "__main__":
-    become(serve())
+    become(serve(sys.argv[1]))
     from sweep.cli import main
     from sweep.cli.streams import prepare_streams
 
     prepare_streams()
-    main(prog_name="sweep")
+    try:
+        main(prog_name="sweep")
+    except SystemExit as ended:
+        end(ended.code)

@@ -3,8 +3,17 @@
 from typing import Any
 
 import pytest
+from hypothesis import settings
+
+ALL, QUICK = "all tests", "quick tests"
+"""Profiles of hypothesis, by tier."""
 
 
 def slow(*values: Any) -> Any:
     """Return values of a parametrised test that are only tried with ``--all``."""
     return pytest.param(*values, marks=pytest.mark.slow)
+
+
+def examples(number: int) -> int:
+    """Return how many examples a property test has that has this number of them with ``--all``."""
+    return number if settings.get_current_profile_name() == ALL else max(number // 5, 5)

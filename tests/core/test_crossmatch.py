@@ -34,6 +34,7 @@ from core.sky_pairs import (
     sky_tree,
     uniform_pairs,
 )
+from tests.tiers import examples
 
 
 def positions(ra_deg, dec_deg, error_arcsec=1.0):
@@ -225,7 +226,7 @@ def placed(matches: Matches, stars, catalogues):
 
 
 @pytest.mark.slow
-@settings(max_examples=150, derandomize=True)
+@settings(max_examples=examples(150), derandomize=True)
 @given(grid_sky, grid_sky, grid_sky, st.booleans(), st.randoms(use_true_random=False))
 def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, identified, random):
     stars, _ = on_grid(list({point[:2]: point for point in a}.values()), False)

@@ -12,6 +12,7 @@ from core.constants import MAS, MICROARCSEC
 from core.design import design_matrix, paper_design_matrix
 from core.frames import exact_differences, satellite_catalogue, triad
 from core.link import LinkError, combined_error, normal_inverse, solve, solve_normal
+from tests.tiers import examples
 
 EPSILON, OMEGA = np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS
 TRUTH = np.concatenate([EPSILON, OMEGA])
@@ -301,7 +302,7 @@ def test_negative_and_partly_zero_errors_are_named(side):
 vectors = st.tuples(*[st.floats(-2.0, 2.0)] * 3).map(np.array)
 
 
-@settings(max_examples=40, derandomize=True, database=None)
+@settings(max_examples=examples(40), derandomize=True, database=None)
 @given(turn=vectors, seed=st.integers(0, 2**32 - 1))
 def test_rotating_catalogue_and_vectors_together_rotates_the_solution(turn, seed):
     matrix = Rotation.from_rotvec(turn).as_matrix()
@@ -323,7 +324,7 @@ def test_rotating_catalogue_and_vectors_together_rotates_the_solution(turn, seed
     assert after.chi2 == pytest.approx(before.chi2, rel=1e-9)
 
 
-@settings(max_examples=40, derandomize=True, database=None)
+@settings(max_examples=examples(40), derandomize=True, database=None)
 @given(turn=vectors, seed=st.integers(0, 2**32 - 1))
 def test_moving_objects_also_rotate_with_their_vectors(turn, seed):
     """With motions the errors of ra enter pmra on another triad, so only error-free data are equivariant."""
@@ -357,7 +358,7 @@ def test_swapping_the_catalogues_flips_the_sign_to_first_order():
 
 
 @pytest.mark.slow
-@settings(max_examples=25, derandomize=True, database=None)
+@settings(max_examples=examples(25), derandomize=True, database=None)
 @given(
     n_obj=st.integers(4, 30),
     glide=st.booleans(),

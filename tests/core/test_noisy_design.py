@@ -17,6 +17,7 @@ from core.noise import Tile, tile_objects
 from core.noisy_design import ELEMENTS, SMALL_ANGLE, FullPath
 from core.prepared import Draw, prepare
 from core.shared_arrays import Prefixes
+from tests.tiers import examples
 
 ARCSEC = 1000.0 * MAS
 WELL_POSED = 1e3
@@ -85,7 +86,7 @@ def drawn(side, normals):
     return (unit * side.sigma).T
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(
     seed=st.integers(0, 2**32 - 1),
     n_obj=st.integers(4, 60),

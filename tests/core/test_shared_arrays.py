@@ -9,6 +9,7 @@ from core.constants import MAS
 from core.design import design_matrix
 from core.frames import exact_differences, stored_differences, triad
 from core.shared_arrays import PART, Prefixes, parts
+from tests.tiers import examples
 
 VECTORS = np.array([3.0, -2.0, 0.5]) * MAS, np.array([-0.7, 1.1, 2.0]) * MAS
 
@@ -28,7 +29,7 @@ def sky(n_obj, seed=1):
         lambda ra, dec, *_: np.array(triad(ra, dec)),
     ],
 )
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(n_obj=st.integers(1, PART))
 def test_the_bits_of_an_object_do_not_depend_on_how_many_there_are(of_objects, n_obj):
     objects = sky(PART)

@@ -13,6 +13,7 @@ from core.experiment import evaluate, link, samples, scenario
 from core.noise import ROWS, TILE, Noise, chunks, tile_objects, tiles
 from core.parameters import SHARED
 from core.simulate import simulate
+from tests.tiers import examples
 
 OTHER = {
     "model": "gaia",
@@ -80,7 +81,7 @@ def test_every_shared_parameter_has_another_value_here():
     assert all(OTHER[name] != link.parameter(name).default for name in SHARED)
 
 
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 @given(
     changes=st.lists(st.sets(st.sampled_from(sorted(SHARED)), max_size=6), min_size=1, max_size=4),
     sizes=st.lists(st.integers(3, 150), min_size=4, max_size=4),

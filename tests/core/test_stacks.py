@@ -16,6 +16,7 @@ from core.link import LinkError, UnlikeError
 from core.scenario import scenario
 from core.simulate import can_stack, simulate, simulate_stack
 from core.stacks import Generators, stacked_catalogue
+from tests.tiers import examples
 
 CATALOGUES = ("synthetic", "quasars", "galaxies", "radio-stars")
 
@@ -51,7 +52,7 @@ def assert_same_bits(found, expected):
             assert found[name][k].tobytes() == values.tobytes(), name
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(changes=POINTS, n_sim=st.sampled_from([2, 3, 20, 100]), n_cat=st.integers(2, 5))
 def test_each_catalogue_has_the_bits_that_it_has_by_itself(changes, n_sim, n_cat):
     point = link.defaults() | changes

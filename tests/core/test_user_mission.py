@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from core.missions import MISSIONS, accuracy_curves
 from core.user_mission import mission_from_table
 from sweep.contract import DefinitionError, SweepError
+from tests.tiers import examples
 
 EITHER = "needs either sigma_pos or position_ratio (sigma_pos = position_ratio x sigma_pm)"
 BOUNDS = ": must be a number from 1e-09 to 1e+07"
@@ -187,7 +188,7 @@ anything = st.recursive(
 
 
 @pytest.mark.slow
-@settings(max_examples=300, derandomize=True)
+@settings(max_examples=examples(300), derandomize=True)
 @given(st.dictionaries(st.sampled_from([*GAIA_2001, "position_ratio", "faint_limit", "source"]), anything), st.data())
 def test_anything_is_a_mission_or_told_to_be_none(table, data):
     base = data.draw(st.sampled_from([{}, TABLE, GAIA_2001, AMEX]))

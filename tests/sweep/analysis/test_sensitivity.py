@@ -13,6 +13,7 @@ from sweep.analysis.given_data import first_order
 from sweep.analysis.salib_indices import saltelli_indices
 from sweep.analysis.variance_grid import indices_of_grid, weights_of_order
 from sweep.studies.designs import DESIGNS
+from tests.tiers import slow
 
 PI = np.pi
 A, B = 7.0, 0.1
@@ -95,7 +96,7 @@ def borehole_indices():
     return by_quadrature(flow_of, BOREHOLE.values(), 4)
 
 
-@pytest.mark.parametrize("n", [12, 15])
+@pytest.mark.parametrize("n", [12, slow(15)])
 def test_a_grid_of_the_ishigami_function(n, tmp_path):
     middle = (np.arange(n) + 0.5) / n * 2 * PI - PI
     ds = run(ishigami, tmp_path / "s.zarr", axes=dict.fromkeys(BOX, middle))
@@ -143,7 +144,7 @@ def test_saltelli_designs_of_both_functions(borehole_indices, tmp_path):
     assert deep.equals(sensitivity(linksweep.open(tmp_path / "b.zarr")))  # the same errors every time
 
 
-@pytest.mark.parametrize("design", ["sobol", "halton", "latin-hypercube", "random"])
+@pytest.mark.parametrize("design", ["sobol", *map(slow, ("halton", "latin-hypercube", "random"))])
 def test_first_order_indices_of_any_points(design, borehole_indices, tmp_path):
     points = {"design": design, "n": 1024, "seed": 2}
     found = sensitivity(run(ishigami, tmp_path / "i.zarr", points=points | {"ranges": BOX}))
@@ -318,7 +319,9 @@ def test_a_result_that_is_the_same_everywhere_has_no_indices_and_no_errors(value
     assert np.isnan(indices_of_grid(np.full((n, n), value), None, [True, False])).all()
 
 
-@pytest.mark.parametrize(("design", "said"), [(None, True), ("sobol", True), ("saltelli", True), ("morris", False)])
+@pytest.mark.parametrize(
+    ("design", "said"), [(None, True), slow("sobol", True), slow("saltelli", True), ("morris", False)]
+)
 def test_a_result_that_does_not_vary_is_said_to(design, said, tmp_path):
     run = {"axes": {"x": [0.0, 1.0, 2.0], "y": [0.0, 1.0]}}
     if design:

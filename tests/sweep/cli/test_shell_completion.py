@@ -8,6 +8,7 @@ import pytest
 
 from sweep.cli.shell_completion import SAMPLING
 from sweep.studies.form import Sampling
+from tests.tiers import slow
 
 BIN = Path(sys.executable).parent
 
@@ -44,7 +45,7 @@ def test_commands(tmp_path):
     assert "run" not in offered(tmp_path, "sweep", "st")
 
 
-@pytest.mark.parametrize("command", ["run", "plan"])
+@pytest.mark.parametrize("command", ["run", slow("plan")])
 def test_a_study_is_built_in_or_a_file(tmp_path, command):
     (tmp_path / "quick.toml").touch()
     assert [name for name in offered(tmp_path, "sweep", command, "qu") if name] == ["quasars", "quick.toml"]
@@ -63,7 +64,7 @@ def test_keys_of_the_study_that_is_named_before(tmp_path):
     assert [o for o in offered(tmp_path, "sweep", "plan", "mine.toml", "--axis", "l") if o] == ["length=", "limit="]
 
 
-@pytest.mark.parametrize("content", [None, b"[", b"\xff", b"axes = 3", b"[[axes]]"])
+@pytest.mark.parametrize("content", [b"[[axes]]", *map(slow, (None, b"[", b"\xff", b"axes = 3"))])
 def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
     if content is not None:
         (tmp_path / "bad.toml").write_bytes(content)

@@ -15,6 +15,7 @@ from sweep.planning.tuning import TUNED
 from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
+from tests.tiers import examples
 
 
 def plan_of(document, **sampling):
@@ -42,7 +43,7 @@ def one_point(n_sim, n_cat):
 
 
 @pytest.mark.slow
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=examples(100), derandomize=True)
 @given(st.integers(1, 3000), st.integers(1, 60), st.floats(1.0, 1e9))
 def test_the_blocks_of_a_point_tile_its_realisations_exactly_once(n_sim, n_cat, cost):
     plan = one_point(n_sim, n_cat)
@@ -54,7 +55,7 @@ def test_the_blocks_of_a_point_tile_its_realisations_exactly_once(n_sim, n_cat, 
     assert np.all(covered == 1)
 
 
-@settings(max_examples=60, derandomize=True)
+@settings(max_examples=examples(60), derandomize=True)
 @given(st.integers(1, 2000), st.integers(1, 40), st.integers(0, 2000), st.integers(0, 40), st.floats(1.0, 1e8))
 def test_more_realisations_leave_whole_blocks_as_they_were(n_sim, n_cat, more_sim, more_cat, cost):
     before = list(one_point(n_sim, n_cat).blocks(cost))

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sweep.planning.point_cache import PointCache
+from tests.tiers import examples
 
 
 def test_only_what_is_looked_at_makes_a_difference():
@@ -26,7 +27,7 @@ def test_a_question_that_copies_its_point_looks_at_everything():
     assert [answers({"a": a, "b": b, "fixed": 9}) for a in (1, 2) for b in (10, 20)] == [11, 21, 12, 22]
 
 
-@settings(max_examples=200, derandomize=True)
+@settings(max_examples=examples(200), derandomize=True)
 @given(st.lists(st.tuples(*[st.integers(0, 2)] * 4), min_size=1, max_size=60), st.integers(0, 2), st.integers(0, 2))
 def test_the_answers_are_those_of_the_function_in_any_order(points, first, second):
     def question(point):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sweep.running.eta import Eta, in_words
-from tests.tiers import slow
+from tests.tiers import examples, slow
 
 START_S = 7.0
 """Workers take this long to be there: not work, and not extrapolated."""
@@ -124,7 +124,7 @@ def test_workers_that_are_gone_do_not_count():
     assert eta.left(30.0) == pytest.approx(140.0, rel=0.05)  # one of four is left
 
 
-@settings(max_examples=200, derandomize=True)
+@settings(max_examples=examples(200), derandomize=True)
 @given(
     st.lists(st.tuples(st.floats(0, 1e6), st.floats(0, 1e12), st.floats(0, 1e6), st.floats(0, 1e12)), max_size=30),
     st.floats(0, 1e15),

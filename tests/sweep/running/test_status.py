@@ -18,6 +18,7 @@ from sweep.running.run import Silent, run_study
 from sweep.running.status import plan_report, status_report
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict
+from tests.tiers import examples
 
 SERIAL = Resources(pool="serial")
 
@@ -128,7 +129,7 @@ def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
     }
 
 
-@settings(max_examples=200, derandomize=True)
+@settings(max_examples=examples(200), derandomize=True)
 @given(
     st.lists(
         st.tuples(st.sampled_from([Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED]), st.integers(0, 9)),
