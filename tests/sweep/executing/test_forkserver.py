@@ -67,6 +67,7 @@ def test_two_clusters_share_what_they_are_forked_from():
     assert not servers_below(os.getpid())
 
 
+@pytest.mark.slow
 def test_a_server_of_the_users_own_is_left_alone():
     forkserver.ensure_running()
     try:

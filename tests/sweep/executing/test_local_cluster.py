@@ -45,6 +45,7 @@ def test_one_with_a_guard_computes(tmp_path):
     assert (done.returncode, done.stdout) == (0, "[2. 4.]\n"), done.stderr
 
 
+@pytest.mark.slow
 def test_a_script_that_comes_by_standard_input_computes_in_processes(tmp_path):
     script = SCRIPT.format(guard="if __name__ == '__main__':") + "    print(__file__)"
     done = subprocess.run(
@@ -72,6 +73,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_dashboard_that_nobody_asked_for_is_not_imported(tmp_path):
     done = run_script(tmp_path, NO_DASHBOARD)
     assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr

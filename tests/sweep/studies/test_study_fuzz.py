@@ -241,7 +241,7 @@ def check_answer(result: Result, what: str) -> None:
         assert all(c.isprintable() for line in result.stderr.splitlines() for c in line), (what, result.stderr)
 
 
-@pytest.mark.parametrize("count", [40, slow(2000)])
+@pytest.mark.parametrize("count", [100, slow(2000)])
 def test_mutants_of_every_study_are_planned_or_refused(folder: Path, count: int) -> None:
     codes: Counter[int] = Counter()
     for what, text in mutants(20031, count):
