@@ -5,7 +5,6 @@ import pytest
 from sweep.cli import demo
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study
-from tests.tiers import slow
 
 
 def test_the_study_is_one_with_a_question_and_an_answer():
@@ -37,7 +36,8 @@ def test_a_folder_that_is_there_is_not_touched(sweep, tmp_path):
     assert not list((tmp_path / "linksweep-demo").iterdir())
 
 
-@pytest.mark.parametrize("package", ["matplotlib", slow("bokeh")])
+@pytest.mark.slow
+@pytest.mark.parametrize("package", ["matplotlib", "bokeh"])
 def test_steps_whose_packages_are_missing_are_left_out(tmp_path, monkeypatch, package):
     from click.testing import CliRunner
 

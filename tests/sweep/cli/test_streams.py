@@ -42,7 +42,11 @@ def shell(redirection, *arguments, unbuffered=""):
 @pytest.mark.parametrize("unbuffered", ["", pytest.param("1", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "arguments",
-    [("list",), ("--help",), ("show", "STORE"), ("show", "STORE", "--json"), ("status", "STORE", "--json")],
+    [
+        ("list",),
+        ("show", "STORE"),
+        *map(slow, (("--help",), ("show", "STORE", "--json"), ("status", "STORE", "--json"))),
+    ],
     ids=" ".join,
 )
 def test_a_full_device_is_one_sentence(store, arguments, unbuffered):
