@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -203,8 +202,7 @@ class DaskExecutor:
         answers: list[Answer] = []
         if len(good) > 1:
             with suppress(Exception):
-                gather = partial(self._workers.client.gather, good, asynchronous=True)
-                answers = self._workers.client.sync(gather, callback_timeout=LOOK_EVERY_S)
+                answers = self._workers.fetch(good).result(LOOK_EVERY_S)
         known = dict(zip(good, answers, strict=False))
         yield from ((future, known.get(future)) for future in futures)
 

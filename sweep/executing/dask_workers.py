@@ -2,6 +2,9 @@
 
 import pickle
 import time
+from asyncio import run_coroutine_threadsafe
+from concurrent.futures import Future as Fetching
+from concurrent.futures import wait
 from threading import Event
 from typing import Any
 
@@ -108,14 +111,19 @@ class DaskWorkers:
         """Wait for a result, and look after the workers meanwhile: the one that had it may have died since, and then it
         is computed again, which without workers would take for ever.
         """
-        while True:
-            try:
-                answer: Answer = future.result(timeout=LOOK_EVERY_S)
-                return answer
-            except TimeoutError:
-                if future.status == "error":
-                    raise
-                self.look()
+        fetching = self.fetch([future])
+        while not wait([fetching], LOOK_EVERY_S).done:
+            self.look()
+        return fetching.result()[0]
+
+    def fetch(self, futures: list[Future[Any]]) -> Fetching[list[Answer]]:
+        """Begin to fetch results, in one message.
+
+        It goes on whether it is waited for or not.  Dask ends what takes longer than its timeouts, and where that had
+        not begun yet, as on a machine that stands still for a moment, all that the client fetches later fails.
+        """
+        gather = self.client.gather(futures, asynchronous=True)
+        return run_coroutine_threadsafe(gather, self.client.loop.asyncio_loop)
 
     def warn(self, worker: str, texts: list[str]) -> None:
         """Say in what a worker differs that decides no number, once."""

@@ -1,12 +1,17 @@
 """How an executor talks to a Dask client: what it says to a client that records it."""
 
+import asyncio
+import threading
 import time
+from types import SimpleNamespace
 
+import distributed
 import numpy as np
 import pytest
 from distributed.comm import CommClosedError
 
 from sweep.contract import SweepError
+from sweep.executing import dask_workers
 from sweep.executing.dask_executor import MOST_FETCHED, MOST_SENT, DaskExecutor
 from sweep.executing.dask_workers import MAX_ATTEMPTS, DaskWorkers
 from sweep.executing.execute import NO_LIMITS
@@ -37,9 +42,6 @@ class Ended:
 
     def add_done_callback(self, call):
         call(self)
-
-    def result(self, timeout=None):
-        return self.answer
 
     def release(self):
         pass
@@ -77,22 +79,32 @@ class Client:
         self.enough_s |= {task.enough_s for task in tasks}
         return [Ended(task.units) for task in tasks]
 
-    def gather(self, futures, asynchronous):
-        if self.unable_to_gather:
+    async def gather(self, futures, asynchronous):
+        if self.unable_to_gather and len(futures) > 1:
             raise RuntimeError("one of them is lost")
         self.gathered.append(len(futures))
         return [future.answer for future in futures]
 
-    def sync(self, function, callback_timeout):
-        return function()
+
+@pytest.fixture
+def loop():
+    """An event loop that runs in a thread, as that of a client does."""
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    yield SimpleNamespace(asyncio_loop=loop)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join()
+    loop.close()
 
 
 @pytest.fixture
-def run(monkeypatch):
+def run(monkeypatch, loop):
     """Run the study with a client; returns the numbers of points of the results."""
     monkeypatch.setattr(time, "sleep", lambda seconds: None)
 
     def with_client(client):
+        client.loop = loop
         study = study_from_dict(STUDY)
         plan = Plan(make_grid(study))
         pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
@@ -110,7 +122,8 @@ def test_tasks_are_sent_and_results_fetched_many_at_a_time(run):
     assert sum(client.sent) == 300
     assert max(client.sent) <= MOST_SENT
     assert len(client.sent) < 30
-    assert sum(client.gathered) > 250  # a last one by itself is not gathered
+    assert sum(client.gathered) == 300
+    assert len(client.gathered) < 30
     assert max(client.gathered) <= MOST_FETCHED
 
 
@@ -125,7 +138,7 @@ def test_on_many_threads_a_task_may_take_longer(run, threads, enough_s):
 def test_results_that_cannot_be_fetched_together_are_fetched_one_by_one(run):
     client = Client(unable_to_gather=True)
     assert sum(run(client)) == 300
-    assert not client.gathered
+    assert client.gathered == [1] * 300
 
 
 def test_a_worker_that_goes_while_it_is_told_of_the_run_stops_nothing(run):
@@ -135,3 +148,25 @@ def test_a_worker_that_goes_while_it_is_told_of_the_run_stops_nothing(run):
 def test_nothing_but_workers_that_go_stops_it(run):
     with pytest.raises(SweepError, match="a worker has gone"):
         run(Client(refusals=MAX_ATTEMPTS))
+
+
+def test_results_are_fetched_where_the_client_stands_still_for_longer_than_it_is_looked_after(monkeypatch):
+    """Dask had ended what was to be fetched before it began, and the client could fetch nothing from then on."""
+    monkeypatch.setattr(dask_workers, "LOOK_EVERY_S", 0.02)
+    monkeypatch.setattr(DaskWorkers, "look", lambda self: None)  # it takes the same client
+    done = threading.Event()
+    with distributed.Client(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as client:
+        workers = DaskWorkers(client, "a worker", STUDY["experiment"], print)
+        futures = client.map(abs, range(-3, 0))
+        distributed.wait(futures)
+
+        def stand_still():
+            time.sleep(0.05)
+            if not done.is_set():
+                client.loop.add_callback(stand_still)
+
+        client.loop.add_callback(stand_still)
+        try:
+            assert [workers.result(future) for future in futures] == [3, 2, 1]
+        finally:
+            done.set()
