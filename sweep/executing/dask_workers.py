@@ -122,8 +122,8 @@ class DaskWorkers:
         It goes on whether it is waited for or not.  Dask ends what takes longer than its timeouts, and where that had
         not begun yet, as on a machine that stands still for a moment, all that the client fetches later fails.
         """
-        gather = self.client.gather(futures, asynchronous=True)
-        return run_coroutine_threadsafe(gather, self.client.loop.asyncio_loop)
+        loop: Any = self.client.loop
+        return run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
 
     def warn(self, worker: str, texts: list[str]) -> None:
         """Say in what a worker differs that decides no number, once."""
