@@ -29,6 +29,7 @@ from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study, study_from_dict
 from sweep.studies.source import built_in_studies
+from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 
@@ -324,7 +325,7 @@ def test_bad_input_is_exit_code_2_and_nothing_is_written(coins, tmp_path, monkey
     assert (tmp_path / "mine.html").read_text() == "mine"
 
 
-@pytest.mark.parametrize("package", ["bokeh", "jinja2"])
+@pytest.mark.parametrize("package", ["bokeh", slow("jinja2")])
 def test_a_missing_package_is_named_with_what_to_do(tmp_path, package):
     (tmp_path / package).mkdir()
     (tmp_path / package / "__init__.py").write_text(f"raise ImportError('no {package} here')")
