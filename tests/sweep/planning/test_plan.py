@@ -43,7 +43,7 @@ def one_point(n_sim, n_cat):
 
 
 @pytest.mark.slow
-@settings(max_examples=examples(100), derandomize=True)
+@settings(max_examples=100, derandomize=True)
 @given(st.integers(1, 3000), st.integers(1, 60), st.floats(1.0, 1e9))
 def test_the_blocks_of_a_point_tile_its_realisations_exactly_once(n_sim, n_cat, cost):
     plan = one_point(n_sim, n_cat)

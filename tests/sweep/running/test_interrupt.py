@@ -317,6 +317,7 @@ def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, number, code, wor
     store = tmp_path / "s.zarr"
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, *pool, start_new_session=True)
     assert "20 points" in process.stderr.readline()
+    wait_for((store / "zarr.json").exists)
     time.sleep(0.5)
     returned, err = stopped(process, number)
     assert returned == code

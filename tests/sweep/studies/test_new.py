@@ -17,7 +17,6 @@ from sweep.studies.template import NOT_HERE, new_study
 from tests.conftest import COINS
 from tests.sweep.mutations import corpus
 from tests.sweep.studies.test_study_fuzz import GOOD, documents
-from tests.tiers import examples
 
 LINK = "core.experiment:link"
 
@@ -190,7 +189,7 @@ def test_the_schema_refuses_what_plan_refuses(wrong):
 
 @pytest.mark.slow
 @given(documents())
-@settings(max_examples=examples(30), derandomize=True, suppress_health_check=list(HealthCheck), database=None)
+@settings(max_examples=30, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
 def test_what_plan_accepts_conforms_to_the_schema(document):
     without_files = {key: value for key, value in document.items() if key != "published"}
     try:

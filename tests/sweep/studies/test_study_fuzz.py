@@ -141,7 +141,7 @@ def enlarged(node: Any) -> Any:
     return 10**5000 if isinstance(node, str) and node == "10**5000" else node
 
 
-fuzz = settings(max_examples=examples(300), derandomize=True, suppress_health_check=list(HealthCheck), database=None)
+fuzz = settings(max_examples=300, derandomize=True, suppress_health_check=list(HealthCheck), database=None)
 
 less_fuzz = settings(fuzz, max_examples=examples(60))  # of what writes files
 
