@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
-from scipy.special import chdtrc, fdtrc  # scipy.stats takes longer to import than a small study to run
 
 from sweep.contract import Array, small_sample_factor
 
@@ -118,6 +116,8 @@ def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
 
     With a covariance from so many samples chi2 is Hotelling's T^2, which has an F distribution.
     """
+    from scipy.special import chdtrc, fdtrc  # scipy.stats takes longer to import than a small study to run
+
     if not np.isfinite(samples):
         return float(chdtrc(dof, chi2)) if dof > 0 else np.nan
     left = samples - dof
@@ -139,7 +139,9 @@ def _inverse_root_of(covariance: Array) -> Callable[[Array], Array]:
     errors independent and one.  Raises ValueError if there is none.
     """
     try:
-        root = cholesky(covariance, lower=True)
-    except (LinAlgError, ValueError) as error:
-        raise ValueError("the covariance between the points is not positive definite") from error
-    return lambda vector: np.asarray(solve_triangular(root, vector, lower=True))
+        root = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        root = np.full_like(covariance, np.nan)
+    if not np.all(np.isfinite(root)):  # NaN in is NaN out, without an error
+        raise ValueError("the covariance between the points is not positive definite")
+    return lambda vector: np.linalg.solve(root, vector)

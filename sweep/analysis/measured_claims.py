@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from sweep.analysis.fits import power_law
 from sweep.analysis.quantity import (
     covariance_along,
     error_of_sum,
@@ -172,8 +173,6 @@ class Points:
         elif shares_random_numbers(self.dataset, [dimension]):
             samples = math.nan
         try:
-            from sweep.analysis.fits import power_law  # with SciPy's linear algebra, which few claims need
-
             law = power_law(x, y, errors, samples)
         except ValueError as error:
             return Measured(where, missing=str(error))

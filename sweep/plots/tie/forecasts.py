@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from sweep.contract import SweepError
+from sweep.plots.legends import BEST
 from sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series
 from sweep.plots.tie.names import by_unit, readable, unknown_symbol
 from sweep.readable import written
@@ -101,7 +102,7 @@ def _draw_steps(axes: Axes, dataset: xr.Dataset, chosen: list[str]) -> None:
     axes.set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
     axes.set_xlabel("observed, one after the other")
     axes.set_ylabel("error relative to none")
-    axes.legend(frameon=False)
+    axes.legend(loc=BEST, frameon=False)
 
 
 def _places_of_goal(dataset: xr.Dataset) -> NDArray[np.intp]:

@@ -106,9 +106,17 @@ def test_neglected_correlation_would_misjudge_the_exponent():
     assert together.amplitude_error > alone.amplitude_error
 
 
-def test_a_covariance_without_an_inverse_is_refused():
+@pytest.mark.parametrize("number", [1.0, np.nan, np.inf])
+def test_a_covariance_without_an_inverse_is_refused(number):
     with pytest.raises(ValueError, match="not positive definite"):
-        power_law(N, N**-0.5, np.ones((5, 5)))
+        power_law(N, N**-0.5, np.full((5, 5), number))
+
+
+def test_a_covariance_with_one_number_missing_is_refused():
+    covariance = np.eye(5)
+    covariance[3, 3] = np.nan
+    with pytest.raises(ValueError, match="not positive definite"):
+        power_law(N, N**-0.5, covariance)
 
 
 def test_p_values():
