@@ -21,6 +21,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from tests.patience import PATIENCE_S
+
 IMPORTED = (
     *("sweep.cli", "sweep.running.run", "sweep.executing.clusters", "dask.array", "distributed.deploy", "pandas"),
     *("core.experiment", "rich.progress", "rich.table", "pyarrow", "scipy.stats", "sweep.analysis.laws"),
@@ -28,8 +30,6 @@ IMPORTED = (
     *("astropy.table", "astropy.time", "astropy.io.ascii", "astropy.io.fits"),
 )
 """What commands take, most of their CPU time if they do little."""
-
-LONGEST_S = 1200.0
 
 
 class Nursery:
@@ -58,7 +58,7 @@ def run(address: str, *arguments: Any, cwd: Any = None) -> tuple[int, str, str]:
             "environment": dict(os.environ),
             "folder": folder,
         }
-        connection.settimeout(LONGEST_S)
+        connection.settimeout(PATIENCE_S)
         with connection.makefile("rw") as stream:
             print(json.dumps(request), file=stream, flush=True)
             code = int(stream.readline())
@@ -76,7 +76,7 @@ def connected(address: str) -> socket.socket:
             return connection
         except (FileNotFoundError, ConnectionRefusedError):
             connection.close()
-            assert time.monotonic() < start + LONGEST_S, f"nothing at {address}"
+            assert time.monotonic() < start + PATIENCE_S, f"nothing at {address}"
             time.sleep(0.05)
 
 

@@ -4,6 +4,7 @@ import sys
 
 import pytest
 
+from tests.patience import PATIENCE_S
 from tests.test_docs import code
 
 pytestmark = pytest.mark.slow
@@ -37,7 +38,7 @@ def outputs(tmp_path_factory):
         patch.delenv("PYTHONWARNINGS", raising=False)
         resources = {"metadata": {"path": str(folder)}}
         nbclient.NotebookClient(
-            notebook, kernel_name="here", timeout=600, allow_errors=True, resources=resources
+            notebook, kernel_name="here", timeout=int(PATIENCE_S), allow_errors=True, resources=resources
         ).execute()
     return [cell.outputs for cell in notebook.cells]
 

@@ -9,6 +9,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
+
 
 class Outside:
     """A scheduler on loopback, and workers that come and go."""
@@ -37,7 +39,7 @@ class Outside:
         from distributed import Client
 
         with Client(self.address, set_as_default=False) as client:
-            client.wait_for_workers(count, timeout=500)
+            client.wait_for_workers(count, timeout=PATIENCE_S)
 
     def _start(self, command: str, *arguments: str, before: Sequence[str] = (), **environment: str) -> subprocess.Popen:
         with (self.folder / f"{command}.log").open("a") as log:
@@ -71,7 +73,7 @@ def address_in(file: Path) -> str | None:
         return None
 
 
-def wait_until(true, what, seconds=500.0):
+def wait_until(true, what, seconds=PATIENCE_S):
     """Wait until a function returns something true, and return it."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:

@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sweep.cli import main
+from tests.patience import PATIENCE_S
 from tests.tiers import slow
 
 GOOD = """\
@@ -532,7 +533,7 @@ def test_malformed_scheduler_address(here: Path, address: str) -> None:
     (here / "study.toml").write_text(GOOD)
     before = tree(here)
     command = [sys.executable, "-c", "from sweep.cli import main; main()", "run", "study.toml", "--scheduler", address]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 2
     assert repr(address) in done.stderr
     assert "Traceback" not in done.stderr

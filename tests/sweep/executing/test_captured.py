@@ -9,6 +9,7 @@ from threading import Barrier
 import pytest
 
 from sweep.executing.captured import captured
+from tests.patience import PATIENCE_S
 from tests.sweep.user import write_experiment, write_study
 from tests.tiers import slow
 
@@ -37,7 +38,7 @@ def test_what_a_model_prints_is_in_the_log_and_not_in_the_output(pool, tmp_path,
     write_study(tmp_path, "kind = [1, 2, 3]")
     arguments = ("run", "s.toml", "-o", "s.zarr", "--json", "--log", "run.log", *POOLS[pool])
     process = start_sweep(*arguments, cwd=tmp_path)
-    out, err = process.communicate(timeout=300)
+    out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     rows = json.loads(out)
     assert rows

@@ -8,6 +8,7 @@ from contextlib import suppress
 import pytest
 
 from sweep.executing.deadlines import Deadlines, TimeLimitError
+from tests.patience import PATIENCE_S
 
 
 @pytest.fixture(autouse=True)
@@ -53,17 +54,17 @@ def test_the_alarm_is_set_to_the_first_end_of_all_threads():
 
     def block(seconds):
         with deadlines.within(seconds):
-            inside.wait(60)
-            leave.wait(60)
+            inside.wait(PATIENCE_S)
+            leave.wait(PATIENCE_S)
 
     threads = [threading.Thread(target=block, args=(seconds,)) for seconds in (1000, 3000)]
     for thread in threads:
         thread.start()
-    inside.wait(60)
+    inside.wait(PATIENCE_S)
     assert 900 < signal.getitimer(signal.ITIMER_REAL)[0] <= 1002
-    leave.wait(60)
+    leave.wait(PATIENCE_S)
     for thread in threads:
-        thread.join(60)
+        thread.join(PATIENCE_S)
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 

@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 import zarr
 
+from tests.patience import PATIENCE_S
 from tests.sweep.outside import Outside, below, command_of, wait_until, workers_below
 
 LONG = ("--set", "n_sim=20000", "--set", "n_cat=6")
@@ -74,7 +75,7 @@ def test_a_killed_worker_costs_nothing_but_time(link_study, tmp_path, start_swee
     process = start_sweep("run", link_study, "-o", store, *LONG, "--workers", 2)
     started_to_write(store, process)
     os.kill(workers_below(process.pid)[0], signal.SIGKILL)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert quiet(err), err
     xr.testing.assert_identical(results(store), reference)
@@ -89,7 +90,7 @@ def test_a_stalled_worker_goes_on(link_study, tmp_path, start_sweep, reference):
     os.kill(worker, signal.SIGSTOP)
     time.sleep(5)
     os.kill(worker, signal.SIGCONT)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert quiet(err), err
     xr.testing.assert_identical(results(store), reference)
@@ -104,7 +105,7 @@ def test_all_workers_die_and_others_join(link_study, tmp_path, start_sweep, outs
     outside.kill(*workers)
     before = lines_until("has no workers; waiting for some", process)
     outside.start_worker()
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert "has no workers" not in before + err
     assert err.count("has workers again") == 1
@@ -119,7 +120,7 @@ def test_workers_may_come_late(link_study, tmp_path, start_sweep, outside, refer
     lines_until("has no workers; waiting for some", process)
     assert not store.exists()  # before a worker was compared with the client
     outside.start_worker()
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert "has no workers" not in err
     xr.testing.assert_identical(results(store), reference)
@@ -161,7 +162,7 @@ def test_a_worker_with_another_version_that_joins_later_stops_the_run(
     process = start_sweep("run", link_study, "-o", store, *LONG, "--scheduler", outside.address)
     started_to_write(store, process)
     outside.start_worker(**other_version(tmp_path, "numpy", "0.0.9"))
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2, err
     assert f"numpy is {version('numpy')} here, 0.0.9 there" in err
     code, _, err = sweep("run", link_study, "-o", store, *LONG, "--pool", "serial")
@@ -207,7 +208,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_loses_nothing(
     process = start_sweep("run", link_study, "-o", store, *LONG, "--scheduler", outside.address)
     started_to_write(store, process)
     outside.kill(outside.scheduler)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 2, err
     words = f"error: the connection to the Dask scheduler at {outside.address} is lost; what was finished is kept"
     assert words in err
@@ -257,7 +258,7 @@ def test_everything_listens_on_loopback_and_nothing_is_left(link_study, tmp_path
     assert addresses or pool == "threads"
     assert set(addresses) <= {"0100007F"}
     assert list((tmp_path / "temporary").iterdir())
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     wait_until(lambda: not any(command_of(pid) for pid in family), "the end of all processes", 5)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["s.zarr", "small.toml", "temporary"]

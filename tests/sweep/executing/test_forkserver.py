@@ -15,6 +15,7 @@ from distributed import LocalCluster
 from sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked
 from sweep.executing.local_cluster import own_cluster
 from sweep.executing.worker_plugin import TaskPlugin
+from tests.patience import PATIENCE_S
 from tests.sweep.executing.test_faults import started_to_write
 from tests.sweep.outside import below, command_of, workers_below
 
@@ -97,7 +98,7 @@ def test_modules_of_the_folder_are_not_taken_for_others(link_study, tmp_path, st
     (tmp_path / "calendar.py").write_text("raise ZeroDivisionError('the wrong calendar')")
     command = [sys.executable, "-P", "-m", "sweep"]
     process = start_sweep("run", link_study, "-o", "s.zarr", "--workers", 1, command=command, cwd=tmp_path)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, "wrong" in err) == (0, False), err
 
 
@@ -118,7 +119,7 @@ def test_the_process_that_workers_are_forked_from_may_die(link_study, tmp_path, 
     started_to_write(tmp_path / "b.zarr", process)
     for server in servers_below(process.pid):
         os.kill(server, signal.SIGKILL)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, "Traceback" in err) == (0, False), err
     a, b = (xr.open_zarr(tmp_path / name).load().drop_attrs() for name in ("a.zarr", "b.zarr"))
     xr.testing.assert_identical(a, b)
@@ -140,7 +141,7 @@ def test_a_temporary_directory_with_a_long_name(link_study, tmp_path, start_swee
     assert sweep("run", link_study, "-o", tmp_path / "a.zarr", "--pool", "serial")[0] == 0
     monkeypatch.setenv("TMPDIR", str(long))
     process = start_sweep("run", link_study, "-o", tmp_path / "b.zarr", "--workers", 1)
-    _, err = process.communicate(timeout=120)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, "Traceback" in err) == (0, False), err
     a, b = (xr.open_zarr(tmp_path / name).load().drop_attrs() for name in ("a.zarr", "b.zarr"))
     xr.testing.assert_identical(a, b)

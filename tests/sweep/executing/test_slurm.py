@@ -3,6 +3,7 @@
 import pytest
 import xarray as xr
 
+from tests.patience import PATIENCE_S
 from tests.sweep.executing.test_faults import LONG, quiet, reference, results, started_to_write
 from tests.sweep.outside import wait_until
 from tests.sweep.slurm import Slurm, why_not
@@ -64,7 +65,7 @@ def test_cancelled_jobs_cost_nothing_but_time(link_study, tmp_path, start_sweep,
     started_to_write(store, process)
     wait_until(lambda: len(jobs(slurm)) == 2, "two jobs")
     slurm.run("scancel", *jobs(slurm)[:cancelled])
-    _, err = process.communicate(timeout=240)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert quiet(err), err
     xr.testing.assert_identical(results(store), reference)

@@ -6,9 +6,8 @@ import pytest
 import trustme
 import xarray as xr
 
+from tests.patience import PATIENCE_S
 from tests.sweep.outside import Outside
-
-PATIENCE_S = 240.0
 
 
 class Files:

@@ -13,6 +13,7 @@ from sweep.analysis.quantity import standard_error
 from sweep.formatting import with_error
 from sweep.report.page import report_of
 from sweep.stores.store import open_dataset
+from tests.patience import PATIENCE_S
 from tests.sweep.report.test_page import evil_store
 
 __all__ = ["evil_store"]
@@ -27,7 +28,6 @@ OPTIONS = [
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage"),
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 ]
-PATIENCE_S = 500  # a hang, not a speed limit
 
 # Elements in all shadow roots too, where BokehJS puts its own.
 EVERYTHING = """

@@ -18,10 +18,8 @@ from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.stores.store import Store
 from sweep.studies.reader import study_from_dict
+from tests.patience import PATIENCE_S
 from tests.tiers import slow
-
-PATIENCE_S = 120.0
-"""What is waited for a process that is to end; benchmarks/interrupt.py prints how long it takes."""
 
 ENDLESS_S = 3600.0
 """Longer than a test may take: what waits for it fails."""

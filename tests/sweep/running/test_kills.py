@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 
 from sweep.studies.reader import load_study
+from tests.patience import PATIENCE_S
 from tests.sweep.opening import existing_store
 
 pytestmark = pytest.mark.slow  # 50 runs, each killed at several instants
@@ -67,7 +68,7 @@ def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tm
         except subprocess.TimeoutExpired:
             end = rng.choices(list(WAYS), list(WAYS.values()))[0]
             (os.kill if end == signal.SIGTERM else os.killpg)(process.pid, end)  # Ctrl-C reaches workers too
-            _, err = process.communicate(timeout=120)
+            _, err = process.communicate(timeout=PATIENCE_S)
             kills += 1
             assert process.returncode in (0, -end, 128 + end), err  # 0: it was in its last moment
             begun = (store / "zarr.json").exists()

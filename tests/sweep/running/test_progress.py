@@ -19,6 +19,7 @@ from sweep.running.progress import SENTENCES, TerminalProgress
 from sweep.running.run_summary import RunSummary, failed_points
 from sweep.running.writer import Taken
 from sweep.studies.reader import study_from_dict
+from tests.patience import PATIENCE_S
 
 FAULTY = """
 import logging
@@ -237,7 +238,7 @@ def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_s
     """The bar is drawn again and again; what stays are the sentences."""
     inner = f"TERM=xterm {sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=100000 --workers 1"
     process = start_sweep(command=["script", "-qec", inner, "/dev/null"])
-    shown, _ = process.communicate(timeout=500)
+    shown, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, shown
     assert "━" in shown
     assert "realisations/s about" in re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown)

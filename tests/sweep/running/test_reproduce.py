@@ -12,6 +12,7 @@ from sweep.interrupt import RunInterruptedError
 from sweep.planning.tuning import Tuning
 from sweep.running.run import run_study
 from sweep.studies.reader import study_from_dict
+from tests.patience import PATIENCE_S
 
 EXPERIMENT = (Path(__file__).parents[1] / "coins.py").read_text()
 FRAGILE = EXPERIMENT.replace(
@@ -126,7 +127,7 @@ def test_reproduce_opens_the_debugger_where_a_point_raises(broken, start_sweep):
 
     store, _ = broken
     process = start_sweep("reproduce", store, "--at", "metal=gold,coins=5", "--pdb", stdin=subprocess.PIPE)
-    out, _ = process.communicate("p points[0]['coins']\nq\n", timeout=500)
+    out, _ = process.communicate("p points[0]['coins']\nq\n", timeout=PATIENCE_S)
     assert "(Pdb) 5" in out
     assert process.returncode == 1
 

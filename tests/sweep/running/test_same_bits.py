@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 import zarr
 
+from tests.patience import PATIENCE_S
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 
@@ -81,7 +82,7 @@ def test_a_client_killed_half_way_is_resumed(link_study, tmp_path, start_sweep, 
     process = start_sweep("run", link_study, "-o", store, *LONG, start_new_session=True)
     wait_for_rows(store, process)
     (os.killpg if end == signal.SIGINT else os.kill)(process.pid, end)  # Ctrl-C in a terminal reaches the workers too
-    _, err = process.communicate(timeout=500)
+    _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == (130 if end == signal.SIGINT else -signal.SIGKILL), err
     if end == signal.SIGINT:
         assert "goes on from there" in err

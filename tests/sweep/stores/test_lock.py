@@ -17,6 +17,7 @@ from sweep.contract import SweepError
 from sweep.stores import lock
 from sweep.stores.location import located
 from sweep.stores.lock import Holder, holder, locked
+from tests.patience import PATIENCE_S
 
 HOLD = """
 import sys, time
@@ -32,7 +33,7 @@ def hold():
     """A function that starts a process which holds the lock of a place, and returns it."""
     started = []
 
-    def start(place, seconds=300.0):
+    def start(place, seconds=PATIENCE_S):
         command = [sys.executable, "-c", HOLD, str(place), str(seconds)]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         started.append(process)
@@ -192,7 +193,7 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
     assert code == 0, err
     assert f"process {first.pid} on " in out
     first.send_signal(signal.SIGINT)
-    assert first.wait(timeout=500) == 130
+    assert first.wait(timeout=PATIENCE_S) == 130
     assert not (tmp_path / "s.zarr.lock").exists()
     code, out, err = sweep("status", store)
     assert "running: no" in out

@@ -23,6 +23,7 @@ from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.planning.checked_grid import make_grid
 from sweep.studies.reader import load_study, study_from_dict
+from tests.patience import PATIENCE_S
 from tests.sweep.mutations import ROOT, mutants
 from tests.tiers import examples, slow
 
@@ -310,7 +311,7 @@ QUICK = {"an axis of 1e9 values by step", "brackets without end"}
 def test_what_is_too_large_is_refused_soon_and_in_little_memory(tmp_path: Path, case: str) -> None:
     (tmp_path / "study.toml").write_text(LARGE[case])
     command = ["sh", "-c", f"ulimit -v {ADDRESSES_KB}; exec {sys.executable} -m sweep plan study.toml"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=1200, check=False)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith("error: study.toml: ")
     assert "Traceback" not in done.stderr
