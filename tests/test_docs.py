@@ -217,6 +217,7 @@ def test_the_table_of_points_of_the_document_runs(tmp_path, sweep):
     assert done.stdout.startswith("['rw', 'length', 'kw'] 0")
 
 
+@pytest.mark.slow
 def test_the_notebook_of_the_document_runs(tmp_path):
     """As a kernel does: cell by cell in one namespace, without a file to be imported from."""
     cells = code("function-notebook.md", "python")

@@ -4,6 +4,7 @@ import socket
 import subprocess
 import sys
 import time
+from fcntl import LOCK_EX, flock
 from urllib.request import Request, urlopen
 from uuid import uuid4
 
@@ -99,14 +100,18 @@ def reference(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def store_of(tmp_path_factory):
-    """A function that returns the store of a built-in study, run with fewer realisations."""
-    folder = tmp_path_factory.mktemp("stores")
+def store_of(tmp_path_factory, worker_id):
+    """A function that returns the store of a built-in study, run with fewer realisations, once for all workers."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own if worker_id == "master" else own.parent) / "stores"
+    folder.mkdir(exist_ok=True)
 
     def run(name):
         path = folder / f"{name}.zarr"
-        if not path.exists():
-            run_study(load_study(name, **SHORT[name]), path, SERIAL)
+        with (folder / name).open("w") as file:
+            flock(file, LOCK_EX)
+            if not path.exists():
+                run_study(load_study(name, **SHORT[name]), path, SERIAL)
         return path
 
     return run

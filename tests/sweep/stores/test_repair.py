@@ -115,7 +115,7 @@ def test_every_file_may_be_damaged(whole, tmp_path, change, step):
 
 
 @pytest.mark.parametrize("turns", [2, pytest.param(12, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("document", ["coins", "samples"])
+@pytest.mark.parametrize("document", ["coins", pytest.param("samples", marks=pytest.mark.slow)])
 def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_path, coins, monkeypatch):
     """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
     monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 2)
