@@ -50,7 +50,10 @@ def override(
     laid = [f"{flag} {_quoted(text)}" for flag, text in chosen if text is not None]
     if laid:
         document.pop("conclusion", None)
-        by_place |= _override_points(document, points, design, ranges, problems)
+        kept, ranges_given = _override_points(document, points, design, ranges, problems)
+        by_place |= ranges_given
+        lost = [option for at, option in given.items() if at[:1] == ("points",) and at[1] not in kept]
+        problems += [f"{option} has no effect beside {laid[0]}; leave out one of the two" for option in lost]
         by_place[("points",)] = laid[0]
     written = [f"--set {s}" for s in settings] + [f"--axis {a}" for a in axes] + laid
     return Overrides(tuple(written), by_place, tuple(problems))
@@ -98,8 +101,10 @@ def _override_value(document: dict[str, Any], option: str, problems: list[str], 
 
 def _override_points(
     document: dict[str, Any], file: str | None, design: str | None, ranges: Sequence[str], problems: list[str]
-) -> dict[Place, str]:
-    """Lay --points, --design and --range over the table [points] of a document; return the place of each range."""
+) -> tuple[set[str], dict[Place, str]]:
+    """Lay --points, --design and --range over the table [points] of a document; return the keys of it that stay as they
+    were, and the place of each range.
+    """
     points: dict[str, Any] = {"file": str(Path(file).resolve())} if file is not None else {}
     if design is not None:
         name, *numbers = design.split(":")
@@ -110,6 +115,7 @@ def _override_points(
     kept = old if isinstance(old, dict) and file is None else {}
     if design is not None:
         kept = {key: kept[key] for key in ("seed", "ranges") if key in kept}
+    stay = kept.keys() - points.keys()
     points = {**kept, **points}
     given: dict[Place, str] = {}
     for option in ranges:
@@ -120,7 +126,7 @@ def _override_points(
         _given_once(given, ("points", "ranges", key), f"--range {_quoted(option)}", problems)
         points["ranges"] = points["ranges"] | {key: parse_range(value)}
     document["points"] = points
-    return given
+    return stay, given
 
 
 def _quoted(option: str) -> str:

@@ -39,3 +39,28 @@ def test_a_wrong_range_is_blamed_on_its_own_option():
     assert "(--range error_scale=2:1e305): high = 1e+305: must be a finite number, below 1e+300 in size" in told
     with pytest.raises(SweepError, match=r"points.design \(--design sobl:8\): no design"):
         load_study("quasars", design="sobl:8", ranges=["v_max=14:15"])
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"design": "sobol:8:3", "settings": ["points.seed=4"]}, "--set points.seed=4 has no effect beside --design"),
+        (
+            {"design": "sobol:8", "settings": ["points.n=16"]},
+            "--set points.n=16 has no effect beside --design sobol:8;",
+        ),
+        (
+            {"points": "t.csv", "settings": ["points.seed=4"]},
+            "--set points.seed=4 has no effect beside --points t.csv;",
+        ),
+    ],
+)
+def test_a_setting_of_points_that_another_option_replaces_is_refused(options, told):
+    with pytest.raises(SweepError) as refused:
+        load_study("quasars", ranges=["v_max=14:15"], **options)
+    assert told in str(refused.value)
+
+
+def test_a_setting_of_points_goes_with_a_design_that_leaves_it_open():
+    study = load_study("quasars", ["points.seed=4"], design="sobol:8", ranges=["error_scale=1:2"])
+    assert study.points.origin["seed"] == 4
