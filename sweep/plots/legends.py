@@ -1,6 +1,6 @@
 """Legends: in the panel that they are of, or one below all panels."""
 
-from typing import Any
+from typing import Any, Final
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -12,19 +12,20 @@ from sweep.plots.style import line_inches, shown_letters, wanted_width
 LEGEND_INCHES = (0.6, 0.065)
 """Width of an entry of a legend, and of each of its letters."""
 
-BEST = "best"
+BEST: Final = "best"
 """Where matplotlib finds the most room.  It does so by itself, too, but warns then where drawing takes a second."""
 
 LAST = ("predicted", "published")
 """What is the same for all series stands at the end of a legend."""
 
 
-def legend(axes: Axes, loc: str = BEST, **options: Any) -> None:
+def legend(axes: Axes, **options: Any) -> None:
     """Draw a legend if there is more than one thing to tell apart."""
     handles, labels = axes.get_legend_handles_labels()
     if len(labels) > 1:  # points before lines: matplotlib alone would put all error bars last
         order = sorted(range(len(labels)), key=lambda i: not isinstance(handles[i], ErrorbarContainer))
-        axes.legend([handles[i] for i in order], [labels[i] for i in order], loc=loc, frameon=False, **options)
+        options.setdefault("loc", BEST)
+        axes.legend([handles[i] for i in order], [labels[i] for i in order], frameon=False, **options)
 
 
 def legend_below(figure: Figure) -> None:
