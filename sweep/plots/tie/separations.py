@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from sweep.contract import SweepError
-from sweep.plots.legends import BEST
+from sweep.plots.legends import legend
 from sweep.plots.style import COLOURS, figure_size, finish
 
 LINEAR_UP_TO = 6.0
@@ -49,5 +49,5 @@ def separation_figure(dataset: xr.Dataset) -> Figure:
     if beyond:
         axes.set_title(f"{beyond} beyond {edges[-1]:g} before the fit, {np.sum(after > edges[-1])} after it")
     finish(axes)
-    axes.legend(loc=BEST, frameon=False)
+    legend(axes)
     return figure
