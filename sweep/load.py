@@ -216,6 +216,8 @@ def forget(reference: str) -> None:
 def _read(path: Path) -> Sources:
     try:
         return read_sources(path)
+    except FileNotFoundError:
+        raise SweepError(f"there is no file {shown(str(path))}") from None
     except OSError as error:
         raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
 
@@ -234,8 +236,6 @@ def _module_of_file(place: str, folder: Path | None, digest: str | None) -> Modu
     else:
         if loaded is not None:  # an earlier one, and the wanted one may be in the file by now
             forget_module(key)
-        if not path.is_file():
-            raise SweepError(f"there is no file {shown(str(path))}")
         sources = _read(path)
     module = make_module(sources, key)
     setattr(module, SOURCES, sources)

@@ -5,6 +5,7 @@ import inspect
 import logging
 import os
 import tempfile
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
@@ -89,7 +90,9 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
             defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
-        cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options})))
+        with warnings.catch_warnings():  # on a busy machine even our own folder takes a second
+            warnings.filterwarnings("ignore", "Creating scratch directories is taking")
+            cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options})))
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(lost_workers_replaced(cluster))
         yield cluster

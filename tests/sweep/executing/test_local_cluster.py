@@ -1,13 +1,17 @@
-"""Worker processes of this machine, where they cannot be started."""
+"""Workers of this machine: where they cannot be started, and where that takes long."""
 
 import subprocess
 import sys
+import warnings
+from contextlib import contextmanager
 
 import pytest
+from distributed import LocalCluster
 
 from sweep.contract import SweepError
 from sweep.executing import choose
 from sweep.executing.choose import Resources
+from sweep.executing.local_cluster import own_cluster
 
 SCRIPT = """
 import linksweep
@@ -31,6 +35,7 @@ def run_script(folder, text):
     return subprocess.run([sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard_gets_one_sentence(tmp_path):
     done = run_script(tmp_path, SCRIPT.format(guard="if True:"))
     assert (done.returncode, done.stdout) == (1, "")
@@ -96,3 +101,18 @@ def test_one_without_bokeh_is_refused(monkeypatch):
     with pytest.raises(SweepError, match=r"needs bokeh: `pip install 'linksweep\[report\]'`"):
         Resources(dashboard=True)
     assert Resources(workers=2).dashboard is False
+
+
+def test_that_a_folder_was_made_slowly_is_no_news_to_the_user(monkeypatch):
+    """Dask warns of network file systems; ours is a temporary folder, and the machine is busy."""
+    slow = []
+
+    @contextmanager
+    def took_long(_duration, text):
+        yield
+        slow.append(text)
+        warnings.warn(text.format(duration=2.0), stacklevel=2)
+
+    monkeypatch.setattr("distributed.core.warn_on_duration", took_long)
+    with own_cluster(LocalCluster, {"processes": False, "n_workers": 1, "threads_per_worker": 1}):
+        assert slow
