@@ -1,17 +1,19 @@
-"""Studies that the platform's tests share, and `sweep` as a real process."""
+"""Studies that the platform's tests share, and `sweep` as a user types it."""
 
 import os
 import signal
 import subprocess
 import sys
-from functools import partial
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would fight for cores; NumPy comes later
 
+from sweep.cli import main
 from tests.forked import Nursery, run
 from tests.tiers import ALL, QUICK, examples
 
@@ -134,8 +136,37 @@ def start_sweep():
         process.communicate()
 
 
+APART = {
+    "--workers",
+    "--scheduler",
+    "--cluster",
+    "--dashboard",
+    "--time-limit",
+    "--memory-limit",
+    "threads",
+    "processes",
+}
+"""What makes a command of a test a process of its own."""
+
+
 @pytest.fixture
 def sweep(request):
-    """A function that runs `sweep` as a process to its end and returns (exit code, stdout, stderr)."""
+    """A function that runs `sweep` to its end and returns (exit code, stdout, stderr).
+
+    What names workers or limits is run as a process, all else in this one, which is much cheaper.  A `run` is told so:
+    it would choose by the time its first points take, and a test must not depend on how busy the machine is.
+    """
     config = request.config
-    return partial(run, config.workerinput["nursery"] if hasattr(config, "workerinput") else nursery(config).address)
+
+    def sweep(*arguments, cwd=None):
+        if APART & set(arguments):
+            address = config.workerinput["nursery"] if hasattr(config, "workerinput") else nursery(config).address
+            return run(address, *arguments, cwd=cwd)
+        here = ("--pool", "serial") if arguments[:1] == ("run",) and "--pool" not in arguments else ()
+        with chdir(cwd or Path.cwd()):
+            done = CliRunner().invoke(main, [*map(str, arguments), *here], prog_name="sweep")
+        if done.exception is not None and not isinstance(done.exception, SystemExit):
+            raise done.exception
+        return done.exit_code, done.stdout, done.stderr
+
+    return sweep

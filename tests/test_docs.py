@@ -14,6 +14,7 @@ import linksweep
 from tests.documents import ROOT, code, commands, run_commands
 from tests.sweep.executing.test_tls import Files as TlsFiles
 from tests.sweep.outside import Outside
+from tests.tiers import slow
 
 
 def test_every_command_of_the_documents_stands_where_it_is_run():
@@ -43,6 +44,7 @@ def test_the_study_of_the_document_runs(tmp_path, sweep):
     assert xr.open_zarr(tmp_path / "results" / "study.zarr").attrs["complete"] == 1
 
 
+@pytest.mark.slow
 def test_the_missions_of_the_document_run(tmp_path, sweep):
     (tmp_path / "curves.py").write_text(code("missions.md", "python")[0])
     (tmp_path / "missions.toml").write_text(code("missions.md", "toml")[0])
@@ -179,7 +181,11 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
 
 @pytest.mark.parametrize(
     ("document", "file"),
-    [("function-series.md", "sir.py"), ("function-quantile.md", "waiting.py"), ("function-package.md", "window.py")],
+    [
+        ("function-series.md", "sir.py"),
+        slow("function-quantile.md", "waiting.py"),
+        slow("function-package.md", "window.py"),
+    ],
 )
 def test_the_functions_of_the_documents_run(document, file, tmp_path, sweep):
     (tmp_path / file).write_text(code(document, "python")[0])
@@ -238,6 +244,7 @@ def test_the_functions_of_the_readme_run(tmp_path, sweep):
     assert status == 0, err
 
 
+@pytest.mark.slow
 def test_the_sweep_for_those_who_come_from_elsewhere_runs(tmp_path, sweep):
     function, script = code("coming-from.md", "python")
     (tmp_path / "lost.py").write_text(function)

@@ -14,7 +14,7 @@ import linksweep
 
 if __name__ == "__main__":
     study = {"title": "t", "axes": {"n_obj": [20, 40]}, "sampling": {"n_sim": 400}}
-    ds = linksweep.run(study, "s.zarr", workers=2, pool="processes")
+    ds = linksweep.run(study, "s.zarr", workers=1, pool="processes")
     print(ds.n_obj.values.tolist())
 """
 
@@ -117,7 +117,7 @@ def test_where_both_are_wanted_one_sentence_names_the_file(tmp_path, script):
 def test_the_module_is_the_command(tmp_path):
     for name in ("core.py", "sweep.py"):
         (tmp_path / name).write_text("raise RuntimeError('a file of the user')")
-    done = python(tmp_path, "-m", "linksweep", "run", "quasars", "--axis", "v_max=14", "--set", "n_sim=10", "--quiet")
+    done = python(tmp_path, "-m", "linksweep", "run", "quasars", "--axis", "v_max=14", "--set", "n_cat=2", "--quiet")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "results" / "quasars.zarr" / "zarr.json").is_file()
 

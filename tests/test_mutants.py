@@ -24,6 +24,7 @@ def test_the_text_of_a_mutant_stands_once_in_its_file(mutant):
     assert all(is_a_test(test) for test in mutant["test"].split())
 
 
+@pytest.mark.slow
 def test_a_copy_may_be_changed(tmp_path):
     copy = copy_of_checkout(tmp_path)
     assert (copy / "core" / "link.py").read_bytes() == (ROOT / "core" / "link.py").read_bytes()

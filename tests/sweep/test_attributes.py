@@ -10,6 +10,7 @@ from sweep.attributes import described, meaning_of, short_meaning
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import load_study
 from sweep.studies.source import built_in_studies
+from tests.tiers import slow
 
 LONGEST_LABEL = 90
 """Characters, three lines of xarray's labels."""
@@ -23,7 +24,7 @@ def test_the_whole_meaning_is_kept(meaning):
     assert all(attributes.values())
 
 
-@pytest.mark.parametrize("name", ["quasars", "aberration", "galaxies"])
+@pytest.mark.parametrize("name", ["quasars", *map(slow, ["aberration", "galaxies"])])
 def test_results_have_no_empty_attributes_and_whole_labels(store_of, name):
     dataset = open_dataset(store_of(name))
     for variable in dataset.variables.values():

@@ -7,6 +7,7 @@ from sweep.analysis.laws import fit_power_law
 from sweep.analysis.readable_units import in_readable_units
 
 
+@pytest.mark.slow
 def test_all_that_belongs_to_a_quantity_is_in_one_unit(dataset_of):
     stored = dataset_of("quasars")
     shown = in_readable_units(stored)

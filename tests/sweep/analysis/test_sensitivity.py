@@ -184,6 +184,7 @@ def test_texts_and_whole_numbers_are_groups_and_a_table_may_be_any(tmp_path):
     assert "k and x go together in these points" in both.attrs["notes"]
 
 
+@pytest.mark.slow
 def test_crossed_axes_and_dimensions_of_an_output_have_indices_each(tmp_path):
     t = np.linspace(0.0, 1.0, 3)
 
@@ -320,7 +321,7 @@ def test_a_result_that_is_the_same_everywhere_has_no_indices_and_no_errors(value
 
 
 @pytest.mark.parametrize(
-    ("design", "said"), [(None, True), slow("sobol", True), slow("saltelli", True), ("morris", False)]
+    ("design", "said"), [(None, True), slow("sobol", True), slow("saltelli", True), slow("morris", False)]
 )
 def test_a_result_that_does_not_vary_is_said_to(design, said, tmp_path):
     run = {"axes": {"x": [0.0, 1.0, 2.0], "y": [0.0, 1.0]}}

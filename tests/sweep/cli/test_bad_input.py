@@ -12,7 +12,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from sweep.cli import main
-from tests.patience import PATIENCE_S
 from tests.tiers import slow
 
 GOOD = """\
@@ -529,14 +528,13 @@ def test_bad_scheduler(here: Path, monkeypatch: pytest.MonkeyPatch, address: str
 
 
 @pytest.mark.parametrize("address", ["host", slow("nonsense://x:1")])
-def test_malformed_scheduler_address(here: Path, address: str) -> None:
+def test_malformed_scheduler_address(here: Path, sweep: Callable[..., tuple[int, str, str]], address: str) -> None:
     (here / "study.toml").write_text(GOOD)
     before = tree(here)
-    command = [sys.executable, "-c", "from sweep.cli import main; main()", "run", "study.toml", "--scheduler", address]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert done.returncode == 2
-    assert repr(address) in done.stderr
-    assert "Traceback" not in done.stderr
+    code, _, err = sweep("run", "study.toml", "--scheduler", address, cwd=here)
+    assert code == 2
+    assert repr(address) in err
+    assert "Traceback" not in err
     assert tree(here) == before
 
 

@@ -52,6 +52,7 @@ def test_a_study_is_built_in_or_a_file(tmp_path, command):
     assert "option: -o default" in offered(tmp_path, "sweep", command, "folder/qu")  # bash looks for files itself
 
 
+@pytest.mark.slow
 def test_a_store_is_a_directory(tmp_path):
     assert "option: -o dirnames" in offered(tmp_path, "sweep", "show", "res")
 
@@ -71,6 +72,7 @@ def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
     assert "n_sim=" in offered(tmp_path, "sweep", "run", "bad.toml", "--set", "n")
 
 
+@pytest.mark.slow
 def test_options(tmp_path):
     assert "--workers" in offered(tmp_path, "sweep", "run", "quasars", "--w")
 

@@ -16,6 +16,7 @@ from sweep.executing.worker_plugin import run_on_worker
 from sweep.running.run import Silent, run_study
 from sweep.studies.reader import study_from_dict
 from tests.sweep.opening import existing_store
+from tests.tiers import slow
 
 THREADS = Resources(workers=2, pool="threads")
 
@@ -89,7 +90,7 @@ def one_by_one(monkeypatch):
 
 @pytest.mark.usefixtures("one_by_one")
 @pytest.mark.parametrize(
-    "fate", [UnboundLocalError("result"), TimeoutError("of a stream"), OSError("Too many open files")]
+    "fate", [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
 )
 def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monkeypatch, fate):
     fetch, calls = DaskWorkers.result, []
@@ -120,7 +121,7 @@ def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
     assert not existing_store(tmp_path / "s.zarr", study).failures
 
 
-@pytest.mark.parametrize("pool", [name for name, pool in POOLS.items() if pool.has_workers])
+@pytest.mark.parametrize("pool", ["threads", slow("processes")])
 def test_the_address_of_the_dashboard_opens(study, pool):
     pytest.importorskip("bokeh")
     with POOLS[pool].open(study, 1, print, NO_LIMITS, True) as (place, _):

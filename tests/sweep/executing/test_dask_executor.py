@@ -150,6 +150,7 @@ def test_nothing_but_workers_that_go_stops_it(run):
         run(Client(refusals=MAX_ATTEMPTS))
 
 
+@pytest.mark.slow
 def test_results_are_fetched_where_the_client_stands_still_for_longer_than_it_is_looked_after(monkeypatch):
     """Dask had ended what was to be fetched before it began, and the client could fetch nothing from then on."""
     monkeypatch.setattr(dask_workers, "LOOK_EVERY_S", 0.02)

@@ -13,6 +13,7 @@ from sweep.planning.plan import Plan
 from sweep.planning.work_queue import Pending
 from sweep.studies.reader import study_from_dict
 from tests.sweep.deadly import FATES
+from tests.tiers import slow
 
 DEADLY = str(Path(__file__).parents[1] / "deadly.py") + ":experiment"
 LIMITS = ("--time-limit", "4", "--memory-limit", "400MB")
@@ -86,8 +87,10 @@ def test_exactly_the_deadly_points_fail(tmp_path, sweep, resources):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["deadly.toml", "good.toml", "good.zarr", "s.zarr"]
 
 
-def test_without_limits_a_crash_fails_its_point_alone(tmp_path, sweep):
+@pytest.mark.parametrize("place", [("--pool", "serial", *LIMITS), slow(("--workers", "1"))], ids=" ".join)
+def test_a_crash_fails_its_point_alone(tmp_path, sweep, place):
+    """Workers see it without limits, too."""
     study = written(tmp_path / "deadly.toml", range(5))
-    code, _, err = sweep("run", study, "-o", tmp_path / "s.zarr", "--workers", "1")
+    code, _, err = sweep("run", study, "-o", tmp_path / "s.zarr", *place)
     assert code == 1, err
     assert xr.open_zarr(tmp_path / "s.zarr")["status"].values.tolist() == [1, 1, 1, 2, 1]

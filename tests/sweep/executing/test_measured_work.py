@@ -38,7 +38,7 @@ def _finished(store):
     return len(OpenStore(store).ledger().ledger.rows) if (store / "zarr.json").exists() else 0
 
 
-@pytest.mark.parametrize("pool", [p if p == "processes" else slow(p) for p in POOLS])
+@pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])
 def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, start_sweep, pool):
     """Nothing else comes in that would make it durable, and the end comes without a warning."""
     (tmp_path / "study.toml").write_text(

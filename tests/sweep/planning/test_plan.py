@@ -15,7 +15,7 @@ from sweep.planning.tuning import TUNED
 from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
-from tests.tiers import examples
+from tests.tiers import examples, slow
 
 
 def plan_of(document, **sampling):
@@ -117,7 +117,7 @@ def points_of(coins, count):
     return plan_of({**coins, "axes": axes}, n_sim=1, n_cat=1)
 
 
-@pytest.mark.parametrize("workers", [1, 4, 16])
+@pytest.mark.parametrize("workers", [slow(1), 4, slow(16)])
 @pytest.mark.parametrize("seconds", [1e-5, 1e-3, 0.02, 0.5, 30.0])
 def test_tasks_are_of_about_a_second_and_enough_for_all(coins, seconds, workers):
     """Whatever the experiment declares as its cost: here one random number for each realisation."""
@@ -190,7 +190,7 @@ def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held)
     assert accumulator.survey.pending.cost == pytest.approx(given)
 
 
-@pytest.mark.parametrize("threads", [2, 5_000])
+@pytest.mark.parametrize("threads", [2, slow(5_000)])
 def test_tasks_are_longer_on_more_threads_than_tasks_may_end_in_a_second(coins, threads):
     plan = points_of(coins, 30_000)
     pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))

@@ -107,6 +107,7 @@ def test_incomplete_stores_say_so_in_the_title(dataset_of):
     assert "INCOMPLETE: 1 of 7 points are not done" in title(draw_figure(dataset, "lines"))
 
 
+@pytest.mark.slow
 def test_what_is_chosen_stands_in_the_title(dataset_of):
     figure = draw_figure(select(dataset_of("grid"), {"model": "gaia", "error_scale": "2"}))
     assert title(figure).splitlines()[1] == "gaia, error scale = 2"
@@ -130,6 +131,7 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     assert len(axes.collections) >= 2  # a band, and the error bars
 
 
+@pytest.mark.slow
 def test_series_have_names_with_symbol_value_and_unit(dataset_of):
     axes = axes_of(draw_figure(dataset_of("radio-stars")))[0]
     assert texts(axes.get_legend()) == [
@@ -188,6 +190,7 @@ def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
     assert lower.get_ylabel() == "residual [%]"
 
 
+@pytest.mark.slow
 def test_a_law_of_several_lines_needs_one_dimension(dataset_of):
     assert len(axes_of(draw_figure(dataset_of("radio-stars"), "law"))) == 2
     with pytest.raises(SweepError, match="a law is drawn for one further dimension at most"):
@@ -244,6 +247,7 @@ def test_cells_surround_their_places(places, logarithm):
 # Scatter
 
 
+@pytest.mark.slow
 def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
     dataset = dataset_of("scatter").squeeze("model")
     axes = draw_scatter(Figure().add_subplot(), dataset, "estimate", ("omega_x", "omega_y"))
@@ -364,6 +368,7 @@ def test_the_sky_of_a_table(tmp_path):
 # Accuracy
 
 
+@pytest.mark.slow
 def test_accuracy_curves_are_those_of_the_missions():
     dataset = accuracy_curves(["amex", "gaia-2001"])
     assert dataset["sigma_pm"].sel(model="amex", v=9.0).item() == pytest.approx(0.181, abs=0.001)  # docs/science.md
@@ -478,9 +483,9 @@ def coin_store(coins, tmp_path):
     "arguments",
     [
         ["STORE"],
-        ["STORE", "--kind", "law"],
-        ["STORE", "--over", "metal"],
-        ["STORE", "--at", "metal=tin"],
+        slow(["STORE", "--kind", "law"]),
+        slow(["STORE", "--over", "metal"]),
+        slow(["STORE", "--at", "metal=tin"]),
         ["STORE", "--at", "metal=tin,coins=5"],
     ],
 )
@@ -541,6 +546,7 @@ def letters(figure):
     return [text.get_fontsize() for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [88.0, 180.0])
 @pytest.mark.parametrize(
     "name", ["quasars", *map(slow, ["algorithm", "sqrt-n", "error-surface", "scatter", "galaxies"])]
@@ -552,6 +558,7 @@ def test_letters_have_their_size_at_the_width_of_print(dataset_of, name, width):
         assert min(letters(figure)) >= 6.0
 
 
+@pytest.mark.slow
 def test_a_talk_has_large_letters_and_the_users_own_settings_stay(dataset_of):
     dataset = dataset_of("sqrt-n")
     with style.settings(style="talk"):
@@ -566,6 +573,7 @@ def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
     assert any("0.16 mas/yr" in text.get_text() for text in axes.texts)
 
 
+@pytest.mark.slow
 def test_panels_without_points_are_left_out(dataset_of):
     dataset = dataset_of("algorithm")
     whole = len(axes_of(draw_figure(dataset)))
@@ -574,6 +582,7 @@ def test_panels_without_points_are_left_out(dataset_of):
     assert (whole, len(axes_of(draw_figure(gone)))) == (6, 5)
 
 
+@pytest.mark.slow
 def test_axes_that_walk_together_are_both_named(dataset_of):
     label = axes_of(draw_figure(dataset_of("algorithm")))[-1].get_xlabel()
     assert label == r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"

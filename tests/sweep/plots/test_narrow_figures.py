@@ -10,11 +10,12 @@ from sweep.plots import style
 from sweep.plots.layout import Layout
 from sweep.plots.lines import draw_lines
 from sweep.plots.panels import draw_panels
+from tests.tiers import slow
 
 WIDTH = 88.0
 
 
-@pytest.fixture(params=["paper", "talk"])
+@pytest.fixture(params=["paper", slow("talk")])
 def narrow(request):
     with style.settings(WIDTH, request.param):
         yield

@@ -69,6 +69,7 @@ def test_what_cannot_be_drawn_says_why(points, options, problem):
         linksweep.plot(points, **options)
 
 
+@pytest.mark.slow
 def test_points_with_errors_show_them(tmp_path):
     def waiting(load: float = 0.5, size: float = 1.0, *, rng):
         return {"wait": rng.exponential(load * size)}
@@ -104,6 +105,7 @@ def series_of(points):
 TIMES = np.linspace(0.0, 3.0, 9)
 
 
+@pytest.mark.slow
 def test_a_series_at_many_points_is_a_median_with_bands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ds = series_of({"design": "halton", "n": 40, "ranges": {"rate": [0.5, 2.0]}})

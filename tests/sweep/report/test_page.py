@@ -53,6 +53,7 @@ def sentences(dataset):
     return " ".join(answer.sentences)
 
 
+@pytest.mark.slow
 def test_a_section_says_where_unknowns_can_hardly_be_told_apart():
     dataset = grid(VALUES).assign(condition_number=(("kind", "size"), [[2.0, 3.0, 1e4], [2.0, 5000.0, 1.0]]))
     assert any(
@@ -169,11 +170,13 @@ def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
         assert "predicted" in "".join(root.itertext()) or root is roots[2]  # text is text
 
 
+@pytest.mark.slow
 def test_letters_that_the_fonts_here_have_not_stay_text():
     dataset = grid(VALUES).assign_coords(kind=["\u661f\u7cfb", "two"])
     assert "\u661f\u7cfb" in pictures(dataset, ["share"], 0)[0].svg
 
 
+@pytest.mark.slow
 def test_kept_samples_are_one_image_and_not_thousands_of_marks(store_of):
     samples, *_ = pictures(open_dataset(store_of("scatter")), ["sigma_spin"], 0)
     assert samples.name == "kept samples"
@@ -325,6 +328,7 @@ def test_bad_input_is_exit_code_2_and_nothing_is_written(coins, tmp_path, monkey
     assert (tmp_path / "mine.html").read_text() == "mine"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["bokeh", slow("jinja2")])
 def test_a_missing_package_is_named_with_what_to_do(tmp_path, package):
     (tmp_path / package).mkdir()

@@ -132,6 +132,7 @@ def test_an_experiment_must_say_what_is_shared(coins):
         study_from_dict(coins | {"sampling": {"common_random_numbers": True}})
 
 
+@pytest.mark.slow
 def test_the_covariance_between_points_is_that_of_their_shared_numbers(tmp_path):
     dataset = run({"mixing": MIXING}, tmp_path / "s.zarr", n_cat=600)
     covariance = dataset["mean_mc_covariance_mixing"]

@@ -339,6 +339,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_an_interruption_waits_for_an_import_that_cannot_be_repeated(tmp_path, start_sweep):
     (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
     arguments = ("run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr", "--pool", "serial")

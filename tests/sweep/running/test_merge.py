@@ -65,6 +65,7 @@ def test_what_is_no_grid_together_is_a_table_of_points(run, tmp_path):
     assert more.y.values.tolist() == [3.0, 6.0, 8.0, 5.0]
 
 
+@pytest.mark.slow
 def test_tables_are_joined_and_keep_the_axes_that_cross_them(run, tmp_path):
     ranges = {"x": [0, 1]}
     few = {"design": "sobol", "n": 4, "seed": 1, "ranges": ranges}

@@ -133,6 +133,7 @@ def test_the_log_has_what_ended_a_run(study, tmp_path):
     assert "ERROR results/study.zarr: holds results of a different study" in (tmp_path / "run.log").read_text()
 
 
+@pytest.mark.slow
 def test_the_log_has_what_dask_says(study, tmp_path):
     done = CliRunner().invoke(main, ["run", "study.toml", "--workers", "1", "--log", "run.log", "--set", "coins=1"])
     assert done.exit_code == 0, done.output

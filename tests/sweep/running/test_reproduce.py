@@ -77,6 +77,7 @@ def test_retry_computes_the_failed_points_and_only_those(broken, tmp_path, sweep
     assert "no point" in err
 
 
+@pytest.mark.slow
 def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
     study = study_from_dict(coins)
     run_block = worker.run_block
@@ -122,6 +123,7 @@ def test_reproduce_shows_what_a_failed_point_raises(broken, sweep):
     assert "is failed in" in err
 
 
+@pytest.mark.slow
 def test_reproduce_opens_the_debugger_where_a_point_raises(broken, start_sweep):
     import subprocess
 

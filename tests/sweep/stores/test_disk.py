@@ -57,7 +57,7 @@ def study(coins):
 
 def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch):
     often = Tuning(most_blocks=1, flush_every_s=-1.0)
-    wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL, tuning=often)
+    wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
     disk = mount("-t", "tmpfs", "-o", "size=1m", "tmpfs")
     store = disk / "s.zarr"
     free = 150_000  # for the first writing of the dataset and some flushes of the ledger

@@ -18,6 +18,7 @@ from sweep.stores import lock
 from sweep.stores.location import located
 from sweep.stores.lock import Holder, holder, locked
 from tests.patience import PATIENCE_S
+from tests.tiers import slow
 
 HOLD = """
 import sys, time
@@ -136,7 +137,8 @@ def test_a_damaged_lock_is_broken_only_on_request(place, content):
         assert holder(place).pid == os.getpid()
 
 
-def test_of_many_that_find_a_stale_lock_one_gets_it(place):
+@pytest.mark.parametrize("rounds", [2, slow(10)])
+def test_of_many_that_find_a_stale_lock_one_gets_it(place, rounds):
     """Each leaves its mark while it holds the lock: no two are ever inside at once."""
     inside, most, refused = [], [], []
 
@@ -152,7 +154,7 @@ def test_of_many_that_find_a_stale_lock_one_gets_it(place):
             refused.append(error.problems[0])
             return False
 
-    for _ in range(5):
+    for _ in range(rounds):
         held_by(place)
         with ThreadPoolExecutor(8) as pool:
             entered = list(pool.map(enter, range(8)))

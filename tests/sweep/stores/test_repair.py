@@ -19,6 +19,7 @@ from sweep.stores.repair import check, repair
 from sweep.stores.store import open_dataset
 from sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store
+from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 SAMPLES = {
@@ -41,7 +42,7 @@ def cut(content):
 DAMAGE = {"a bit flipped": flip, "cut": cut, "lost": None}
 
 
-@pytest.fixture(params=["coins", "samples"])
+@pytest.fixture(params=["coins", slow("samples")])
 def whole(request, tmp_path, coins, monkeypatch):
     """A study and a store of it, with several chunks of each array of the ledger, and a failure."""
     monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 8 if request.param == "coins" else 3)
@@ -68,8 +69,8 @@ def damaged(place, change):
 @pytest.mark.parametrize("change", DAMAGE.values(), ids=DAMAGE)
 @pytest.mark.parametrize(
     "step",
-    [29, pytest.param(7, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.slow)],
-    ids=["one file of 29", "one of seven", "every file"],
+    [47, slow(7), slow(1)],
+    ids=["one file of 47", "one of seven", "every file"],
 )
 def test_every_file_may_be_damaged(whole, tmp_path, change, step):
     study, store = whole
@@ -225,6 +226,7 @@ def test_the_commands(tmp_path, link_study, sweep):
     assert sweep("check", store)[0] == 0
 
 
+@pytest.mark.slow
 def test_an_unchanged_value_of_samples_survives_a_lost_index(tmp_path, monkeypatch):
     """Rows after a lost chunk of the index still speak of their own samples."""
     monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 2)

@@ -195,6 +195,7 @@ def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, study
     same(dataset, wanted)
 
 
+@pytest.mark.slow
 def test_two_runs_on_one_bucket(bucket, link_study, start_sweep, sweep):
     store = f"{bucket}/s.zarr"
     long = ("--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")

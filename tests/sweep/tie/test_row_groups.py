@@ -126,6 +126,7 @@ def test_one_row_group_after_the_other_is_in_memory(tmp_path, by_groups, monkeyp
     assert all("source_id" not in columns and "phot_g_mean_mag" not in columns for _, columns in read)
 
 
+@pytest.mark.slow
 def test_without_sources_memory_hardly_grows_with_their_number(tmp_path, by_groups):
     """20 bytes and no more of each source: an array of numbers takes 8."""
 
@@ -145,7 +146,7 @@ def test_without_sources_memory_hardly_grows_with_their_number(tmp_path, by_grou
     assert "row" not in link.dims
 
 
-@pytest.mark.parametrize("clip", ["none", "rayleigh", "median:5"])
+@pytest.mark.parametrize("clip", [*map(slow, ["none", "rayleigh"]), "median:5"])
 def test_without_sources_the_rest_is_the_same(tmp_path, by_groups, clip):
     path = quasars(tmp_path / "quasars.parquet")
     options = {"unknowns": "spin", "degree": 2, "clip": clip, "errors": "cells"}

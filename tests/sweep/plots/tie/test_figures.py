@@ -69,6 +69,7 @@ def test_the_trajectory_marks_the_step_that_was_chosen(link):
     assert [text.get_text() for text in lower.get_xticklabels()][1:] == list(link.step_dropped.values[1:])
 
 
+@pytest.mark.slow
 def test_weights_show_the_dropped_source_apart(link):
     figure = linksweep.plot(link, "weight")
     kept, dropped = (np.asarray(c.get_offsets()) for c in figure.axes[0].collections[:2])
