@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 from contextlib import chdir
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would fight for cores; NumPy comes later
 
 from sweep.cli import main
-from tests.forked import Nursery, run
+from tests.patience import PATIENCE_S
 from tests.tiers import ALL, QUICK, examples
 
 # Memory that is given back to the system after each array and taken again costs more than what is computed in it.
@@ -37,9 +38,6 @@ FIRST = ("test_paper", "test_kills", "test_faults", "test_tutorial", "test_slurm
 """Files that take longest: a process that got one of them at the end would keep the others waiting."""
 
 
-NURSERY = pytest.StashKey[Nursery]()
-
-
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run the tests that are marked slow, too")
 
@@ -50,23 +48,6 @@ def runs_all(config):
 
 def pytest_configure(config):
     settings.load_profile(ALL if runs_all(config) else QUICK)
-
-
-def nursery(config):
-    """Return the process from which those of `sweep` are forked; one for all workers of pytest-xdist."""
-    if NURSERY not in config.stash:
-        config.stash[NURSERY] = Nursery()
-    return config.stash[NURSERY]
-
-
-def pytest_configure_node(node):
-    """Tell a worker of pytest-xdist, from the process that starts it, where to ask."""
-    node.workerinput["nursery"] = nursery(node.config).address
-
-
-def pytest_unconfigure(config):
-    if NURSERY in config.stash:
-        config.stash[NURSERY].close()
 
 
 def pytest_collection_modifyitems(config, items):
@@ -137,36 +118,41 @@ def start_sweep():
 
 
 APART = {
-    "--workers",
-    "--scheduler",
-    "--cluster",
-    "--dashboard",
-    "--time-limit",
-    "--memory-limit",
-    "threads",
-    "processes",
+    *("--workers", "--scheduler", "--cluster", "--dashboard", "--time-limit", "--memory-limit"),
+    *("threads", "processes"),
 }
 """What makes a command of a test a process of its own."""
 
 
 @pytest.fixture
-def sweep(request):
+def sweep_here():
+    """A function that runs `sweep` in this process and returns (exit code, stdout, stderr)."""
+
+    def sweep_here(*arguments, cwd=None):
+        with chdir(cwd or Path.cwd()), warnings.catch_warnings(record=True):
+            warnings.filterwarnings("default", module="/")  # of experiments in files, which are named by their path
+            done = CliRunner().invoke(main, [str(argument) for argument in arguments], prog_name="sweep")
+        if done.exception is not None and not isinstance(done.exception, SystemExit):
+            raise done.exception
+        return done.exit_code, done.stdout, done.stderr
+
+    return sweep_here
+
+
+@pytest.fixture
+def sweep(sweep_here, start_sweep):
     """A function that runs `sweep` to its end and returns (exit code, stdout, stderr).
 
     What names workers or limits is run as a process, all else in this one, which is much cheaper.  A `run` is told so:
     it would choose by the time its first points take, and a test must not depend on how busy the machine is.
     """
-    config = request.config
 
     def sweep(*arguments, cwd=None):
         if APART & set(arguments):
-            address = config.workerinput["nursery"] if hasattr(config, "workerinput") else nursery(config).address
-            return run(address, *arguments, cwd=cwd)
+            process = start_sweep(*arguments, cwd=cwd)
+            out, err = process.communicate(timeout=PATIENCE_S)
+            return process.returncode, out, err
         here = ("--pool", "serial") if arguments[:1] == ("run",) and "--pool" not in arguments else ()
-        with chdir(cwd or Path.cwd()):
-            done = CliRunner().invoke(main, [*map(str, arguments), *here], prog_name="sweep")
-        if done.exception is not None and not isinstance(done.exception, SystemExit):
-            raise done.exception
-        return done.exit_code, done.stdout, done.stderr
+        return sweep_here(*arguments, *here, cwd=cwd)
 
     return sweep

@@ -97,6 +97,7 @@ def test_files_of_the_user_with_our_names_do_no_harm(tmp_path):
     assert (done.returncode, done.stdout) == (0, "[20, 40]\n"), done.stderr
 
 
+@pytest.mark.slow
 def test_the_old_name_works_beside_a_core_of_the_user(tmp_path):
     (tmp_path / "core.py").write_text("raise RuntimeError('a file of the user')")
     done = python(tmp_path, "-c", "import sweep; sweep.run; from core import frames; print(frames.triad.__name__)")

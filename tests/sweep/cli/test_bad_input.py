@@ -528,10 +528,10 @@ def test_bad_scheduler(here: Path, monkeypatch: pytest.MonkeyPatch, address: str
 
 
 @pytest.mark.parametrize("address", ["host", slow("nonsense://x:1")])
-def test_malformed_scheduler_address(here: Path, sweep: Callable[..., tuple[int, str, str]], address: str) -> None:
+def test_malformed_scheduler_address(here: Path, sweep_here: Callable[..., tuple[int, str, str]], address: str) -> None:
     (here / "study.toml").write_text(GOOD)
     before = tree(here)
-    code, _, err = sweep("run", "study.toml", "--scheduler", address, cwd=here)
+    code, _, err = sweep_here("run", "study.toml", "--scheduler", address, cwd=here)
     assert code == 2
     assert repr(address) in err
     assert "Traceback" not in err

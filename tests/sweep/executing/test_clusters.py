@@ -65,10 +65,10 @@ def test_a_study_runs_on_the_cluster_of_a_file(link_study, tmp_path, sweep, refe
         ("scale = = 1\n", "not valid TOML"),
     ],
 )
-def test_what_is_wrong_in_a_file_is_told_and_nothing_written(link_study, tmp_path, sweep, text, says):
+def test_what_is_wrong_in_a_file_is_told_and_nothing_written(link_study, tmp_path, sweep_here, text, says):
     path = tmp_path / "cluster.toml"
     path.write_text(text)
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--cluster", path, cwd=tmp_path)
+    code, _, err = sweep_here("run", link_study, "-o", tmp_path / "s.zarr", "--cluster", path, cwd=tmp_path)
     assert code == 2, err
     assert err.startswith(f"error: {path}: "), err
     assert says in err
@@ -77,9 +77,9 @@ def test_what_is_wrong_in_a_file_is_told_and_nothing_written(link_study, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cluster.toml", "small.toml"]
 
 
-def test_yaml_that_is_none_is_told(link_study, tmp_path, sweep):
+def test_yaml_that_is_none_is_told(link_study, tmp_path, sweep_here):
     (tmp_path / "cluster.yaml").write_text("class: [\n")
-    code, _, err = sweep("run", link_study, "--cluster", tmp_path / "cluster.yaml")
+    code, _, err = sweep_here("run", link_study, "--cluster", tmp_path / "cluster.yaml")
     assert code == 2
     assert "not valid YAML" in err
 
@@ -95,9 +95,9 @@ def test_yaml_that_is_none_is_told(link_study, tmp_path, sweep):
         ("--time-limit", "0", "--cluster"),
     ],
 )
-def test_contradictions_are_refused(link_study, tmp_path, sweep, options):
+def test_contradictions_are_refused(link_study, tmp_path, sweep_here, options):
     (tmp_path / "cluster.toml").write_text(LOCAL + "scale = 1\n")
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", *options, tmp_path / "cluster.toml")
+    code, _, err = sweep_here("run", link_study, "-o", tmp_path / "s.zarr", *options, tmp_path / "cluster.toml")
     assert code == 2
     assert "Error: " in err
     assert not (tmp_path / "s.zarr").exists()

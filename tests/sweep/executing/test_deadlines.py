@@ -9,6 +9,7 @@ import pytest
 
 from sweep.executing.deadlines import Deadlines, TimeLimitError
 from tests.patience import PATIENCE_S
+from tests.tiers import examples
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +39,7 @@ def test_a_loop_is_ended_and_the_next_block_is_not_hit():
 def test_a_block_that_ends_as_its_bell_rings_leaves_nothing_behind():
     deadlines = Deadlines()
     blocks = in_time = 0
-    while blocks < 300 or not in_time:  # a machine that is slow for a while ends many
+    while blocks < examples(300) or not in_time:  # a machine that is slow for a while ends many
         blocks += 1
         with suppress(TimeLimitError):
             with deadlines.within(0.002):

@@ -457,6 +457,7 @@ def test_ticks_below_two_decades_all_have_numbers():
     assert axes.yaxis.get_major_formatter()(0.005, 0) == "0.005"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["svg", slow("pdf"), slow("png")])
 def test_the_same_picture_is_the_same_file(dataset_of, tmp_path, ending):
     for name in ("a", "b"):
@@ -498,6 +499,7 @@ def test_any_experiment_can_be_drawn(coin_store, tmp_path, arguments):
         assert (tmp_path / "coins.svg").read_text().startswith("<?xml")
 
 
+@pytest.mark.slow
 def test_plot_without_options_draws_what_suits(store_of, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert invoke(store_of("error-surface")).exit_code == 0

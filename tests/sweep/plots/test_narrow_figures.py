@@ -46,6 +46,7 @@ def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(datase
         assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.width for box in boxes)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("narrow")
 def test_a_legend_takes_no_height_from_its_panel(dataset_of):
     dataset = dataset_of("quasars").sel(model="gaia")

@@ -82,6 +82,7 @@ def test_points_with_errors_show_them(tmp_path):
     assert half == pytest.approx(ds.wait_mean_mc_error.values)
 
 
+@pytest.mark.slow
 def test_a_report_of_points_has_scatters_and_does_not_join_them(points, tmp_path):
     pytest.importorskip("bokeh")
     from sweep.report.explorer import explorer

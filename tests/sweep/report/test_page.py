@@ -269,6 +269,7 @@ def test_built_in_studies_ask_a_question():
         assert load_study(name).question.endswith("?"), name
 
 
+@pytest.mark.slow
 def test_a_large_table_is_cut_and_says_so():
     size = MOST_ROWS + 7
     status = ("size", np.full(size, Status.DONE, dtype=np.int8))
@@ -306,11 +307,11 @@ def test_an_earlier_report_is_replaced_and_nothing_else(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "phrase"),
     [
-        (("report",), "name stores, or give --all"),
+        slow(("report",), "name stores, or give --all"),
         (("report", "s.zarr", "--all"), "name stores, or give --all"),
         (("report", "s.zarr", "--workers", "2"), "go with --all"),
         (("report", "none.zarr"), "no store there"),
-        (("report", "s.zarr", "none.zarr"), "no store there"),
+        slow(("report", "s.zarr", "none.zarr"), "no store there"),
         (("report", "s.zarr", "-o", "no/such/page.html"), "its directory does not exist"),
         (("report", "s.zarr", "-o", "mine.html"), "no report of linksweep"),
         (("report", "gs://b/s.zarr"), "gs:// is not known"),

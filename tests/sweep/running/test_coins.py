@@ -16,6 +16,7 @@ from sweep.planning.tuning import Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.run import plan_study, run_study
 from sweep.studies.reader import study_from_dict
+from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 
@@ -151,7 +152,7 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
     assert max(ahead) <= 2 * dask_executor.TASKS_IN_FLIGHT
 
 
-@pytest.mark.parametrize("pool", ["threads", "processes"])
+@pytest.mark.parametrize("pool", ["threads", slow("processes")])
 def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
     serial, _ = run(coins, tmp_path / "serial.zarr")
     parallel, _ = run(coins, tmp_path / "dask.zarr", Resources(workers=2, pool=pool))

@@ -10,6 +10,7 @@ import linksweep
 from linksweep import SweepError
 from sweep.stores.opened import OpenStore
 from sweep.studies.study import POINT, POINT_TABLE
+from tests.tiers import slow
 
 
 def run(study, store, **given):
@@ -60,7 +61,7 @@ def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path)
     assert run(model, store, points={"x": [9.0]}, fresh=True).y.values.tolist() == [1.9]
 
 
-@pytest.mark.parametrize("design", ["sobol", "halton", "random", "saltelli", "morris"])
+@pytest.mark.parametrize("design", ["sobol", *map(slow, ["halton", "random", "saltelli", "morris"])])
 def test_a_larger_design_keeps_the_old_points_and_their_bits(design, tmp_path):
     model, calls = counting()
     points = {"design": design, "n": 8, "seed": 5, "ranges": {"x": [0.5, 2.0], "k": [1, 1000]}}

@@ -1,4 +1,4 @@
-"""`sweep retry` and `sweep reproduce`, as processes."""
+"""`sweep retry` and `sweep reproduce`."""
 
 import json
 from pathlib import Path

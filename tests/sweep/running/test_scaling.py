@@ -94,8 +94,8 @@ def test_the_command_leaves_the_measurements_and_nothing_else(coins, tmp_path, s
         (["--figure", "scaling.txt"], "the name must end"),
     ],
 )
-def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, sweep):
-    status, _, err = sweep("scaling", "sqrt-n", *arguments, cwd=tmp_path)
+def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, sweep_here):
+    status, _, err = sweep_here("scaling", "sqrt-n", *arguments, cwd=tmp_path)
     assert status == 2
     assert words in err
     assert not list(tmp_path.iterdir())
