@@ -9,7 +9,6 @@ A page has the command that draws a picture, and in a comment what the picture s
 
 Pictures are results, so they are not in the repository: they are drawn when the site is built.  In the plain file the
 block is the command with its comment, and so it is on GitHub, where a link to a missing file would be a broken image.
-With ``-D draw_pictures=0`` nothing is computed and the site has the commands only: links and references are checked soon.
 """
 
 import re
@@ -60,12 +59,10 @@ class Picture(SphinxDirective):
         command = "\n".join(line for line in self.content if not line.startswith("#"))
         caption = " ".join(line.lstrip("# ") for line in self.content if line.startswith("#"))
         picture = FOLDER / drawn(command)
-        shown = nodes.literal_block(command, command, language="sh")
-        if not self.config.draw_pictures:
-            return [shown]
         if not picture.exists():
             raise self.error(f"no picture {picture.name}: `{command}` did not draw it")
         self.env.note_dependency(str(picture))
+        shown = nodes.literal_block(command, command, language="sh")
         words, _ = self.state.inline_text(caption, self.lineno)
         if picture.suffix == ".html":
             return [shown, nodes.paragraph("", "", nodes.reference("", "", *words, refuri=picture.name, internal=True))]
@@ -114,10 +111,8 @@ def run(words: list[str]) -> None:
                 raise RuntimeError(f"sweep {shlex.join(words)}: exit code {end.code}") from end
 
 
-def draw_before_reading(app: Sphinx) -> None:
+def draw_before_reading(_app: Sphinx) -> None:
     """Draw in a process of its own; stores of an earlier build are not computed again."""
-    if not app.config.draw_pictures:
-        return
     FOLDER.mkdir(parents=True, exist_ok=True)
     with (FOLDER / "log.txt").open("w") as log:
         done = subprocess.run([sys.executable, __file__], cwd=FOLDER, stdout=log, stderr=log, check=False)
@@ -132,7 +127,6 @@ def copy_reports(app: Sphinx, _error: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    app.add_config_value("draw_pictures", True, "env", bool)
     app.add_directive("picture", Picture)
     app.connect("builder-inited", draw_before_reading)
     app.connect("build-finished", copy_reports)
