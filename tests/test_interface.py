@@ -14,7 +14,7 @@ import linksweep
 
 if __name__ == "__main__":
     study = {"title": "t", "axes": {"n_obj": [20, 40]}, "sampling": {"n_sim": 400}}
-    ds = linksweep.run(study, "s.zarr", workers=1, pool="processes")
+    ds = linksweep.run(study, "s.zarr", workers=2, pool="processes")
     print(ds.n_obj.values.tolist())
 """
 

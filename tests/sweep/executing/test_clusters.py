@@ -13,6 +13,7 @@ WORKERS = "[options]\nn_workers = 0\nthreads_per_worker = 1\n"
     ("name", "text"),
     [
         ("fixed.toml", LOCAL + "scale = 1\n" + WORKERS),
+        slow("two.toml", LOCAL + "scale = 2\n" + WORKERS),
         pytest.param(
             "adaptive.toml", LOCAL + "adapt = { minimum = 0, maximum = 2 }\n" + WORKERS, marks=pytest.mark.slow
         ),

@@ -140,8 +140,9 @@ def other_version(folder, package, version):
 def test_a_worker_with_another_version_stops_the_run_before_anything_is_written(
     link_study, tmp_path, sweep, outside, package
 ):
+    outside.start_worker()
     outside.start_worker(**other_version(tmp_path, package, "0.0.9"))
-    outside.wait_for_workers(1)
+    outside.wait_for_workers(2)
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
     assert code == 2, err
     (line,) = [line for line in err.splitlines() if "there" in line]

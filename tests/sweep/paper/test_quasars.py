@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from tests.conftest import runs_all
-
 SPIN = ["omega_x", "omega_y", "omega_z"]
 
 # Metz & Geffert 2004, Table 1, typed in from the paper: V_max, N_obj, AMEX, GAIA [mas/yr]
@@ -36,11 +34,10 @@ PAPER = np.array([line.split() for line in TABLE_1.split("\n") if line], dtype=f
 
 
 @pytest.fixture(scope="module")
-def main_job(tmp_path_factory, request):
-    """Run the command once, on a quarter of the catalogues unless all tests run; give folder and what it printed."""
+def main_job(tmp_path_factory):
+    """Run the command once; give its folder and what it printed."""
     folder = tmp_path_factory.mktemp("main")
-    fewer = [] if runs_all(request.config) else ["--set", "n_cat=25"]
-    command = [sys.executable, "-m", "sweep", "run", "quasars", *fewer]
+    command = [sys.executable, "-m", "sweep", "run", "quasars"]
     run = subprocess.run(
         command, cwd=folder, capture_output=True, check=False, text=True, env=os.environ | {"COLUMNS": "200"}
     )
@@ -54,13 +51,9 @@ def dataset(main_job):
 
 
 def test_every_amex_cell_of_table_1(dataset):
-    ours = dataset["sigma_spin"].sel(model="amex")
-    catalogues = dataset["sigma_catalogue_error"].sel(model="amex", component=SPIN).mean("component")
-    rounding = 0.005  # mas/yr
-    tolerance = rounding + 4.0 * np.hypot(dataset["sigma_spin_mc_error"].sel(model="amex"), catalogues)
+    ours = dataset["sigma_spin"].sel(model="amex").values
     published = ~np.isnan(PAPER[:, 2])
-    assert (np.abs(ours.values - PAPER[:, 2]) < tolerance.values)[published].all()
-    assert tolerance.max() < 0.05
+    assert np.abs(ours - PAPER[:, 2])[published].max() < 0.02  # mas/yr
 
 
 def test_every_gaia_cell_of_table_1(dataset):
@@ -85,9 +78,7 @@ def test_every_sigma_is_within_four_of_its_own_errors_of_the_prediction(dataset)
     assert off.max() < 4
     off = np.abs(dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / dataset["sigma_spin_mc_error"]
     assert off.max() < 4
-    assert (
-        0.4 < np.sqrt((off**2).mean()) < 2.0
-    )  # neither too small nor too large; the points share their random numbers
+    assert 0.5 < np.sqrt((off**2).mean()) < 1.5  # the errors are honest, neither too small nor too large
 
 
 def test_there_is_no_bias(dataset):
@@ -109,11 +100,11 @@ def test_the_covariance_is_that_of_the_estimates(dataset):
     np.testing.assert_array_equal(covariance, covariance.transpose("model", "v_max", "component_other", "component"))
 
 
-def test_the_catalogue_error_tells_how_far_as_many_other_catalogues_may_be(dataset):
+def test_the_catalogue_error_tells_how_far_another_hundred_catalogues_may_be(dataset):
     relative = (dataset["sigma_catalogue_error"] / dataset["sigma"]).sel(component=SPIN).mean("component")
-    from_one_to_the_next = relative * np.sqrt(dataset.attrs["n_cat"])
-    assert 0.05 < from_one_to_the_next.sel(model="amex", v_max=14).item() < 0.2  # 7-10 % for 28 quasars
-    assert from_one_to_the_next.sel(model="gaia", v_max=20).item() < 0.02
+    at_28 = relative.sel(model="amex", v_max=14).item()
+    assert 0.005 < at_28 < 0.02  # 7-10 % from one catalogue of 28 to the next, over sqrt(100)
+    assert relative.sel(model="gaia", v_max=20).item() < 0.002
 
 
 def test_a_newcomer_selects_by_label(dataset):
@@ -149,7 +140,7 @@ def test_attributes_say_where_the_numbers_come_from(dataset):
     assert "Metz & Geffert 2004" in attributes["study"]
     assert attributes["complete"] == 1
     assert attributes["seed"] == 20031
-    assert attributes["n_sim"] * attributes["n_cat"] == dataset["n_sim_done"].max()
+    assert attributes["n_sim"] * attributes["n_cat"] == 10_000
     assert len(attributes["study_digest"]) == 64
     assert json.loads(attributes["versions"])["numpy"] == np.__version__
     assert attributes["started"] <= attributes["finished"]
@@ -163,7 +154,7 @@ def test_the_printed_table_shows_ours_the_prediction_and_the_papers(main_job):
     assert n_obj == "15533"
     assert "n_obj: all 26 published values are met exactly" in out
     assert plus_minus == "±"
-    assert float(sigma) == pytest.approx(float(predicted), rel=0.03)
+    assert float(sigma) == pytest.approx(float(predicted), rel=0.02)
     assert float(published) == 0.57  # uas/yr
     assert float(difference) == pytest.approx(100 * (float(sigma) / 0.57 - 1), abs=0.1)
     assert percent == "%"
@@ -199,13 +190,13 @@ def test_ecsv_is_read_by_astropy_with_its_units(main_job, sweep):
     assert table["sigma_spin_published"].mask.sum() == 6
 
 
-def test_status_tells_that_it_is_done(main_job, dataset, sweep):
+def test_status_tells_that_it_is_done(main_job, sweep):
     code, out, _ = sweep("status", main_job[0] / "results" / "quasars.zarr", "--json")
     report = json.loads(out)
     assert code == 0
     assert report["complete"] is True
     assert report["points"] == {"missing": 0, "done": 26, "failed": 0, "excluded": 0}
-    assert report["realisations done"] == dataset["n_sim_done"].sum()
+    assert report["realisations done"] == 260_000
 
 
 def test_error_free_data_return_the_truth(tmp_path, sweep):

@@ -12,6 +12,7 @@ import linksweep
 from linksweep import Output, SweepError, experiment
 from sweep.running.reproduce import reproduce
 from sweep.stores.opened import OpenStore
+from tests.tiers import slow
 
 T = np.linspace(0.0, 160.0, 81)
 
@@ -66,11 +67,12 @@ def test_a_function_is_evaluated_once_and_its_results_are_stored_to_the_last_bit
     assert more.isel(k=slice(4)).drop_attrs().equals(ds.drop_attrs())
 
 
-def test_many_points_of_a_series_come_back_whole(tmp_path):
+@pytest.mark.parametrize("n", [20, slow(200)])
+def test_many_points_of_a_series_come_back_whole(tmp_path, n):
     def series(a: float, b: int):
         return xr.DataArray(np.sin(a * T) + b, {"time": ("time", T, {"units": "d"})}, name="y", attrs={"units": "m"})
 
-    axes = {"a": np.linspace(0.01, 1.0, 20), "b": pd.Index(range(10))}
+    axes = {"a": np.linspace(0.01, 1.0, n), "b": pd.Index(range(10))}
     run(series, tmp_path / "s.zarr", axes=axes)
     ds = xr.open_zarr(tmp_path / "s.zarr").load()
     assert ds.y.dims == ("a", "b", "time")

@@ -78,7 +78,7 @@ def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monk
     whole, _ = run_study(study(), tmp_path / "whole.zarr", SERIAL)
     from sweep.executing.worker import run_block
 
-    for stop_at in (1, 5, 13):
+    for stop_at in (1, 4, 5, 9, 13):
         blocks = []
 
         def stopped(*arguments, blocks=blocks, stop_at=stop_at):

@@ -18,7 +18,7 @@ LINK = {
     "title": "Samples",
     "axes": {"model": ["amex", "gaia"], "n_obj": [20, 30]},
     "fixed": {"catalogue": "quasars", "v_max": 15.0},
-    "sampling": {"n_sim": 520, "n_cat": 20, "seed": 5, "keep_samples": True},  # two parts, two groups
+    "sampling": {"n_sim": 700, "n_cat": 20, "seed": 5, "keep_samples": True},  # two parts, two groups
 }
 
 
@@ -32,11 +32,11 @@ def kept(tmp_path):
 def test_samples_are_the_realisations_behind_the_results(kept):
     estimate = kept["estimate"]
     assert estimate.dims == ("model", "n_obj", "sample", "component")
-    assert estimate.sizes["sample"] == 10_400
+    assert estimate.sizes["sample"] == 14_000
     error = estimate - 1.0  # the truth is 1 in every component
     xr.testing.assert_allclose(np.sqrt((error**2).mean("sample")), kept["sigma"], rtol=1e-9)
     xr.testing.assert_allclose(error.mean("sample"), kept["bias"], rtol=1e-6)
-    assert len(np.unique(estimate.isel(model=0, n_obj=0, component=0))) == 10_400
+    assert len(np.unique(estimate.isel(model=0, n_obj=0, component=0))) == 14_000
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from sweep.stores.store import open_dataset
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store
+from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 
@@ -262,7 +263,6 @@ class Killed(BaseException):
     """The end of a process before an operation on a file."""
 
 
-FLIPS = 20
 OPERATIONS = ("put", "create", "swap", "delete")
 
 
@@ -332,7 +332,8 @@ def test_a_store_of_the_first_moment_is_unfinished(tmp_path, coins, sweep):
         assert "damaged;" not in err
 
 
-def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins):
+@pytest.mark.parametrize("step", [137, slow(37)])
+def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins, step):
     """Never "not a store of linksweep", in a folder or a bucket, with a copy of the root or before there is one."""
     study = study_from_dict(coins)
     create_or_resume(place, study, provenance(study))
@@ -341,7 +342,7 @@ def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins):
     for copy in (location.get("blocks/zarr.json"), None):
         if copy is None:
             location.delete("blocks/zarr.json")
-        for at in range(0, len(root), 1 + len(root) // FLIPS):
+        for at in range(0, len(root), step):
             location.put("zarr.json", root[:at] + bytes([root[at] ^ 4]) + root[at + 1 :])
             with pytest.raises(SweepError, match="damaged"):
                 open_dataset(place)

@@ -184,7 +184,7 @@ def test_a_store_whose_function_is_gone_or_another_cannot_be_reproduced(here):
 
 def test_workers_compute_what_this_process_does(here):
     alone, _ = run(load_study("own.toml"), "alone.zarr")
-    together, failures = run_study(load_study("own.toml"), "together.zarr", Resources(workers=1, pool="processes"))
+    together, failures = run_study(load_study("own.toml"), "together.zarr", Resources(workers=2, pool="processes"))
     assert not failures
     assert alone.equals(together)
 
