@@ -38,6 +38,7 @@ EVERYTHING = """
 
 @pytest.fixture(scope="module")
 def chromium(tmp_path_factory):
+    pytest.importorskip("selenium")
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
