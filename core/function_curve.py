@@ -28,12 +28,15 @@ class CurveOfFunction:
         flat = np.array(v_mag, dtype=np.float64).reshape(-1)  # a copy: it is the user's to change
         try:
             with np.errstate(all="ignore"):  # the values are looked at below
-                found = np.asarray(self.function(flat.copy()))
+                returned = self.function(flat.copy())
+                found = np.asarray(returned)
         except (Exception, SystemExit) as error:  # whatever a user's function raises
             raise CurveError(f"the function {name!r} raises {type(error).__name__}: {error}") from error
         if found.shape != flat.shape or found.dtype.kind not in "fiu":
             what = f"{found.dtype} of shape {found.shape}"
             raise CurveError(f"the function {name!r} returns {what}, not numbers of shape {flat.shape}")
+        if np.ma.is_masked(returned):
+            raise CurveError(f"the function {name!r} returns {np.ma.count_masked(returned)} masked values")
         bad = ~(np.isfinite(found) & (found > 0))
         if bad.any():
             first = int(np.argmax(bad))

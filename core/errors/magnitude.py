@@ -11,6 +11,7 @@ from core.arrays import Array
 from core.catalogue import Catalogue
 from core.catalogues.kind import CatalogueKind
 from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, Uncorrelated, four_rows, scale_of
+from core.function_curve import CurveError
 from core.missions import Mission
 from core.user_mission import mission_of
 from sweep.contract import Named, Point
@@ -104,10 +105,20 @@ def _curves(model: str | Named, v_mag: float) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=256)
 def _probe(model: Named, brightest: float, faintest: float) -> None:
-    """Raise CurveError where the functions of a user's mission have no good values between two magnitudes."""
+    """Raise CurveError where the functions of a user's mission have no good values between two magnitudes, or others
+    in another call.
+    """
     mission, v_mag = mission_of(model), np.linspace(brightest, faintest, PROBES)
-    mission.sigma_pos_mas(v_mag)
-    mission.sigma_pm_mas_yr(v_mag)
+    some = slice(-2, 0, -2)  # in another order and without the ends, so that a mean or an extreme is another
+    for errors, sigma in (("positions", mission.sigma_pos_mas), ("proper motions", mission.sigma_pm_mas_yr)):
+        values, again = sigma(v_mag)[some], sigma(v_mag[some])
+        differs = ~np.isclose(values, again, rtol=1e-9, atol=0.0)  # a logarithm may round otherwise in another place
+        if differs.any():
+            first = int(np.argmax(differs))
+            raise CurveError(
+                f"model = {model.name!r}: the error of {errors} at V = {v_mag[some][first]:g} mag is {values[first]:g} "
+                f"in one call and {again[first]:g} in another: it must depend on nothing but the magnitude"
+            )
 
 
 def _power(ratio: float, exponent: float) -> float:

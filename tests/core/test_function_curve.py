@@ -57,6 +57,7 @@ def leave(v):
         (lambda v: v[:, None], "returns float64 of shape (5, 1), not numbers of shape (5,)"),
         (lambda v: v.astype(str), "not numbers of shape (5,)"),
         (lambda v: v + 1j, "returns complex128 of shape (5,), not numbers"),
+        (lambda v: np.ma.masked_greater(v, 17.5), "the function 'sigma' returns 2 masked values"),
         (lambda v: None, "not numbers"),
         (lambda v: [[1.0], [1.0, 2.0]], "raises ValueError"),
     ],

@@ -199,6 +199,17 @@ def test_a_function_whose_file_changes_after_the_study_was_read_fails(here):
     assert load_function(reference)(np.array([15.0])) == pytest.approx([0.04])
 
 
+@pytest.mark.parametrize("returned", ["0.1 * v.mean() + 0 * v", "0.1 * v / v.max()", "0.01 * v * next(CALLS)"])
+def test_a_curve_of_more_than_the_magnitude_is_refused(here, sweep, returned):
+    other = f"from itertools import count\n\nCALLS = count(1)\n\n\ndef motions(v):\n    return {returned}\n"
+    (here / "curves.py").write_text(CURVES.replace("def motions(v)", "def unused(v)") + other)
+    status, _, err = sweep("run", "own.toml", cwd=here)
+    assert status == 2
+    assert "model = 'coded': the error of proper motions at V = " in err
+    assert "it must depend on nothing but the magnitude" in err
+    assert not (here / "results").exists()
+
+
 def test_a_function_of_a_module(here):
     found = load_function("core.quasars:completeness")
     assert (found.reference, found.name) == ("core.quasars:completeness", "completeness")
