@@ -45,7 +45,8 @@ def _lines(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Fi
         return figure
     axis = _one_axis(dataset, variables[0], over)
     layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
-    return draw_panels(dataset, variables, layout, lambda axes, part, name: draw_lines(axes, part, name, axis))
+    numbers: dict[str, int] = {}
+    return draw_panels(dataset, variables, layout, lambda axes, part, name: draw_lines(axes, part, name, axis, numbers))
 
 
 def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:

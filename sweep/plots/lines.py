@@ -25,22 +25,28 @@ COVERED, COVERED_SHARE = 0.015, 0.25
 """Points cover each other that are nearer than such a share of the axis; series are moved aside if so many do."""
 
 
-def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axes:
+def draw_lines(
+    axes: Axes, dataset: xr.Dataset, variable: str, over: str, numbers: dict[str, int] | None = None
+) -> Axes:
     """Draw a variable against an axis of the grid, one colour for every combination of the other dimensions.
+
+    ``numbers`` holds the number of each series, by its name, in all panels of a figure: a series without values in one
+    of them must not leave its colour to another there.
 
     Points have their one-sigma errors (Monte Carlo and catalogues).  The line is the closed-form prediction, with the
     band of its catalogue error; without a prediction it joins the points, with the band of their errors.  Open symbols
     are published values with half a unit of their last digit.
     """
+    numbers = {} if numbers is None else numbers
     dimension = str(dataset[over].dims[0])
     others = [str(d) for d in dataset[variable].dims if d != dimension]
     everything = [dataset.isel(place) for place in places_along(dataset, others)]
     seen = [one for one in everything if np.isfinite(one[variable].values).any()]  # the others are excluded
     offsets = _dodges(seen, variable)
-    for number, one in enumerate(seen):
+    for one, offset in zip(seen, offsets, strict=True):
         words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if dataset.sizes[d] > 1)
-        _series(axes, one, variable, over, words, number, offsets[number])
-    colour = COLOURS[0] if len(seen) == 1 else "0.35"
+        _series(axes, one, variable, over, words, numbers.setdefault(words, len(numbers)), offset)
+    colour = COLOURS[0] if len(numbers) == 1 else "0.35"
     if any(_has(one, prediction_name(one, variable)) for one in seen):
         line: Mapping[str, Any] = {"linewidth": 1.0} if _is_numeric(dataset[over]) else DASH
         axes.plot([], [], color=colour, label="predicted", **line)

@@ -7,6 +7,7 @@ import xarray as xr
 from astropy import units
 from astropy.coordinates import SkyCoord
 from click.testing import CliRunner
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -105,6 +106,19 @@ def test_incomplete_stores_say_so_in_the_title(dataset_of):
     dataset["status"][2] = Status.MISSING
     dataset["sigma_spin"][2] = np.nan
     assert "INCOMPLETE: 1 of 7 points are not done" in title(draw_figure(dataset, "lines"))
+
+
+def test_a_series_keeps_its_colour_where_another_has_no_values(dataset_of):
+    dataset = dataset_of("mission-length")
+    gone = (dataset["n_obj"] == dataset["n_obj"][0]) & (dataset["model"] == dataset["model"][1])
+    figure = draw_figure(dataset.assign(sigma_spin=dataset["sigma_spin"].where(~gone)), "lines")
+    colours = []
+    for axes in axes_of(figure):
+        series = zip(*axes.get_legend_handles_labels(), strict=True)
+        colours.append({text: one[0].get_color() for one, text in series if isinstance(one, ErrorbarContainer)})
+    whole, part = (set(panel.items()) for panel in colours)
+    assert len(whole - part) == 1
+    assert part < whole
 
 
 @pytest.mark.slow
