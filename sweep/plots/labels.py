@@ -47,9 +47,9 @@ def axis_label(dataset: xr.Dataset, axis: str) -> str:
 
 
 def explained_label(array: xr.DataArray, name: str) -> str:
-    """Return the label of an axis with its name in words before its symbol."""
+    """Return the label of an axis with its name in words before the symbol that the experiment gives it."""
     words, shown = name.replace("_", " "), label(array, name)
-    return shown if shown.startswith((words, f"{words} [")) else f"{words} {shown}"
+    return f"{words} {shown}" if array.attrs.get("symbol", words) != words else shown
 
 
 def quantity_label(dataset: xr.Dataset, variable: str) -> str:

@@ -52,6 +52,8 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     for which, name, places in (("x", x, across), ("y", y, up)):
         if wide[name]:
             logarithmic(axes, which, places)
+        elif dataset[name].dtype.kind == "i":
+            (axes.xaxis if which == "x" else axes.yaxis).set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel(explained_label(dataset[x], x))
     axes.set_ylabel(explained_label(dataset[y], y))
     return axes

@@ -20,7 +20,7 @@ from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.plots import scales, style
 from sweep.plots.figure import draw_figure, possible_kinds
-from sweep.plots.labels import symbol
+from sweep.plots.labels import explained_label, symbol
 from sweep.plots.layout import arrange
 from sweep.plots.lines import draw_lines
 from sweep.plots.maps import add_bar, colour_limits, draw_map
@@ -460,6 +460,28 @@ def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkey
 )
 def test_symbols(name, shown):
     assert symbol(name) == shown
+
+
+@pytest.mark.parametrize(
+    ("name", "attributes", "shown"),
+    [
+        ("n", {}, "$n$"),
+        ("theta", {"units": "deg"}, r"$\theta$ [deg]"),
+        ("mission_length", {"symbol": "$T$", "units": "yr"}, "mission length $T$ [yr]"),
+        ("share", {"symbol": "share"}, "share"),
+    ],
+)
+def test_only_a_symbol_of_its_own_is_explained(name, attributes, shown):
+    assert explained_label(xr.DataArray([1.0, 2.0], dims=name, name=name, attrs=attributes), name) == shown
+
+
+def test_a_map_over_whole_numbers_has_ticks_at_them():
+    values = xr.Dataset(
+        {"end": (("n", "rate"), np.arange(6.0).reshape(3, 2))}, coords={"n": [3, 4, 5], "rate": [0.1, 0.2]}
+    )
+    axes = draw_map(Figure().add_subplot(), values, "end", "rate", "n", colour_limits(values, "end"))
+    assert all(tick == round(tick) for tick in axes.get_yticks())
+    assert not all(tick == round(tick) for tick in axes.get_xticks())
 
 
 def test_ticks_below_two_decades_all_have_numbers():
