@@ -1,5 +1,6 @@
 """Ctrl-C and the signals of batch systems end a run in order: never in the middle of a write to the ledger."""
 
+import gc
 import signal
 import sys
 import threading
@@ -113,7 +114,13 @@ class Interruptions:
 
 def _is_handling(thread: int) -> bool:
     """Whether a thread is handling an exception at this moment."""
-    found = sys._current_exceptions().get(thread)
+    collects = gc.isenabled()
+    gc.disable()  # Python before 3.11.9 may stop for ever where garbage is collected meanwhile (gh-106883)
+    try:
+        found = sys._current_exceptions().get(thread)
+    finally:
+        if collects:
+            gc.enable()
     return (found[0] if isinstance(found, tuple) else found) is not None  # three of them in Python 3.11
 
 

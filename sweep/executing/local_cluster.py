@@ -54,10 +54,13 @@ class NoWorkersError(SweepError, SystemExit):
 def local_cluster(options: Mapping[str, Any], dashboard: bool = False, method: str | None = None) -> Iterator[Any]:
     """Start a Dask cluster of this machine as `own_cluster` does; raises NoWorkersError.
 
-    Its scheduler is in this process: a ``dashboard`` takes a second there, for importing bokeh.
+    Its scheduler is in this process: a ``dashboard`` takes a second there, for importing bokeh.  A profile, which only
+    a dashboard shows, is not made without: it looks at all threads a hundred times a second, and Python before 3.11.9
+    may stop for ever when it does (gh-106883).
     """
     leave_a_worker_that_runs_its_script()
     with ExitStack() as stack:
+        stack.enter_context(dask.config.set({"distributed.worker.profile.enabled": dashboard}))
         try:
             cluster = stack.enter_context(
                 own_cluster(LocalCluster, {**options, "scheduler_kwargs": {"dashboard": dashboard}}, method)

@@ -11,7 +11,8 @@ from distributed import LocalCluster
 from sweep.contract import SweepError
 from sweep.executing import choose
 from sweep.executing.choose import Resources
-from sweep.executing.local_cluster import own_cluster
+from sweep.executing.local_cluster import local_cluster, own_cluster
+from tests.tiers import slow
 
 SCRIPT = """
 import linksweep
@@ -82,6 +83,13 @@ if __name__ == "__main__":
 def test_a_dashboard_that_nobody_asked_for_is_not_imported(tmp_path):
     done = run_script(tmp_path, NO_DASHBOARD)
     assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
+
+
+@pytest.mark.parametrize("dashboard", [False, slow(True)])
+def test_threads_are_not_looked_at_for_a_dashboard_that_is_not_there(dashboard):
+    with local_cluster({"n_workers": 1, "threads_per_worker": 1, "processes": False}, dashboard) as cluster:
+        [worker] = cluster.workers.values()
+        assert ("profile" in worker.periodic_callbacks) is dashboard
 
 
 @pytest.mark.parametrize(

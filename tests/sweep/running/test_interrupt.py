@@ -1,5 +1,6 @@
 """Whoever stops a run gets a clean end at once, with everything finished kept; with real signals."""
 
+import gc
 import os
 import re
 import signal
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
+from sweep import interrupt
 from sweep.executing.choose import Resources
 from sweep.interrupt import LOST_S, RunInterruptedError, watched
 from sweep.planning.tuning import Tuning
@@ -203,6 +205,24 @@ def test_cleaning_up_takes_its_time(where):
 
     assert ended_as(body) == signal.SIGINT
     assert steps == ["clean"]
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_no_garbage_is_collected_while_threads_are_looked_at(monkeypatch, collects):
+    seen = []
+
+    def current():
+        seen.append(gc.isenabled())
+        return {}
+
+    monkeypatch.setattr(sys, "_current_exceptions", current)
+    if not collects:
+        gc.disable()
+    try:
+        assert not interrupt._is_handling(threading.get_ident())
+        assert (seen, gc.isenabled()) == ([False], collects)
+    finally:
+        gc.enable()
 
 
 def test_an_ignored_signal_stays_ignored():
