@@ -82,6 +82,12 @@ def counted(n: int, noun: str) -> str:
     return f"{n:,} {noun}{'' if n == 1 else 's'}"
 
 
+def per_second(number: int, seconds: float, noun: str) -> str:
+    """Return a speed, such as '1,200 points/s'; of less than ten a second two digits."""
+    speed = number / max(seconds, 1e-9)
+    return f"{speed:.2g} {noun}/s" if speed < 9.95 else f"{speed:,.0f} {noun}/s"
+
+
 def first_of(words: Sequence[Any], most: int, separator: str = ", ") -> str:
     """Return the first of several words, and how many more there are.
 

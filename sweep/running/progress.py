@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
 from sweep.executing.task import TaskResult
-from sweep.formatting import counted
+from sweep.formatting import counted, per_second
 from sweep.interrupt import how_ended
 from sweep.planning.grid import describe
 from sweep.planning.plan import Work
@@ -151,11 +151,11 @@ class TerminalProgress:
 
     def _description(self) -> str:
         assert self._begun is not None, "a run starts before it is described"
-        elapsed = max(time.monotonic() - self._begun, 1e-9)
+        elapsed = time.monotonic() - self._begun
         done = self._summary.done
-        rate, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
+        number, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
         share = f" ({100.0 * done.cost / self._work:.0f} % of the work)" if self._work > 0.0 and not self._once else ""
-        return f"{self._points:,}/{self._all_points:,} points{share}, {rate / elapsed:,.0f} {noun}/s"
+        return f"{self._points:,}/{self._all_points:,} points{share}, {per_second(number, elapsed, noun)}"
 
     def _end_bar(self) -> None:
         if self._bar is not None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from sweep.executing.task import TaskResult
-from sweep.formatting import counted
+from sweep.formatting import counted, per_second
 from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import PlanSize, Work
 from sweep.running.eta import in_words
@@ -86,12 +86,12 @@ class RunSummary:
             return []
         experiment = self._study.experiment
         once = experiment.deterministic
-        rate = (self.done.points if once else self.done.realisations) / max(elapsed, 1e-9)
+        number, noun = (self.done.points, "points") if once else (self.done.realisations, "realisations")
         realisations = "" if once else f" and {counted(self.done.realisations, 'realisation')}"
         took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
         lines = [
             f"{counted(self.done.points, 'point')}{realisations} in {took}: "
-            f"{rate:,.0f} {'points' if once else 'realisations'}/s, {self.busy:,.1f} s of work by all workers together"
+            f"{per_second(number, elapsed, noun)}, {self.busy:,.1f} s of work by all workers together"
         ]
         if slow := self._much_slower():
             lines.append(f"slowest: {'; '.join(slow)}")

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from sweep.cli import main
 from sweep.executing.task import TaskResult
+from sweep.formatting import per_second
 from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Block, PlanSize, Work
 from sweep.planning.survey import Survey
@@ -63,7 +64,7 @@ def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
     first, summary, wrote, failed = done.stderr.splitlines()
     assert first == "4 points; 40 realisations to do on this process"
     assert re.fullmatch(
-        r"4 points and 40 realisations in [\d.e-]+ s: [\d,]+ realisations/s, [\d.]+ s of work by all workers together",
+        r"4 points and 40 realisations in [\d.e-]+ s: [\d,.]+ realisations/s, [\d.]+ s of work by all workers together",
         summary,
     )
     assert wrote == "wrote results/study.zarr"
@@ -194,6 +195,20 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     assert gaps[-1] in (600, 601)
     assert len(spoken) < 200
     assert told[1] == "0/6 points (0 % of the work), 1 realisations/s, about 23 h 59 min left"
+
+
+@pytest.mark.parametrize(
+    ("number", "seconds", "words"),
+    [
+        (2, 7.0, "0.29 points/s"),
+        (0, 3.0, "0 points/s"),
+        (99, 10.0, "9.9 points/s"),
+        (999, 100.0, "10 points/s"),
+        (12_345, 1.0, "12,345 points/s"),
+    ],
+)
+def test_speeds(number, seconds, words):
+    assert per_second(number, seconds, "points") == words
 
 
 def test_the_account_names_the_slowest_of_many_points(coins):
