@@ -35,8 +35,9 @@ class CurveOfFunction:
         if found.shape != flat.shape or found.dtype.kind not in "fiu":
             what = f"{found.dtype} of shape {found.shape}"
             raise CurveError(f"the function {name!r} returns {what}, not numbers of shape {flat.shape}")
-        if np.ma.is_masked(returned):
-            raise CurveError(f"the function {name!r} returns {np.ma.count_masked(returned)} masked values")
+        masked = np.count_nonzero(np.ma.getmaskarray(returned))
+        if masked:
+            raise CurveError(f"the function {name!r} returns {masked} masked values")
         bad = ~(np.isfinite(found) & (found > 0))
         if bad.any():
             first = int(np.argmax(bad))
