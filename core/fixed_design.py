@@ -92,12 +92,13 @@ class FixedSums:
         """Add the objects of a tile; the reference has no errors here."""
         if satellite is None or satellite.start >= self._n_obj:
             return
-        place = slice(satellite.start, satellite.start + satellite.normals.shape[-3])
-        part, ratio = self._columns[..., place, :, :], self._noise.ratio
+        ratio = self._noise.ratio
         if self._noise.factor is None and self.field is None:
-            self.products += ratio * satellite.product(part, self._whose)
-            self.squares += ratio**2 * satellite.squares(self._n_obj, self._measured)
+            self.products = satellite.products(self._columns, self._whose, ratio)
+            self.squares = satellite.squares(self._n_obj, self._measured, ratio)
         else:
+            place = slice(satellite.start, satellite.start + satellite.normals.shape[-3])
+            part = self._columns[..., place, :, :]
             errors = ratio * self._noise.standardised(satellite.head(self._n_obj), satellite.start)
             if self.field is not None:
                 errors += self.field.values(place) / self.design.setup.sigma[place, :, None]
@@ -148,26 +149,32 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
     catalogue, scenario, truth = setup.catalogue, setup.scenario, setup.truth
     unknowns, left_out = len(truth), setup.counted == 0.0
 
-    def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array, sigma: Array) -> Array:
+    def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array) -> Array:
+        """Return [a, m] without weights: they are the same for all missions."""
         require_off_poles(dec, np.cos(dec))
-        columns = np.empty((len(ra), 4, copies * unknowns + 1))
+        columns = np.empty((len(ra), 4, unknowns + 1))
         for part in parts(len(ra)):
             objects = ra[part], dec[part], pmra[part], pmdec[part]
             design = design_matrix(*objects, corrections=scenario.corrections, glide=scenario.solve_glide)
-            design, weighing = np.moveaxis(design, -1, 0), sigma[part].T
             misclosure = differences[part].T.copy()
-            for value, derivative in zip(truth, design, strict=True):
+            for value, derivative in zip(truth, np.moveaxis(design, -1, 0), strict=True):
                 misclosure -= derivative * value  # one by one: a matrix product may round an object by its place
-            into = columns[part].transpose(2, 1, 0)
-            into[:unknowns] = design / weighing
-            if copies == 2:
-                into[unknowns:-1] = design * weighing
-            into[-1] = misclosure / weighing
-            into[:, left_out] = 0.0
-            for k in range(unknowns)[setup.held]:
-                into[k::unknowns][:copies] = 0.0
+            columns[part, :, :unknowns] = design.swapaxes(0, 1)
+            columns[part, :, unknowns] = misclosure.T
         return columns
 
-    settings = "columns", copies, scenario.corrections, scenario.solve_glide, truth.tobytes(), setup.measured
+    def weigh(plain: Array, sigma: Array) -> Array:
+        """Return the columns with weights."""
+        columns = plain / sigma[:, :, None]
+        if copies == 2:
+            times_sigma = plain[:, :, :unknowns] * sigma[:, :, None]
+            columns = np.concatenate([columns[:, :, :unknowns], times_sigma, columns[:, :, unknowns:]], axis=2)
+        columns[:, left_out] = 0.0
+        for k in range(unknowns)[setup.held]:
+            columns[:, :, k::unknowns][:, :, :copies] = 0.0
+        return columns
+
+    settings = scenario.corrections, scenario.solve_glide, truth.tobytes()
     objects = catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec
-    return shared.once(settings, compute, *objects, setup.differences, setup.sigma)
+    plain = shared.once(("design", *settings), compute, *objects, setup.differences)
+    return shared.once(("columns", copies, setup.measured), weigh, plain, setup.sigma)

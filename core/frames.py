@@ -41,8 +41,9 @@ def position(r: Array) -> tuple[Array, Array]:
     >>> float(np.degrees(ra)), float(np.degrees(dec))
     (270.0, 45.0)
     """
-    ra = np.arctan2(r[1], r[0]) % (2.0 * np.pi)
-    return np.where(ra < 2.0 * np.pi, ra, 0.0), np.arctan2(r[2], np.hypot(r[0], r[1]))  # -tiny % 2 pi is 2 pi
+    angle = np.arctan2(r[1], r[0])
+    ra = np.where(angle < 0.0, angle + 2.0 * np.pi, np.abs(angle))  # as % 2 pi, which takes five times as long
+    return np.where(ra < 2.0 * np.pi, ra, 0.0), np.arctan2(r[2], np.hypot(r[0], r[1]))  # -tiny + 2 pi is 2 pi
 
 
 def galactic(ra: Array, dec: Array) -> tuple[Array, Array]:

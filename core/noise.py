@@ -5,7 +5,7 @@ stream runs through the objects: 4 observables of object 0 in all realisations o
 object i gets depends neither on how many objects follow nor on what the other side or another point needs.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,6 +14,11 @@ import numpy as np
 from core.arrays import Array, Stack, product_sum, transposed_product
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
+from core.errors.magnitude import MagnitudeErrors
+from core.errors.none import NoErrors
+from core.errors.normal import NormalErrors
+from core.function_curve import CurveOfFunction
+from core.shared_arrays import Prefixes
 from core.zonal import DrawnField, Field, ZonalErrors
 
 ROWS = 512
@@ -42,31 +47,46 @@ class Tile:
 
     start: int
     normals: Array
-    _squares: dict[Hashable, Array] = field(default_factory=dict)
-    _products: dict[Hashable, Array] = field(default_factory=dict)
+    _before: Mapping[Hashable, Array] = field(default_factory=dict)
+    _sums: dict[tuple[Hashable, int], Array] = field(default_factory=dict)
 
     def head(self, n_obj: int) -> Array:
         """Return the part that belongs to a catalogue of ``n_obj`` objects."""
         return self.normals[..., : max(0, n_obj - self.start), :, :]
 
-    def squares(self, n_obj: int, observables: slice) -> Array:
-        """Return the sum of squares of some observables in that part, shape (...), computed once for all points that
-        have as many objects in it.
+    def squares(self, n_obj: int, observables: slice, ratio: float) -> Array:
+        """Return the sum of the squares of ``ratio`` times some observables, over the objects of a catalogue of
+        ``n_obj`` in this tile and those before it; shape (...).
         """
-        part = self.head(n_obj)[..., observables, :]
-        key = part.shape[-3], observables.start, observables.stop
-        if key not in self._squares:
-            self._squares[key] = product_sum(part, part)
-        return self._squares[key]
 
-    def product(self, columns: Array, whose: Hashable) -> Array:
-        """Return columns^T normals, (..., C, rows), of the columns (..., n, 4, C) of the tile's first n objects,
-        computed once for all points that have the same columns: as many of those that ``whose`` names.
+        def own() -> Array:
+            part = self.head(n_obj)[..., observables, :]
+            return ratio**2 * product_sum(part, part)
+
+        return self._summed(("squares", observables.start, observables.stop, ratio), n_obj, own)
+
+    def products(self, columns: Array, whose: Hashable, ratio: float) -> Array:
+        """Return the sum of columns^T ``ratio`` normals, (..., C, rows), over the same objects of a catalogue with
+        ``columns`` (..., N, 4, C), the beginning of those that ``whose`` names.
         """
-        key = whose, columns.shape[-3]
-        if key not in self._products:
-            self._products[key] = transposed_product(columns, self.normals[..., : columns.shape[-3], :, :])
-        return self._products[key]
+        n_obj = columns.shape[-3]
+
+        def own() -> Array:
+            part = self.head(n_obj)
+            return ratio * transposed_product(columns[..., self.start : self.start + part.shape[-3], :, :], part)
+
+        return self._summed((whose, ratio), n_obj, own)
+
+    def after(self) -> dict[Hashable, Array]:
+        """Return the sums over all objects so far, for the next tile."""
+        return {what: total for (what, n_obj), total in self._sums.items() if n_obj == self.normals.shape[-3]}
+
+    def _summed(self, what: Hashable, n_obj: int, own: Callable[[], Array]) -> Array:
+        """Return a sum over the tiles so far, computed once for all points that have as many objects in this one."""
+        key = what, min(n_obj - self.start, self.normals.shape[-3])
+        if (found := self._sums.get(key)) is None:
+            found = self._sums[key] = self._before.get(what, 0.0) + own()
+        return found
 
 
 def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: int) -> Iterator[Tile]:
@@ -76,11 +96,14 @@ def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: i
     objects = tile_objects(rows)
     # of the full size even for few objects: where an array begins must not depend on who shares it
     buffer = np.empty((*stack, min(objects, n_obj) if stack else objects, 4, rows))
+    before: dict[Hashable, Array] = {}
     for start in range(0, n_obj, objects):
         part = buffer[..., : n_obj - start, :, :]
         for rng, own in zip(rngs, part if stack else [part], strict=True):
             rng.standard_normal(out=own)
-        yield Tile(start, part)
+        tile = Tile(start, part, before)
+        yield tile
+        before = tile.after()
 
 
 @dataclass(frozen=True)
@@ -96,10 +119,14 @@ class Noise:
     field: Field | None = None
 
     @staticmethod
-    def of(model: ErrorModel, catalogue: Catalogue) -> "Noise":
+    def of(model: ErrorModel, catalogue: Catalogue, shared: Prefixes) -> "Noise":
         """Return the errors that a model gives the objects of a catalogue."""
+
+        def compute(*_: Array) -> Array:
+            return np.ascontiguousarray(model.standard_errors(catalogue).T)
+
         correlation = model.correlation(catalogue)
-        sigma = np.ascontiguousarray(model.standard_errors(catalogue).T)
+        sigma = shared.once(("errors", model), compute, catalogue.v_mag) if _elementwise(model) else compute()
         return Noise(sigma, None if correlation is None else np.asarray(np.linalg.cholesky(correlation)))
 
     def inflated(self, factor: float) -> "Noise":
@@ -144,3 +171,13 @@ class Noise:
             scaled = np.swapaxes(self.factor, 1, 2) @ scaled
         variance = np.asarray(np.einsum("nik,nik->k", scaled, scaled))
         return variance if self.field is None else variance + self.field.variance_through(gain)
+
+
+def _elementwise(model: ErrorModel) -> bool:
+    """Whether the errors of an object follow from its magnitude alone, to the last bit: a user's function may round
+    otherwise in another place.
+    """
+    if isinstance(model, MagnitudeErrors):
+        curves = model.mission.curve_pos_mas, model.mission.curve_pm_mas_yr
+        return not any(isinstance(curve, CurveOfFunction) for curve in curves)
+    return type(model) in (NoErrors, NormalErrors)

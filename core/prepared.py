@@ -134,15 +134,15 @@ def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
     for a stack of which some catalogues have errors that others have not, or of correlated errors.
     """
     catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
-    reference = Noise.of(scenario.reference_errors, catalogue)
-    satellite = Noise.of(scenario.satellite_errors, catalogue)
-    both = reference.sigma.T, satellite.sigma.T
+    reference = Noise.of(scenario.reference_errors, catalogue, shared)
+    satellite = Noise.of(scenario.satellite_errors, catalogue, shared)
     for side in (reference, satellite) if drawn.stack else ():
         if side.factor is not None:
             raise UnlikeError("the errors of an object are correlated")
         any_errors = side.sigma.reshape(*drawn.stack, -1).any(axis=-1)
         if any_errors.any() and not any_errors.all():
             raise UnlikeError("some of the catalogues have no errors")
+    sigma, kinds = _weighing(reference.sigma, satellite.sigma, shared)
     return Setup(
         scenario=scenario,
         catalogue=catalogue,
@@ -150,10 +150,21 @@ def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
         differences=_differences(scenario, drawn, shared),
         reference=reference.inflated(scenario.reference_error_ratio),
         satellite=satellite.inflated(scenario.satellite_error_ratio).with_zonal(scenario.zonal, catalogue),
-        sigma=np.ascontiguousarray(combined_error(*both).T),
-        measured=measured(np.add(*both)),
+        sigma=sigma,
+        measured=kinds,
         stack=drawn.stack,
     )
+
+
+def _weighing(reference: Array, satellite: Array, shared: Prefixes) -> tuple[Array, tuple[bool, bool]]:
+    """Return the errors that weigh, (N, 4), and whether positions and proper motions are measured."""
+
+    def combine(*sides: Array) -> Array:
+        return np.ascontiguousarray(combined_error(*(side.T for side in sides)).T)
+
+    if np.all(satellite > 0.0):  # what an object gets depends on no other one then
+        return shared.once("combined errors", combine, reference, satellite), (True, True)
+    return combine(reference, satellite), measured(reference.T + satellite.T)
 
 
 def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:

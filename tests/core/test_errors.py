@@ -12,6 +12,7 @@ from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
 from core.experiment import link, scenario
 from core.missions import MISSIONS, PyGaia
 from core.noise import Noise
+from core.shared_arrays import Prefixes
 from core.simulate import simulate
 
 CATALOGUE = synthetic(np.random.default_rng(1), 50, 5.0, 15.0)
@@ -74,7 +75,7 @@ def test_drawn_noise_has_the_covariance_that_is_asked_for(model, correlated):
     n_obj, n_draws = 4, 40_000
     catalogue = with_own_errors(n_obj, correlated)
     sigma = model.standard_errors(catalogue)
-    drawn = Noise.of(model, catalogue)
+    drawn = Noise.of(model, catalogue, Prefixes())
     normals = np.random.default_rng(3).standard_normal((n_obj, 4, n_draws))
     noise = (drawn.standardised(normals, 0) * drawn.sigma[..., None]).transpose(2, 1, 0)
     own = correlated and isinstance(model, CatalogueErrors)

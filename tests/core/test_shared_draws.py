@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.errors import NoErrors, NormalErrors
+from core.errors import MagnitudeErrors, NoErrors, NormalErrors
 from core.experiment import evaluate, link, samples, scenario
+from core.function_curve import CurveOfFunction
+from core.missions import Mission
 from core.noise import ROWS, TILE, Noise, chunks, tile_objects, tiles
 from core.parameters import SHARED
 from core.simulate import simulate
@@ -146,6 +148,24 @@ def test_objects_keep_their_errors_when_others_follow():
         np.testing.assert_allclose(few, all_of_them, atol=1e-6)
 
 
+def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
+    """It may round otherwise among other objects: here by 1e-12 for each of them."""
+
+    class Rounding:
+        name, digest = "rounding", "0123456789ab"
+
+        def __call__(self, v_mag):
+            return np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag)))
+
+    curve = CurveOfFunction(Rounding())
+    errors = MagnitudeErrors(Mission(curve, curve, 1.0, np.inf, "a test"))
+    limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]
+    both = [replace(one, satellite_errors=errors) for one in limits]
+    together, alone = simulate(both, 30, *generators()), simulate(both[:1], 30, *generators())
+    np.testing.assert_array_equal(together[0].error, alone[0].error)
+    np.testing.assert_array_equal(together[0].predicted_variance, alone[0].predicted_variance)
+
+
 def test_sharing_makes_the_difference_of_two_points_certain():
     """sigma of the same draw scales with the errors exactly; of separate draws it does to Monte-Carlo error."""
     points = [point(satellite_errors="normal"), point(satellite_errors="normal", error_scale=2.0)]
@@ -188,9 +208,19 @@ def test_tiles_are_the_streams_object_by_object(rows, n_obj, fewer, stack):
     assert sum(normals.shape[-3] for _, normals in found) == n_obj
     few = min(fewer, n_obj)
     assert sum(tile.head(few).shape[-3] for tile in drawn()) == few
-    squares = [tile.squares(few, slice(0, 4)) for tile in drawn()]
-    expected = np.sum(plain[..., :few, :, :] ** 2, axis=(-3, -2, -1))
-    np.testing.assert_allclose(np.sum(squares, axis=0), expected if squares else 0.0, rtol=1e-12)
+    columns = np.random.default_rng(9).standard_normal((*stack, n_obj, 4, 3))
+    squares, products = {}, {}  # of two nested catalogues, whose sums share what they have in common
+    for tile in drawn():
+        for size in {n_obj, few}:
+            if tile.start < size:
+                squares[size] = tile.squares(size, slice(1, 4), 2.0)
+                products[size] = tile.products(columns[..., :size, :, :], "ours", 2.0)
+    for size, found in squares.items():
+        part = 2.0 * plain[..., :size, :, :]
+        np.testing.assert_allclose(found, np.sum(part[..., 1:, :] ** 2, axis=(-3, -2, -1)), rtol=1e-12)
+        expected = np.einsum("...nic,...nir->...cr", columns[..., :size, :, :], part)
+        np.testing.assert_allclose(products[size], expected, rtol=1e-9, atol=1e-9 * np.sqrt(size))
+    assert squares.keys() == {size for size in (n_obj, few) if size}
 
 
 def test_a_tile_stays_in_cache_whatever_the_rows():
