@@ -1,15 +1,16 @@
 """What of a run is told on standard error, and what goes to a log file."""
 
-import functools
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import click
+
+from sweep.cli.options import gathered
 
 FORMAT = "%(asctime)s %(levelname)s %(message)s"
 
@@ -22,24 +23,6 @@ class Watching:
     log: TextIO | None = None
 
 
-def watching_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --quiet, --verbose and --log; the command gets them as ``watching``."""
-
-    @click.option("--quiet", "-q", is_flag=True, help="Print only errors, and the table.")
-    @click.option("--verbose", "-v", is_flag=True, help="Print a line for each point, and Dask's warnings.")
-    @click.option(
-        "--log", metavar="FILE", callback=_log_file, help="Append everything to FILE, with times and tracebacks."
-    )
-    @functools.wraps(command)
-    def with_watching(*arguments: Any, quiet: bool, verbose: bool, log: TextIO | None, **named: Any) -> Any:
-        if quiet and verbose:
-            raise click.UsageError("--quiet and --verbose contradict each other")
-        level = logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO
-        return command(*arguments, watching=Watching(level, log), **named)
-
-    return with_watching
-
-
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
     if value is None or context.resilient_parsing:
         return None
@@ -48,6 +31,23 @@ def _log_file(context: click.Context, _parameter: click.Parameter, value: str | 
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error
+
+
+def _watching(quiet: bool, verbose: bool, log: TextIO | None) -> Watching:
+    if quiet and verbose:
+        raise click.UsageError("--quiet and --verbose contradict each other")
+    return Watching(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO, log)
+
+
+watching_options = gathered(
+    "watching",
+    _watching,
+    click.option("--quiet", "-q", is_flag=True, help="Print only errors, and the table."),
+    click.option("--verbose", "-v", is_flag=True, help="Print a line for each point, and Dask's warnings."),
+    click.option(
+        "--log", metavar="FILE", callback=_log_file, help="Append everything to FILE, with times and tracebacks."
+    ),
+)
 
 
 @contextmanager

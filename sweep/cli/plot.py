@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import FILE, link_in, naming, part_of, place_option
+from sweep.cli.options import FILE, link_in, part_of, place_option
 from sweep.plots.kinds import STANDALONE, all_kinds
 
 NARROWEST_MM, WIDEST_MM = 40.0, 1000.0
@@ -20,8 +20,7 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
     except ValueError:
         width = 0.0
     if not NARROWEST_MM <= width <= WIDEST_MM:
-        wanted = f"must be from {NARROWEST_MM:g}mm to {WIDEST_MM:g}mm, like 88mm or 180mm"
-        raise click.BadParameter(f"{value!r}: {wanted}")
+        raise click.BadParameter(f"{value!r}: must be from {NARROWEST_MM:g}mm to {WIDEST_MM:g}mm, like 88mm or 180mm")
     return width
 
 
@@ -142,8 +141,7 @@ def _figure(
     store = store_named(source)
     if (link := link_in(store, at)) is not None:
         return draw_figure(link, kind, variables, over), link
-    dataset = part_of(store, at)
-    with naming(store):
+    with part_of(store, at) as dataset:
         return draw_figure(dataset, kind, variables, over), dataset
 
 

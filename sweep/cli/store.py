@@ -1,6 +1,8 @@
-"""Commands about stores as they are: show, status, check, repair and merge."""
+"""Commands about stores as they are: show, status, check, repair, reproduce and merge."""
 
+import json
 import sys
+import traceback
 from typing import TYPE_CHECKING
 
 import click
@@ -44,8 +46,9 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
 
         click.echo(as_format(link, table_format).rstrip("\n"))
         return
-    part = part_of(store, at, excluded_too=table_format != "text")  # the others have a column that says so
-    print_table(part, table_format, with_components=True)
+    # Formats for programs have a column that says so.
+    with part_of(store, at, excluded_too=table_format != "text") as part:
+        print_table(part, table_format, with_components=True)
 
 
 @main.command()
@@ -106,6 +109,48 @@ def repair(store: "Location", break_lock: bool) -> None:
 
     for sentence in repair_files(store, break_lock=break_lock) or ["every file is as it was written"]:
         click.echo(sentence)
+
+
+@main.command()
+@store_argument
+@click.option("--at", required=True, metavar="AXIS=VALUE[,AXIS=VALUE]", help="The point, e.g. model=gaia,v_max=16.")
+@click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
+@trust_option
+@json_option
+def reproduce(store: "Location", at: str, debug: bool, trust: bool, as_json: bool) -> None:
+    """Compute one point of STORE again, in this process, and compare every bit with what is stored.
+
+    The exit code is 1 if it raises, or if anything differs.
+
+    \b
+    sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
+    """
+    from sweep.contract import SweepError
+    from sweep.running.reproduce import reproduce as compute_again
+
+    try:
+        again = compute_again(store, at, trust=trust)
+    except SweepError:
+        raise
+    except Exception as error:
+        traceback.print_exception(error)
+        if debug:
+            import pdb
+
+            pdb.post_mortem(error.__traceback__)
+        sys.exit(EXIT_FAILED_POINTS)
+    print_table(again.dataset.assign_attrs(title=again.place, complete=1), "json" if as_json else "text")
+    for sentence in again.other_code:
+        click.echo(f"computed by other code than the store was: {sentence}", err=True)
+    if again.differences is None:
+        click.echo(f"{again.place} is {again.stored} in {store}; there is nothing to compare with", err=True)
+    elif not again.differences:
+        click.echo(f"every bit as in {store}", err=True)
+    else:
+        click.echo(f"differs from {store} in {', '.join(again.differences)}", err=True)
+        for name, (stored, computed) in again.differences.items():
+            click.echo(f"  {name}: {json.dumps(stored.tolist())} stored, {json.dumps(computed.tolist())} now", err=True)
+        sys.exit(EXIT_FAILED_POINTS)
 
 
 @main.command()

@@ -98,11 +98,7 @@ class _Routes(io.TextIOBase):
         return len(text)
 
     def writable(self) -> bool:
-        """Return True."""
         return True
-
-    def flush(self) -> None:
-        """Do nothing."""
 
     def _of_this_thread(self) -> Captured | None:
         with self._lock:

@@ -2,19 +2,12 @@
 
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 from sweep.contract import SweepError, shown, suggest
-from sweep.executing.execute import (
-    NO_LIMITS,
-    Executor,
-    Limits,
-    Place,
-    Say,
-    available_cores,
-    measured_first,
-)
+from sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Say, available_cores, measured_first
 from sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName
 from sweep.studies.study import Study
 
@@ -72,9 +65,10 @@ def choose_executor(
     limits, workers = resources.limits, resources.workers or available_cores()
     if resources.scheduler is None and resources.cluster is None:
         pool = POOLS[resources.pool or DEFAULT_POOL]
+        opened = partial(pool.open, study, workers, say, limits, resources.dashboard)
         if resources.none_requested and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
-            return measured_first(study, cost, workers, lambda: pool.open(study, workers, say, limits), say)
-        return pool.open(study, workers, say, limits, resources.dashboard)
+            return measured_first(study, cost, workers, opened, say)
+        return opened()
     from sweep.executing.clusters import dask_from_file, dask_scheduler, tls
 
     if resources.scheduler is not None:

@@ -1,7 +1,7 @@
 """A function of many pieces on Dask workers: results in the order of the pieces, few of them in memory at a time."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any, TypeVar
@@ -76,19 +76,11 @@ def _local(workers: int | None) -> Iterator[Any]:
 @contextmanager
 def _elsewhere(scheduler: str, experiment: str) -> Iterator[Any]:
     from sweep.executing.clusters import client_at
-    from sweep.executing.versions import differences, identity
+    from sweep.executing.versions import identity, require_same
 
     with client_at(scheduler) as client:
         if not client.nthreads():
             raise SweepError(f"the Dask scheduler at {scheduler} has no workers")
         own = identity(experiment).deciding
-        found: Mapping[str, Any] = client.run(identity, experiment, on_error="return")
-        problems = []
-        for worker, what in sorted(found.items()):
-            if isinstance(what, BaseException):
-                problems.append(f"{worker}: {type(what).__name__}: {what}")
-            else:
-                problems += [f"{worker}: {text}" for text in differences(own, what.deciding)]
-        if problems:
-            raise SweepError(problems, "workers that would not compute what this process would")
+        require_same(own, client.run(identity, experiment, on_error="return"))
         yield client
