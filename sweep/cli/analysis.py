@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import FILE, json_option, part_of, place_option, store_argument
+from sweep.cli.options import FILE, json_option, option_with_default, part_of, place_option, store_argument
 from sweep.cli.output import print_sentences, print_table, print_whole, table_width
-from sweep.cli.plot import drawing_styles
+from sweep.cli.plot import drawing_styles, save_figure
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
@@ -21,11 +21,10 @@ TABLES = (".csv", ".json", ".zarr")
 @store_argument
 @click.option("--over", help="The axis to fit along.  [default: the only one with several numbers]")
 @click.option("--variable", help="What to fit.  [default: the main result]")
-@click.option(
+@option_with_default(
     "--law",
     type=click.Choice(["power", "levelling"]),
     default="power",
-    show_default=True,
     help="power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over).",
 )
 @click.option("--expect", type=float, help="Exponent to test.  [default: that of a claim of the study]")
@@ -164,12 +163,10 @@ def sensitivity(
 def _require_known(output: Path) -> None:
     from sweep.contract import SweepError
 
-    if output.suffix.lower() in TABLES:
-        if output.suffix.lower() == ".zarr" and output.exists():
-            raise SweepError("exists already; take another name", str(output))
-        return
-    formats = drawing_styles().FORMATS
-    if output.suffix.lower() not in formats:
+    suffix = output.suffix.lower()
+    if suffix == ".zarr" and output.exists():
+        raise SweepError("exists already; take another name", str(output))
+    if suffix not in TABLES and suffix not in (formats := drawing_styles().FORMATS):
         raise SweepError(f"the name must end with {', '.join((*TABLES, *formats))}", str(output))
 
 
@@ -186,10 +183,6 @@ def _write(result: Any, output: Path) -> None:
         elif suffix == ".zarr":
             result.to_zarr(output, zarr_format=3, consolidated=False)
         else:
-            from sweep.plots import style
-            from sweep.plots.sensitivity import sensitivity_figure
-
-            with style.settings():
-                style.save(sensitivity_figure(result), output)
+            save_figure(result, output)
     except OSError as error:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error

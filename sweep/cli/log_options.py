@@ -14,6 +14,9 @@ from sweep.cli.options import gathered
 
 FORMAT = "%(asctime)s %(levelname)s %(message)s"
 
+DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+"""The second keeps its messages to itself."""
+
 
 @dataclass(frozen=True)
 class Watching:
@@ -56,20 +59,17 @@ def told(watching: Watching) -> Iterator[None]:
     from sweep.contract import SweepError
     from sweep.running.progress import RECORD, SENTENCES, Sentences
 
-    shown = Sentences()
-    shown.setLevel(watching.level)
     with ExitStack() as stack:
-        stack.enter_context(_handled(SENTENCES, shown))
+        stack.enter_context(_handled(Sentences(watching.level), SENTENCES))
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
-        stack.enter_context(_handled(RECORD, logging.NullHandler()))
+        stack.enter_context(_handled(logging.NullHandler(), RECORD))
         RECORD.propagate = False
         if watching.level == logging.DEBUG:
-            _handle_dask(stack, _FromDask(shown))
+            warnings = Sentences(logging.WARNING)
+            warnings.setFormatter(logging.Formatter("Dask: %(message)s"))
+            stack.enter_context(_handled(warnings, *DASK))
         if watching.log is not None:
-            record = _Lines(watching.log)
-            stack.enter_context(_handled(SENTENCES, record))
-            stack.enter_context(_handled(RECORD, record))
-            _handle_dask(stack, record)
+            stack.enter_context(_handled(_Lines(watching.log), SENTENCES, RECORD, *DASK))
             RECORD.info("%s", " ".join(["sweep", *sys.argv[1:]]))
         try:
             yield
@@ -81,18 +81,15 @@ def told(watching: Watching) -> Iterator[None]:
             raise
 
 
-def _handle_dask(stack: ExitStack, handler: logging.Handler) -> None:
-    for name in ("distributed", "distributed.client"):  # Dask lets the second keep its messages to itself
-        stack.enter_context(_handled(logging.getLogger(name), handler))
-
-
 @contextmanager
-def _handled(logger: logging.Logger, handler: logging.Handler) -> Iterator[None]:
-    logger.addHandler(handler)
+def _handled(handler: logging.Handler, *loggers: logging.Logger) -> Iterator[None]:
+    for logger in loggers:
+        logger.addHandler(handler)
     try:
         yield
     finally:
-        logger.removeHandler(handler)
+        for logger in loggers:
+            logger.removeHandler(handler)
 
 
 class _Lines(logging.Handler):
@@ -108,15 +105,3 @@ class _Lines(logging.Handler):
             self._file.write(self.format(record) + "\n")
         except OSError:
             self.handleError(record)
-
-
-class _FromDask(logging.Handler):
-    """Shows Dask's warnings among the sentences."""
-
-    def __init__(self, shown: logging.Handler) -> None:
-        super().__init__(logging.WARNING)
-        self._shown = shown
-        self._shown_format = logging.Formatter("Dask: %(message)s")
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._shown.emit(logging.makeLogRecord({"msg": self._shown_format.format(record), "levelno": record.levelno}))

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Command = Callable[..., Any]
 Decorator = Callable[[Command], Command]
 
+option_with_default = functools.partial(click.option, show_default=True)
+
 FILE = click.Path(path_type=Path)
 """The type of what names a file or folder, which need not be there."""
 

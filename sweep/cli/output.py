@@ -61,24 +61,23 @@ def print_plan(
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     from sweep.running.eta import in_words
 
-    realisations, time = {}, {}
-    if "realisations" in report:
-        done = report["realisations"] - report["realisations_pending"]
-        realisations = {"realisations": f"{report['realisations']:,}, {done:,} of them done"}
-    cores = f"{report['cores']} core{'' if report['cores'] == 1 else 's'}"
-    if "seconds" in report:
-        time = {"time": f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone"}
-    return {
+    words = {
         "study": report["title"],
         "grid": report["grid"],
         "points": f"{report['points']:,}, {report['points_done']:,} of them done",
-        **realisations,
-        "work": f"{report['blocks_pending']:,} blocks in about {report['tasks_about']:,} tasks",
-        "memory": f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
-        f"{report['ledger_mb']:,.3g} MB of ledger",
-        **time,
-        "store": report["store"],
     }
+    if "realisations" in report:
+        done = report["realisations"] - report["realisations_pending"]
+        words["realisations"] = f"{report['realisations']:,}, {done:,} of them done"
+    words["work"] = f"{report['blocks_pending']:,} blocks in about {report['tasks_about']:,} tasks"
+    words["memory"] = (
+        f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
+        f"{report['ledger_mb']:,.3g} MB of ledger"
+    )
+    if "seconds" in report:
+        cores = f"{report['cores']} core{'' if report['cores'] == 1 else 's'}"
+        words["time"] = f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone"
+    return words | {"store": report["store"]}
 
 
 def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:

@@ -10,7 +10,7 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import FILE, gathered, json_option, json_or, stores_argument
+from sweep.cli.options import FILE, gathered, json_option, json_or, option_with_default, stores_argument
 from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.resource_options import resource_options
 from sweep.cli.running import run_with_progress
@@ -71,7 +71,7 @@ class AskedStores:
 @results_option
 @resource_options
 @watching_options
-@click.option("--format", "table_format", type=click.Choice(["text", "csv"]), default="text", show_default=True)
+@option_with_default("--format", "table_format", type=click.Choice(["text", "csv"]), default="text")
 @json_option
 @gathered("asked", AskedStores)
 def compare(asked: AskedStores, table_format: str, as_json: bool) -> None:

@@ -36,9 +36,7 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
 @click.option(
-    "--over",
-    multiple=True,
-    help="The axis to draw along; give both for a map, or two components of a scatter.",
+    "--over", multiple=True, help="The axis to draw along; give both for a map, or two components of a scatter."
 )
 @click.option("--model", "models", multiple=True, help="Accuracy: only this mission; may be given several times.")
 @place_option
@@ -50,12 +48,7 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 )
 @click.option("--style", type=click.Choice(["paper", "talk"]), help="Sizes of letters and lines.  [default: paper]")
 @click.option("--caption", is_flag=True, help="Write NAME.txt beside the picture: caption and alternative text.")
-@click.option(
-    "-o",
-    "--output",
-    type=FILE,
-    help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]",
-)
+@click.option("-o", "--output", type=FILE, help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]")
 def plot(
     source: str | None,
     kind: str | None,
@@ -109,6 +102,15 @@ def drawing_styles() -> Any:
     except ImportError as error:
         raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
     return style
+
+
+def save_figure(dataset: Any, path: Path) -> None:
+    """Draw a dataset in the way that suits it into a file."""
+    from sweep.plots import style
+    from sweep.plots.figure import draw_figure
+
+    with style.settings():
+        style.save(draw_figure(dataset), path)
 
 
 def _figure(

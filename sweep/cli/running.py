@@ -7,20 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from sweep.cli import options
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, told, watching_options
-from sweep.cli.options import (
-    FILE,
-    AskedStudy,
-    accept_code_option,
-    break_lock_option,
-    json_option,
-    store_argument,
-    study_options,
-    trust_option,
-)
 from sweep.cli.output import print_answer, print_plan, print_table
-from sweep.cli.plot import drawing_styles
+from sweep.cli.plot import drawing_styles, save_figure
 from sweep.cli.resource_options import resource_options
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
 from sweep.executing.pools import DEFAULT_POOL, POOLS
@@ -33,15 +24,15 @@ if TYPE_CHECKING:
 
 
 @main.command()
-@study_options
+@options.study_options
 @resource_options
-@break_lock_option
-@accept_code_option
+@options.break_lock_option
+@options.accept_code_option
 @click.option("--fresh", is_flag=True, help="Replace an existing store, whatever its study and code.")
 @watching_options
-@trust_option
-@json_option
-def run(asked: AskedStudy, **how: Any) -> None:
+@options.trust_option
+@options.json_option
+def run(asked: options.AskedStudy, **how: Any) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
     After an interruption the same command resumes where it stopped.
@@ -58,12 +49,12 @@ def run(asked: AskedStudy, **how: Any) -> None:
 
 
 @main.command()
-@study_options
+@options.study_options
 @click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one per core]")
-@accept_code_option
-@trust_option
-@json_option
-def plan(asked: AskedStudy, workers: int | None, accept_code: bool, as_json: bool) -> None:
+@options.accept_code_option
+@options.trust_option
+@options.json_option
+def plan(asked: options.AskedStudy, workers: int | None, accept_code: bool, as_json: bool) -> None:
     """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
 
     \b
@@ -73,13 +64,13 @@ def plan(asked: AskedStudy, workers: int | None, accept_code: bool, as_json: boo
 
 
 @main.command()
-@store_argument
+@options.store_argument
 @resource_options
-@break_lock_option
-@accept_code_option
+@options.break_lock_option
+@options.accept_code_option
 @watching_options
-@trust_option
-@json_option
+@options.trust_option
+@options.json_option
 def retry(store: "Location", trust: bool, **how: Any) -> None:
     """Compute the failed points in STORE again, and only those.
 
@@ -101,32 +92,24 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
 
 @main.command()
 @click.argument("study")
-@click.option("--workers", default="1,2", show_default=True, callback=_counts, help="Numbers of workers, from 1 up.")
-@click.option(
+@options.option_with_default("--workers", default="1,2", callback=_counts, help="Numbers of workers, from 1 up.")
+@options.option_with_default(
     "--pool",
     type=click.Choice([name for name, pool in POOLS.items() if pool.has_workers]),
     default=DEFAULT_POOL,
-    show_default=True,
     help="Workers are processes, or threads of this one.",
 )
-@click.option(
-    "--repetitions",
-    type=click.IntRange(1, 1000),
-    default=3,
-    show_default=True,
-    help="Of every run; 5 or more give errors.",
+@options.option_with_default(
+    "--repetitions", type=click.IntRange(1, 1000), default=3, help="Of every run; 5 or more give errors."
 )
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Override a value of the study.")
 @click.option("--axis", "axes", multiple=True, metavar="NAME=SPEC", help="Override or add an axis.")
 @click.option(
-    "-o",
-    "--output",
-    type=FILE,
-    help="The measurements, as Zarr.  [default: results/NAME-scaling.zarr]",
+    "-o", "--output", type=options.FILE, help="The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"
 )
-@click.option("--figure", type=FILE, help="Also draw them with the ideal lines: .png, .svg, .pdf.")
-@trust_option
-@json_option
+@click.option("--figure", type=options.FILE, help="Also draw them with the ideal lines: .png, .svg, .pdf.")
+@options.trust_option
+@options.json_option
 def scaling(
     study: str,
     workers: tuple[int, ...],
@@ -167,11 +150,7 @@ def scaling(
     _print_scaling(dataset, as_json)
     write_scaling(dataset, path)
     if figure is not None:
-        from sweep.plots import style
-        from sweep.plots.figure import draw_figure
-
-        with style.settings():
-            style.save(draw_figure(dataset), figure)
+        save_figure(dataset, figure)
     click.echo(f"wrote {path}" + (f" and {figure}" if figure is not None else ""), err=True)
 
 

@@ -7,19 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from sweep.cli import options
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import (
-    accept_code_option,
-    break_lock_option,
-    json_option,
-    json_or,
-    link_in,
-    located_option,
-    part_of,
-    place_option,
-    store_argument,
-    trust_option,
-)
 from sweep.cli.output import print_status, print_table, status_as_json
 from sweep.formatting import to_json
 
@@ -28,10 +17,10 @@ if TYPE_CHECKING:
 
 
 @main.command()
-@store_argument
-@click.option("--format", "table_format", type=click.Choice(["text", "csv", "ecsv"]), default="text", show_default=True)
-@place_option
-@json_option
+@options.store_argument
+@options.option_with_default("--format", "table_format", type=click.Choice(["text", "csv", "ecsv"]), default="text")
+@options.place_option
+@options.json_option
 def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: bool) -> None:
     """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
     link or forecast, what `sweep tie` or `sweep forecast` printed.
@@ -40,20 +29,20 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
     sweep show quasars --at model=gaia
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
-    table_format = json_or(table_format, as_json)
-    if (link := link_in(store, at)) is not None:
+    table_format = options.json_or(table_format, as_json)
+    if (link := options.link_in(store, at)) is not None:
         from sweep.tie.text import as_format
 
         click.echo(as_format(link, table_format).rstrip("\n"))
         return
     # Formats for programs have a column that says so.
-    with part_of(store, at, excluded_too=table_format != "text") as part:
+    with options.part_of(store, at, excluded_too=table_format != "text") as part:
         print_table(part, table_format, with_components=True)
 
 
 @main.command()
-@store_argument
-@json_option
+@options.store_argument
+@options.json_option
 def status(store: "Location", as_json: bool) -> None:
     """Say how far the run in STORE is, what failed, and where the results come from.
 
@@ -70,8 +59,8 @@ def status(store: "Location", as_json: bool) -> None:
 
 
 @main.command()
-@store_argument
-@json_option
+@options.store_argument
+@options.json_option
 def check(store: "Location", as_json: bool) -> None:
     """Read every file in STORE and compare it with its checksum; the exit code is 1 if any is damaged.
 
@@ -97,8 +86,8 @@ def check(store: "Location", as_json: bool) -> None:
 
 
 @main.command()
-@store_argument
-@break_lock_option
+@options.store_argument
+@options.break_lock_option
 def repair(store: "Location", break_lock: bool) -> None:
     """Set damaged files of STORE aside, in STORE.damaged, so that the next run computes again what was in them.
 
@@ -112,11 +101,11 @@ def repair(store: "Location", break_lock: bool) -> None:
 
 
 @main.command()
-@store_argument
+@options.store_argument
 @click.option("--at", required=True, metavar="AXIS=VALUE[,AXIS=VALUE]", help="The point, e.g. model=gaia,v_max=16.")
 @click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
-@trust_option
-@json_option
+@options.trust_option
+@options.json_option
 def reproduce(store: "Location", at: str, debug: bool, trust: bool, as_json: bool) -> None:
     """Compute one point of STORE again, in this process, and compare every bit with what is stored.
 
@@ -154,12 +143,12 @@ def reproduce(store: "Location", at: str, debug: bool, trust: bool, as_json: boo
 
 
 @main.command()
-@store_argument
-@click.argument("other", callback=located_option)
-@click.option("-o", "--output", required=True, callback=located_option, help="The new store.")
-@accept_code_option
-@trust_option
-@json_option
+@options.store_argument
+@click.argument("other", callback=options.located_option)
+@click.option("-o", "--output", required=True, callback=options.located_option, help="The new store.")
+@options.accept_code_option
+@options.trust_option
+@options.json_option
 def merge(
     store: "Location", other: "Location", output: "Location", accept_code: bool, trust: bool, as_json: bool
 ) -> None:

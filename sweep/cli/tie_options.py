@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from sweep.cli.options import gathered
+from sweep.cli.options import gathered, option_with_default
 from sweep.formatting import split_assignment
 
 
@@ -142,11 +142,10 @@ table_options = gathered(
         type=click.Choice(["single-epoch", "mean"]),
         help="Reference positions without parallax: displaced by it, or mean.  [default: what the table says]",
     ),
-    click.option(
+    option_with_default(
         "--zero-errors",
         type=click.Choice(["error", "missing", "exact"]),
         default="error",
-        show_default=True,
         help="What an error of 0 means.",
     ),
     click.option(
@@ -155,11 +154,10 @@ table_options = gathered(
         metavar="satellite|reference|NAME",
         help="The table whose pmra is mu_alpha, without cos(dec).",
     ),
-    click.option(
+    option_with_default(
         "--weights",
         type=click.Choice(["covariance", "variance", "equal"]),
         default="covariance",
-        show_default=True,
         help="Of the differences.",
     ),
     click.option(

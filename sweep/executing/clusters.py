@@ -42,11 +42,7 @@ def local_workers(
             options["memory_limit"] = limits.memory
         noun = "worker process" if workers == 1 else "worker processes"
     words = f"{workers} local {noun}"
-    with (
-        threadpool_limits(1),
-        local_cluster(options, dashboard, method) as cluster,
-        cluster.get_client() as client,
-    ):
+    with threadpool_limits(1), local_cluster(options, dashboard, method) as cluster, cluster.get_client() as client:
         place = Place(words, workers, _dashboard(client) if dashboard else "")
         yield place, _executor(client, study, words, say, limits, guarded=method is None and bool(limits))
 
