@@ -14,7 +14,6 @@ EXIT_BAD_INPUT = 2
 
 atexit.register(gc.freeze)  # else all that was imported is looked through for garbage at the end: a fifth of a second
 
-
 SECTIONS = {
     "Run": {
         "demo": "Show the whole way from a study to its answer",

@@ -12,8 +12,6 @@ import click
 
 from sweep.cli.options import gathered
 
-FORMAT = "%(asctime)s %(levelname)s %(message)s"
-
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
 """The second keeps its messages to itself."""
 
@@ -98,7 +96,7 @@ class _Lines(logging.Handler):
     def __init__(self, file: TextIO) -> None:
         super().__init__()
         self._file = file
-        self.setFormatter(logging.Formatter(FORMAT))
+        self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
 
     def emit(self, record: logging.LogRecord) -> None:
         try:

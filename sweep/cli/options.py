@@ -95,7 +95,10 @@ def gathered(name: str, make: Callable[..., Any], *options: Decorator) -> Decora
             made = make(**{option: named.pop(option) for option in parameters})
             return command(*arguments, **{name: made}, **named)
 
-        return functools.reduce(lambda decorated, option: option(decorated), reversed(options), with_one)
+        decorated: Command = with_one
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
 
     return decorate
 

@@ -13,7 +13,7 @@ from sweep.cli.log_options import Watching, watching_options
 from sweep.cli.options import FILE, gathered, json_option, json_or, option_with_default, stores_argument
 from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.resource_options import resource_options
-from sweep.cli.running import run_with_progress
+from sweep.cli.running import Running, run_with_progress
 from sweep.formatting import to_json
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class AskedStores:
         for study in unfinished(studies, results):
             if self.watching.level < logging.ERROR:
                 click.echo(f"{study.name}:", err=True)
-            run_with_progress(study, located(store_of(study, results)), self.resources, self.watching, None)
+            run_with_progress(study, located(store_of(study, results)), Running(self.resources, self.watching, None))
         return tuple(located(store_of(study, results)) for study in studies)
 
 

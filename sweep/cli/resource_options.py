@@ -61,10 +61,8 @@ def _resources(
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
     any_tls = tls_ca or tls_cert or tls_key
     if any_tls and (tls is None or scheduler is None or not scheduler.startswith("tls://")):
-        together = "--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT"
-        raise click.UsageError(together)
-    limits = Limits(time_limit, memory_limit)
-    return Resources(workers, pool, scheduler, tls, cluster, limits, dashboard)
+        raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
+    return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit), dashboard)
 
 
 resource_options = gathered(

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,47 @@ if TYPE_CHECKING:
     from sweep.studies.study import Study
 
 
+@dataclass(frozen=True)
+class Running:
+    """How a study is run: what on, what the user sees of it (with ``as_json`` None no results), which store goes on."""
+
+    resources: "Resources"
+    watching: Watching
+    as_json: bool | None
+    break_lock: bool = False
+    accept_code: bool = False
+
+
+def run_with_progress(
+    study: "Study", store: "Location", how: Running, *, retry: bool = False, fresh: bool = False
+) -> dict[str, str]:
+    """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
+    why points failed.  An interruption ends the command.
+    """
+    from sweep.interrupt import RunInterruptedError
+    from sweep.running.progress import TerminalProgress
+    from sweep.running.run import run_study
+    from sweep.stores.named import short_name
+
+    bar = how.watching.level < logging.ERROR
+    with a_signal_ends_the_command(), told(how.watching), TerminalProgress(study, bar) as progress:
+        try:
+            dataset, failures = run_study(
+                study, store, how.resources, progress, retry, how.break_lock, how.accept_code, fresh
+            )
+        except RunInterruptedError as stop:
+            progress.stopped(stop.signal.name, store)
+            end_stopped(stop.signal)
+        if how.as_json is not None:
+            print_table(dataset, "json" if how.as_json else "text")
+        name = short_name(store)
+        next_commands = (f"sweep plot {name}", f"sweep report {name}")
+        progress.finish(failures, store, () if how.as_json is None else next_commands)
+    if how.as_json is False:
+        print_answer(dataset)
+    return failures
+
+
 @main.command()
 @options.study_options
 @resource_options
@@ -32,7 +74,8 @@ if TYPE_CHECKING:
 @watching_options
 @options.trust_option
 @options.json_option
-def run(asked: options.AskedStudy, **how: Any) -> None:
+@options.gathered("how", Running)
+def run(asked: options.AskedStudy, how: Running, fresh: bool) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
     After an interruption the same command resumes where it stopped.
@@ -44,7 +87,7 @@ def run(asked: options.AskedStudy, **how: Any) -> None:
     sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5
     sweep run sir.py:sir --points runs.csv
     """
-    if run_with_progress(*asked.load(), **how):
+    if run_with_progress(*asked.load(), how, fresh=fresh):
         sys.exit(EXIT_FAILED_POINTS)
 
 
@@ -60,7 +103,13 @@ def plan(asked: options.AskedStudy, workers: int | None, accept_code: bool, as_j
     \b
     sweep plan grid --set n_cat=100
     """
-    print_plan(*asked.load(), workers, as_json, accept_code)
+    from sweep.running.status import plan_report
+
+    report = plan_report(*asked.load(), workers, accept_code)
+    if as_json:
+        click.echo(to_json(report))
+    else:
+        print_plan(report)
 
 
 @main.command()
@@ -71,7 +120,8 @@ def plan(asked: options.AskedStudy, workers: int | None, accept_code: bool, as_j
 @watching_options
 @options.trust_option
 @options.json_option
-def retry(store: "Location", trust: bool, **how: Any) -> None:
+@options.gathered("how", Running)
+def retry(store: "Location", trust: bool, how: Running) -> None:
     """Compute the failed points in STORE again, and only those.
 
     \b
@@ -79,7 +129,7 @@ def retry(store: "Location", trust: bool, **how: Any) -> None:
     """
     from sweep.running.reproduce import study_of
 
-    if run_with_progress(study_of(store, trust=trust), store, retry=True, **how):
+    if run_with_progress(study_of(store, trust=trust), store, how, retry=True):
         sys.exit(EXIT_FAILED_POINTS)
 
 
@@ -147,53 +197,12 @@ def scaling(
             dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
         except RunInterruptedError as stop:
             end_stopped(stop.signal)
-    _print_scaling(dataset, as_json)
-    write_scaling(dataset, path)
-    if figure is not None:
-        save_figure(dataset, figure)
-    click.echo(f"wrote {path}" + (f" and {figure}" if figure is not None else ""), err=True)
-
-
-def _print_scaling(dataset: Any, as_json: bool) -> None:
     frame = dataset[["seconds", "start_seconds", "speedup", "efficiency"]].to_dataframe().reset_index()
     if as_json:
         click.echo(to_json(frame.to_dict(orient="records")))
     else:
         click.echo(frame.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
-
-
-def run_with_progress(
-    study: "Study",
-    store: "Location",
-    resources: "Resources",
-    watching: Watching,
-    as_json: bool | None,
-    *,
-    retry: bool = False,
-    break_lock: bool = False,
-    accept_code: bool = False,
-    fresh: bool = False,
-) -> dict[str, str]:
-    """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone; with
-    ``as_json`` None no results.  Return why points failed.  An interruption ends the command.
-    """
-    from sweep.interrupt import RunInterruptedError
-    from sweep.running.progress import TerminalProgress
-    from sweep.running.run import run_study
-    from sweep.stores.named import short_name
-
-    bar = watching.level < logging.ERROR
-    with a_signal_ends_the_command(), told(watching), TerminalProgress(study, bar) as progress:
-        try:
-            dataset, failures = run_study(study, store, resources, progress, retry, break_lock, accept_code, fresh)
-        except RunInterruptedError as stop:
-            progress.stopped(stop.signal.name, store)
-            end_stopped(stop.signal)
-        if as_json is not None:
-            print_table(dataset, "json" if as_json else "text")
-        name = short_name(store)
-        next_commands = (f"sweep plot {name}", f"sweep report {name}")
-        progress.finish(failures, store, () if as_json is None else next_commands)
-    if as_json is False:
-        print_answer(dataset)
-    return failures
+    write_scaling(dataset, path)
+    if figure is not None:
+        save_figure(dataset, figure)
+    click.echo(f"wrote {path}" + (f" and {figure}" if figure is not None else ""), err=True)

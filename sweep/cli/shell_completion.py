@@ -28,8 +28,8 @@ def stores(_context: Context, _parameter: Parameter, incomplete: str) -> list[Co
 def axes(context: Context, _parameter: Parameter, incomplete: str, more: tuple[str, ...] = ()) -> list[CompletionItem]:
     """Offer the axes of a study before it, and what it fixes."""
     named = context.params.get("study") or next(iter(context.args), "")  # not parsed where an option misses its value
-    document = _document(named)
-    found = [key for table in ("axes", "fixed") for key in document.get(table, {})]
+    tables = _document(named)
+    found = [*tables.get("axes", {}), *tables.get("fixed", {})]
     return [CompletionItem(f"{key}=") for key in (*found, *more) if f"{key}=".startswith(incomplete)]
 
 

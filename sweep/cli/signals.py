@@ -31,18 +31,17 @@ def a_signal_ends_the_command() -> Iterator[None]:
     """
     from sweep.interrupt import SIGNALS
 
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    for number, handler in before.items():
-        if handler not in (signal.SIG_IGN, None):
-            signal.signal(number, _leave_at_once)
+    answered = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, _leave_at_once)
     sys.warnoptions.append(NO_LEAK_WARNING)
     try:
         yield
     finally:
         sys.warnoptions.remove(NO_LEAK_WARNING)
         for number, handler in before.items():
-            if handler is not None:
-                signal.signal(number, handler)
+            signal.signal(number, handler)
 
 
 def end_stopped(number: int) -> NoReturn:

@@ -64,7 +64,9 @@ def dask_from_file(study: Study, path: Path, say: Say, limits: Limits = NO_LIMIT
         except SweepError:
             raise
         except Exception as error:  # whatever a cluster's class makes of its options
-            cause = _root_cause(error)
+            cause: BaseException = error
+            while cause.__cause__ is not None:
+                cause = cause.__cause__
             raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(path)) from error
         yield _place(client, words), _executor(client, study, words, say, limits)
 
@@ -98,12 +100,6 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
             message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}"
             raise SweepError(message) from error
         yield stack.enter_context(client)
-
-
-def _root_cause(error: BaseException) -> BaseException:
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return error
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -33,30 +33,25 @@ def ordered_map(workers: int | None, scheduler: str | None, experiment: str) -> 
     if scheduler is None and (workers is None or workers == 1):
         yield here
         return
-    with ExitStack() as stack:
-        client = stack.enter_context(_local(workers) if scheduler is None else _elsewhere(scheduler, experiment))
+    with _local(workers) if scheduler is None else _elsewhere(scheduler, experiment) as client:
         yield lambda function, pieces: _mapped(client, function, pieces)
 
 
 def _mapped(client: Any, function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
     from distributed import KilledWorker
 
-    rest = iter(pieces)
     threads = sum(client.nthreads().values())
-    waiting = deque(_sent(client, function, piece) for piece in islice(rest, AHEAD * max(threads, 1)))
+    sent = (client.submit(_on_one_thread, function, *piece, pure=False) for piece in pieces)
+    waiting = deque(islice(sent, AHEAD * max(threads, 1)))
     while waiting:
         future = waiting.popleft()
         try:
             result = future.result()
         except KilledWorker as error:
             raise SweepError(f"a worker died, perhaps for lack of memory: {error}") from error
-        waiting.extend(_sent(client, function, piece) for piece in islice(rest, 1))
+        waiting.extend(islice(sent, 1))
         del future  # Dask forgets the result
         yield result
-
-
-def _sent(client: Any, function: Callable[..., Any], piece: tuple[Any, ...]) -> Any:
-    return client.submit(_on_one_thread, function, *piece, pure=False)
 
 
 def _on_one_thread(function: Callable[..., Result], *arguments: Any) -> Result:

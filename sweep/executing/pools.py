@@ -1,17 +1,16 @@
 """The pools: what a study can run on in this machine.  A further one is an entry of `POOLS`, and its name."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
-    from sweep.executing.execute import Executor, Limits, Place, Say
+    from sweep.executing.execute import Executor, Limits, Opened, Place, Say
     from sweep.studies.study import Study
 
 PoolName = Literal["processes", "threads", "serial"]
 
-Opened = AbstractContextManager["tuple[Place, Executor]"]
-OpenPool = Callable[["Study", int, "Say", "Limits", bool], Opened]
+OpenPool = Callable[["Study", int, "Say", "Limits", bool], "Opened"]
 """Opens a pool for a study with so many workers, with Dask's dashboard where it is asked for and there can be one."""
 
 
@@ -36,13 +35,13 @@ def _processes(
             yield opened
 
 
-def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool) -> Opened:
+def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool) -> "Opened":
     from sweep.executing.clusters import local_workers
 
     return local_workers(study, workers, say, limits, dashboard)
 
 
-def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits", _dashboard: bool) -> Opened:
+def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits", _dashboard: bool) -> "Opened":
     from sweep.executing.execute import serial
 
     return serial(study, limits)
