@@ -47,10 +47,8 @@ def _load(name: str) -> None:
 
 def _hidden(name: str) -> str | None:
     """Return the file or folder that would be imported under a name but for us, if there is one."""
-    found = PathFinder.find_spec(name)
-    if found is None or found.origin is None or _is_ours(name, found.origin):
-        return None
-    return found.origin
+    origin: str | None = getattr(PathFinder.find_spec(name), "origin", None)
+    return None if _is_ours(name, origin) else origin
 
 
 def _is_ours(name: str, file: str | None) -> bool:

@@ -2,8 +2,8 @@
 
 import logging
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -225,15 +225,12 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], g
     return live_study(study) if isinstance(study, Mapping) else load_study(str(study))
 
 
-@contextmanager
-def _watching(study: Study, progress: Progress | None) -> Iterator[Progress]:
-    """Give who watches a run: the one that was given, or a bar where somebody sees it."""
+def _watching(study: Study, progress: Progress | None) -> AbstractContextManager[Progress]:
+    """Return who watches a run: the one that was given, or a bar where somebody sees it."""
     if progress is not None:
-        yield progress
-    elif in_notebook():
-        yield NotebookProgress()
-    elif sys.stderr is not None and sys.stderr.isatty():
-        with TerminalProgress(study) as bar:
-            yield bar
-    else:
-        yield Silent()
+        return nullcontext(progress)
+    if in_notebook():
+        return nullcontext(NotebookProgress())
+    if sys.stderr is not None and sys.stderr.isatty():
+        return TerminalProgress(study)
+    return nullcontext(Silent())

@@ -37,7 +37,6 @@ class Interruptions:
     """
 
     def __init__(self) -> None:
-        """Start with none received and nothing watched."""
         self.received: int | None = None
         self._holding = self._owed = self._lost = self._watching = False
         self._before: dict[int, Any] = {}

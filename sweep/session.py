@@ -25,7 +25,6 @@ class SessionFunction:
     """A function of this session, or of the one that has sent it."""
 
     def __init__(self, function: Callable[..., Any] | Experiment) -> None:
-        """Find out what it consists of."""
         found = CodeParts()
         inner = vars(function) if isinstance(function, Experiment) else {name_of(function): function}
         for name, value in inner.items():

@@ -1,26 +1,30 @@
-"""Commands that derive numbers from a store: fit and find."""
+"""Commands that derive numbers from a store: fit, find and sensitivity."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import json_option, naming, part_of, place_option, store_argument
+from sweep.cli.options import FILE, json_option, option_with_default, part_of, place_option, store_argument
 from sweep.cli.output import print_sentences, print_table, print_whole, table_width
+from sweep.cli.plot import drawing_styles, save_figure
 
 if TYPE_CHECKING:
     from sweep.stores.location import Location
+
+TABLES = (".csv", ".json", ".zarr")
+"""Files that `sweep sensitivity` writes, beside pictures."""
 
 
 @main.command()
 @store_argument
 @click.option("--over", help="The axis to fit along.  [default: the only one with several numbers]")
 @click.option("--variable", help="What to fit.  [default: the main result]")
-@click.option(
+@option_with_default(
     "--law",
     type=click.Choice(["power", "levelling"]),
     default="power",
-    show_default=True,
     help="power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over).",
 )
 @click.option("--expect", type=float, help="Exponent to test.  [default: that of a claim of the study]")
@@ -63,12 +67,10 @@ def fit(
         raise click.UsageError("--expect is an exponent and goes with --law power")
     if law == "power" and fall is not None:
         raise click.UsageError("--fall goes with --law levelling")
-    dataset = part_of(store, at)
-    with naming(store):
-        variable = variable or main_quantity(dataset)
-        over = require_axis(dataset, variable, over)
-        if span is not None:
-            dataset = between(dataset, over, *parse_range(span))
+    with part_of(store, at) as part:
+        variable = variable or main_quantity(part)
+        over = require_axis(part, variable, over)
+        dataset = part if span is None else between(part, over, *parse_range(span))
         if law == "power":
             result = fit_power_law(dataset, variable, over, expect)
         else:
@@ -98,8 +100,7 @@ def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], a
     from sweep.analysis.quantity import require_axis, varied_parameters
 
     limit = parse_limit(where)
-    dataset = part_of(store, at)
-    with naming(store):
+    with part_of(store, at) as dataset:
         if over is None and len(varied_parameters(dataset)) > 1:
             print_table(points_where(dataset, limit), "json" if as_json else "text")
             return
@@ -120,3 +121,68 @@ def _print(result: Any, as_json: bool) -> None:
     print_sentences(analysis_tables.notes(result))
     if folded := analysis_tables.fitting_columns(result, width)[1]:
         print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --json has them"])
+
+
+@main.command()
+@store_argument
+@click.option("--variable", help="What varies.  [default: the main result]")
+@place_option
+@click.option("-o", "--output", type=FILE, help="Write .csv, .json or .zarr, or draw .png, .svg, .pdf.")
+@json_option
+def sensitivity(
+    store: "Location", variable: str | None, at: tuple[str, ...], output: Path | None, as_json: bool
+) -> None:
+    """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
+
+    First-order and total Sobol indices of full grids and of saltelli designs, effects of morris designs, first-order
+    indices of any other points.
+
+    \b
+    sweep sensitivity results/sir.zarr
+    sweep sensitivity results/sir.zarr --variable peak -o peak.png
+    """
+    from sweep.analysis import sensitivity as analysis
+    from sweep.analysis import sensitivity_tables as tables
+
+    with part_of(store, at) as dataset:
+        if output is not None:
+            _require_known(output)
+        result = analysis.sensitivity(dataset, variable)
+        if output is not None:
+            _write(result, output)
+    if as_json:
+        click.echo(tables.as_json(result))
+    else:
+        print_whole(tables.as_text(result))
+        click.echo()
+        print_sentences(tables.notes(result))
+    if output is not None:
+        click.echo(f"wrote {output}", err=True)
+
+
+def _require_known(output: Path) -> None:
+    from sweep.contract import SweepError
+
+    suffix = output.suffix.lower()
+    if suffix == ".zarr" and output.exists():
+        raise SweepError("exists already; take another name", str(output))
+    if suffix not in TABLES and suffix not in (formats := drawing_styles().FORMATS):
+        raise SweepError(f"the name must end with {', '.join((*TABLES, *formats))}", str(output))
+
+
+def _write(result: Any, output: Path) -> None:
+    from sweep.analysis import sensitivity_tables as tables
+    from sweep.contract import SweepError
+
+    suffix = output.suffix.lower()
+    try:
+        if suffix == ".csv":
+            output.write_text(tables.as_csv(result), encoding="utf-8")
+        elif suffix == ".json":
+            output.write_text(tables.as_json(result) + "\n", encoding="utf-8")
+        elif suffix == ".zarr":
+            result.to_zarr(output, zarr_format=3, consolidated=False)
+        else:
+            save_figure(result, output)
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error

@@ -14,7 +14,6 @@ EXIT_BAD_INPUT = 2
 
 atexit.register(gc.freeze)  # else all that was imported is looked through for garbage at the end: a fifth of a second
 
-
 SECTIONS = {
     "Run": {
         "demo": "Show the whole way from a study to its answer",
@@ -52,7 +51,7 @@ SECTIONS = {
         "match": "Find the galaxies in a star catalogue",
     },
 }
-"""The commands as the help lists them; a command that is in no section stands at the end."""
+"""The commands as the help lists them."""
 
 
 class _Group(click.Group):
@@ -61,13 +60,9 @@ class _Group(click.Group):
     """
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        named = {name for commands in SECTIONS.values() for name in commands}
-        rest = {name: command.get_short_help_str(60) for name, command in self.commands.items() if name not in named}
-        for title, commands in {**SECTIONS, "Further": rest}.items():
-            rows = [(name, text) for name, text in commands.items() if name in self.commands]
-            if rows:
-                with formatter.section(title):
-                    formatter.write_dl(rows, col_spacing=max(2, 12 - max(len(name) for name, _ in rows)))
+        for title, commands in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl(list(commands.items()), col_spacing=max(2, 12 - max(map(len, commands))))
 
     def main(self, *arguments: Any, **named: Any) -> Any:
         try:

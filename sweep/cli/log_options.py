@@ -1,17 +1,19 @@
 """What of a run is told on standard error, and what goes to a log file."""
 
-import functools
 import logging
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import click
 
-FORMAT = "%(asctime)s %(levelname)s %(message)s"
+from sweep.cli.options import gathered
+
+DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+"""The second keeps its messages to itself."""
 
 
 @dataclass(frozen=True)
@@ -20,24 +22,6 @@ class Watching:
 
     level: int = logging.INFO
     log: TextIO | None = None
-
-
-def watching_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --quiet, --verbose and --log; the command gets them as ``watching``."""
-
-    @click.option("--quiet", "-q", is_flag=True, help="Print only errors, and the table.")
-    @click.option("--verbose", "-v", is_flag=True, help="Print a line for each point, and Dask's warnings.")
-    @click.option(
-        "--log", metavar="FILE", callback=_log_file, help="Append everything to FILE, with times and tracebacks."
-    )
-    @functools.wraps(command)
-    def with_watching(*arguments: Any, quiet: bool, verbose: bool, log: TextIO | None, **named: Any) -> Any:
-        if quiet and verbose:
-            raise click.UsageError("--quiet and --verbose contradict each other")
-        level = logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO
-        return command(*arguments, watching=Watching(level, log), **named)
-
-    return with_watching
 
 
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
@@ -50,26 +34,40 @@ def _log_file(context: click.Context, _parameter: click.Parameter, value: str | 
         raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error
 
 
+def _watching(quiet: bool, verbose: bool, log: TextIO | None) -> Watching:
+    if quiet and verbose:
+        raise click.UsageError("--quiet and --verbose contradict each other")
+    return Watching(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO, log)
+
+
+watching_options = gathered(
+    "watching",
+    _watching,
+    click.option("--quiet", "-q", is_flag=True, help="Print only errors, and the table."),
+    click.option("--verbose", "-v", is_flag=True, help="Print a line for each point, and Dask's warnings."),
+    click.option(
+        "--log", metavar="FILE", callback=_log_file, help="Append everything to FILE, with times and tracebacks."
+    ),
+)
+
+
 @contextmanager
 def told(watching: Watching) -> Iterator[None]:
     """Send what a run says, and what Dask logs, to standard error and the log file in this block."""
     from sweep.contract import SweepError
     from sweep.running.progress import RECORD, SENTENCES, Sentences
 
-    shown = Sentences()
-    shown.setLevel(watching.level)
     with ExitStack() as stack:
-        stack.enter_context(_handled(SENTENCES, shown))
+        stack.enter_context(_handled(Sentences(watching.level), SENTENCES))
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
-        stack.enter_context(_handled(RECORD, logging.NullHandler()))
+        stack.enter_context(_handled(logging.NullHandler(), RECORD))
         RECORD.propagate = False
         if watching.level == logging.DEBUG:
-            _handle_dask(stack, _FromDask(shown))
+            warnings = Sentences(logging.WARNING)
+            warnings.setFormatter(logging.Formatter("Dask: %(message)s"))
+            stack.enter_context(_handled(warnings, *DASK))
         if watching.log is not None:
-            record = _Lines(watching.log)
-            stack.enter_context(_handled(SENTENCES, record))
-            stack.enter_context(_handled(RECORD, record))
-            _handle_dask(stack, record)
+            stack.enter_context(_handled(_Lines(watching.log), SENTENCES, RECORD, *DASK))
             RECORD.info("%s", " ".join(["sweep", *sys.argv[1:]]))
         try:
             yield
@@ -81,18 +79,15 @@ def told(watching: Watching) -> Iterator[None]:
             raise
 
 
-def _handle_dask(stack: ExitStack, handler: logging.Handler) -> None:
-    for name in ("distributed", "distributed.client"):  # Dask lets the second keep its messages to itself
-        stack.enter_context(_handled(logging.getLogger(name), handler))
-
-
 @contextmanager
-def _handled(logger: logging.Logger, handler: logging.Handler) -> Iterator[None]:
-    logger.addHandler(handler)
+def _handled(handler: logging.Handler, *loggers: logging.Logger) -> Iterator[None]:
+    for logger in loggers:
+        logger.addHandler(handler)
     try:
         yield
     finally:
-        logger.removeHandler(handler)
+        for logger in loggers:
+            logger.removeHandler(handler)
 
 
 class _Lines(logging.Handler):
@@ -101,22 +96,10 @@ class _Lines(logging.Handler):
     def __init__(self, file: TextIO) -> None:
         super().__init__()
         self._file = file
-        self.setFormatter(logging.Formatter(FORMAT))
+        self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
             self._file.write(self.format(record) + "\n")
         except OSError:
             self.handleError(record)
-
-
-class _FromDask(logging.Handler):
-    """Shows Dask's warnings among the sentences."""
-
-    def __init__(self, shown: logging.Handler) -> None:
-        super().__init__(logging.WARNING)
-        self._shown = shown
-        self._shown_format = logging.Formatter("Dask: %(message)s")
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._shown.emit(logging.makeLogRecord({"msg": self._shown_format.format(record), "levelno": record.levelno}))

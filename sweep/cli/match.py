@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import FILE, json_option
+from sweep.cli.options import FILE, json_option, option_with_default
 from sweep.cli.output import print_whole
 from sweep.formatting import to_json
 
@@ -36,15 +36,14 @@ from sweep.formatting import to_json
     metavar="[NAME:]KEY=UNIT",
     help="The unit of a quantity whose column has none in the file, e.g. ra=hourangle or pgc:ra=deg.",
 )
-@click.option("--epoch", type=float, default=2000.0, show_default=True, help="Julian year of the galaxy positions.")
+@option_with_default("--epoch", type=float, default=2000.0, help="Julian year of the galaxy positions.")
 @click.option(
     "--ref-epoch", multiple=True, metavar="[NAME=]YEAR", help="Epoch of the stars, instead of a column ref_epoch."
 )
-@click.option(
+@option_with_default(
     "--missing-pm",
     type=click.Choice(["error", "zero"]),
     default="error",
-    show_default=True,
     help="What to do with stars that have no proper motion.",
 )
 @click.option(
@@ -54,55 +53,40 @@ from sweep.formatting import to_json
     metavar="ARCSEC",
     help="Entries of two catalogues this close are one galaxy.  [default: the sum of their match radii]",
 )
-@click.option(
-    "--k-sigma",
-    type=click.FloatRange(0.0, min_open=True),
-    default=3.0,
-    show_default=True,
-    help="Uncertain: offset above this many sigma.",
+@option_with_default(
+    "--k-sigma", type=click.FloatRange(0.0, min_open=True), default=3.0, help="Uncertain: offset above this many sigma."
 )
-@click.option(
+@option_with_default(
     "--crowding-radius",
     "crowding_radius_arcsec",
     type=click.FloatRange(0.0, 3600.0, min_open=True),
     metavar="ARCSEC",
     default=120.0,
-    show_default=True,
     help="Uncertain: so many stars within this radius.",
 )
-@click.option(
+@option_with_default(
     "--crowding-stars",
     type=click.IntRange(1),
     default=3,
-    show_default=True,
     help="Uncertain: at least this many other stars within the crowding radius.",
 )
-@click.option(
+@option_with_default(
     "--epoch-difference",
     "epoch_difference_yr",
     type=click.FloatRange(0.0, min_open=True),
     metavar="YR",
     default=20.0,
-    show_default=True,
     help="Years to a second epoch, for the proper-motion error.",
 )
-@click.option(
+@option_with_default(
     "--second-epoch-error",
     "second_epoch_error_mas",
     type=click.FloatRange(0.0),
     metavar="MAS",
     default=0.0,
-    show_default=True,
     help="Position error of the second epoch.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=FILE,
-    default=Path("results/matches.ecsv"),
-    show_default=True,
-    help="The matches as ECSV.",
-)
+@option_with_default("-o", "--output", type=FILE, default=Path("results/matches.ecsv"), help="The matches as ECSV.")
 @click.option("--table", type=FILE, help="Also the paper's 46-byte table.")
 @click.option("--figure", type=FILE, help="Also draw an all-sky map: .png, .svg or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")

@@ -1,8 +1,10 @@
 """Arguments and options that several commands share, and what they turn into."""
 
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +17,13 @@ if TYPE_CHECKING:
     from sweep.studies.study import Study
 
 Command = Callable[..., Any]
+Decorator = Callable[[Command], Command]
 
-OVERRIDES = ("settings", "axes", "points", "design", "ranges")
-"""Arguments of `load_study` that options give."""
+option_with_default = functools.partial(click.option, show_default=True)
 
 FILE = click.Path(path_type=Path)
 """The type of what names a file or folder, which need not be there."""
 
-study_argument = click.argument("study", shell_complete=shell_completion.studies)
 place_option = click.option(
     "--at", multiple=True, metavar="AXIS=VALUE", help="Only this part of the grid, e.g. model=gaia,v_max=16."
 )
@@ -81,68 +82,101 @@ def json_or(table_format: str, as_json: bool) -> str:
     return "json" if as_json else table_format
 
 
-def study_options(command: Command) -> Command:
-    """Add the options that name a study's overrides, which the command gets as ``overrides``, and its store."""
+def gathered(name: str, make: Callable[..., Any], *options: Decorator) -> Decorator:
+    """Return a decorator that adds options to a command, which gets as one argument what ``make`` makes of them.
 
-    @click.option(
+    Options that ``make`` has no parameter for are left as they are.
+    """
+    parameters = signature(make).parameters
+
+    def decorate(command: Command) -> Command:
+        @functools.wraps(command)
+        def with_one(*arguments: Any, **named: Any) -> Any:
+            made = make(**{option: named.pop(option) for option in parameters})
+            return command(*arguments, **{name: made}, **named)
+
+        decorated: Command = with_one
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class AskedStudy:
+    """A study as the command line names it: its overrides, which are those of `load_study`, where its store is to be,
+    and whether code inside a store is trusted.
+    """
+
+    study: str
+    settings: Sequence[str]
+    axes: Sequence[str]
+    points: str | None
+    design: str | None
+    ranges: Sequence[str]
+    store: "Location | None"
+    trust: bool
+
+    def load(self) -> "tuple[Study, Location]":
+        """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""
+        from sweep.running.trust import require_trust_of_study
+        from sweep.stores.location import located
+        from sweep.stores.named import default_store
+        from sweep.studies.reader import load_study
+        from sweep.studies.source import find_study, reference_in
+
+        if (function := reference_in(self.study)) is None:
+            require_trust_of_study(find_study(self.study), self.trust)
+        elif (file := function.rpartition(":")[0]).endswith(".py"):
+            require_trust_of_study(Path(file), self.trust)
+        study = load_study(self.study, self.settings, self.axes, self.points, self.design, self.ranges)
+        return study, self.store or located(default_store(study.name))
+
+
+study_options = gathered(
+    "asked",
+    AskedStudy,
+    click.argument("study", shell_complete=shell_completion.studies),
+    click.option(
         "--set",
         "settings",
         multiple=True,
         metavar="KEY=VALUE",
         shell_complete=shell_completion.settings,
         help="Override a value of the study, e.g. n_sim=500 or weighting=equal.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--axis",
         "axes",
         multiple=True,
         metavar="NAME=SPEC",
         shell_complete=shell_completion.axes,
         help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
-    )
-    @click.option("--points", metavar="FILE", help="Compute the points in this table: a column for each parameter.")
-    @click.option(
+    ),
+    click.option("--points", metavar="FILE", help="Compute the points in this table: a column for each parameter."),
+    click.option(
         "--design",
         metavar="NAME:N",
         help="Compute a design of points, e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, "
         "saltelli, morris.",
-    )
-    @click.option(
+    ),
+    click.option(
         "--range",
         "ranges",
         multiple=True,
         metavar="NAME=SPEC",
         help="The range of a parameter in the design: 0.1:0.5, 1:100:log or amex,gaia.",
-    )
-    @click.option(
+    ),
+    click.option(
         "-o",
         "--output",
         "store",
         callback=located_option,
         help="The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]",
-    )
-    @functools.wraps(command)
-    def with_overrides(*arguments: Any, **named: Any) -> Any:
-        overrides = {name: named.pop(name) for name in OVERRIDES}
-        return command(*arguments, overrides=overrides, **named)
-
-    return with_overrides
-
-
-def load(study: str, overrides: Mapping[str, Any], store: "Location | None", trust: bool) -> "tuple[Study, Location]":
-    """Return the study with its overrides, and where its store is; a study inside a store must be trusted."""
-    from sweep.running.trust import require_trust_of_study
-    from sweep.stores.location import located
-    from sweep.stores.named import default_store
-    from sweep.studies.reader import load_study
-    from sweep.studies.source import find_study, reference_in
-
-    if (function := reference_in(study)) is None:
-        require_trust_of_study(find_study(study), trust)
-    elif (file := function.rpartition(":")[0]).endswith(".py"):
-        require_trust_of_study(Path(file), trust)
-    loaded = load_study(study, **overrides)
-    return loaded, store or located(default_store(loaded.name))
+    ),
+)
+"""STUDY, what of it is overridden, and its store; with `trust_option` below it the command gets ``asked``."""
 
 
 def link_in(store: "Location", at: tuple[str, ...]) -> Any:
@@ -155,48 +189,32 @@ def link_in(store: "Location", at: tuple[str, ...]) -> Any:
     return result
 
 
-def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) -> Any:
-    """Return the dataset of a store, of it the part that ``--at`` names.
+@contextmanager
+def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) -> Iterator[Any]:
+    """Give the dataset of a store, of it the part that ``--at`` names; errors in the block name the store unless they
+    say what they are about.
 
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """
     from sweep.analysis.long_table import array_outputs
     from sweep.analysis.quantity import ERROR_SUFFIXES
     from sweep.analysis.selection import select
+    from sweep.contract import SweepError
+    from sweep.planning.point_status import Status
     from sweep.stores.store import open_dataset
     from sweep.studies.option_values import parse_places
 
     places = parse_places(at)
     dataset = open_dataset(store)
-    with naming(store):
+    try:
         part = select(dataset, places)
-        if not at:
-            return part
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):
             if not name.endswith(ERROR_SUFFIXES):  # a place along an output's own dimension is for that output
                 part[name].attrs["headline"] = 1
-        if not excluded_too:
-            _require_points(part, ",".join(at))
-        return part
-
-
-def _require_points(part: Any, at: str) -> None:
-    """Raise SweepError where a part of a grid has only points that the study excludes: nothing of it can be shown."""
-    from sweep.contract import SweepError
-    from sweep.planning.point_status import Status
-
-    if (part["status"].values == Status.EXCLUDED).all():
-        points = "this point" if part["status"].size == 1 else "all of these points"
-        raise SweepError(f"--at {at}: the study excludes {points}")
-
-
-@contextmanager
-def naming(store: "Location") -> Iterator[None]:
-    """Name the store in errors that do not say what they are about."""
-    from sweep.contract import SweepError
-
-    try:
-        yield
+        if at and not excluded_too and (part["status"].values == Status.EXCLUDED).all():
+            points = "this point" if part["status"].size == 1 else "all of these points"
+            raise SweepError(f"--at {','.join(at)}: the study excludes {points}")
+        yield part
     except SweepError as error:
         if error.where:
             raise

@@ -3,15 +3,13 @@
 import shutil
 import sys
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from sweep.formatting import WIDTH, to_json
 
-if TYPE_CHECKING:
-    from sweep.stores.location import Location
-    from sweep.studies.study import Study
+SEGMENT_COUNTS = ("points", "done", "failed", "excluded", "realisations_done", "realisations")
 
 
 def print_sentences(sentences: Iterable[str]) -> None:
@@ -44,41 +42,32 @@ def table_width() -> int:
     return max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
 
 
-def print_plan(
-    study: "Study", store: "Location", workers: int | None, as_json: bool, accept_code: bool = False
-) -> None:
+def print_plan(report: dict[str, Any]) -> None:
     """Print what a run would do."""
-    from sweep.running.status import plan_report
-
-    report = plan_report(study, store, workers, accept_code)
-    if as_json:
-        click.echo(to_json(report))
-    else:
-        for key, text in (*_plan_in_words(report).items(), *(("warning", text) for text in report["warnings"])):
-            click.echo(click.wrap_text(text, WIDTH, f"{key:14}", 14 * " "))
+    for key, text in (*_plan_in_words(report).items(), *(("warning", text) for text in report["warnings"])):
+        click.echo(click.wrap_text(text, WIDTH, f"{key:14}", 14 * " "))
 
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     from sweep.running.eta import in_words
 
-    realisations, time = {}, {}
-    if "realisations" in report:
-        done = report["realisations"] - report["realisations_pending"]
-        realisations = {"realisations": f"{report['realisations']:,}, {done:,} of them done"}
-    cores = f"{report['cores']} core{'' if report['cores'] == 1 else 's'}"
-    if "seconds" in report:
-        time = {"time": f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone"}
-    return {
+    words = {
         "study": report["title"],
         "grid": report["grid"],
         "points": f"{report['points']:,}, {report['points_done']:,} of them done",
-        **realisations,
-        "work": f"{report['blocks_pending']:,} blocks in about {report['tasks_about']:,} tasks",
-        "memory": f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
-        f"{report['ledger_mb']:,.3g} MB of ledger",
-        **time,
-        "store": report["store"],
     }
+    if "realisations" in report:
+        done = report["realisations"] - report["realisations_pending"]
+        words["realisations"] = f"{report['realisations']:,}, {done:,} of them done"
+    words["work"] = f"{report['blocks_pending']:,} blocks in about {report['tasks_about']:,} tasks"
+    words["memory"] = (
+        f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
+        f"{report['ledger_mb']:,.3g} MB of ledger"
+    )
+    if "seconds" in report:
+        cores = f"{report['cores']} core{'' if report['cores'] == 1 else 's'}"
+        words["time"] = f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone"
+    return words | {"store": report["store"]}
 
 
 def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:
@@ -156,9 +145,7 @@ def status_as_json(report: dict[str, Any]) -> str:
     """Return the whole of it: every value of every axis."""
     axes = {
         dimension: [
-            {"at": s.first, "points": s.points, "done": s.done, "failed": s.failed, "excluded": s.excluded}
-            | {"realisations_done": s.realisations_done, "realisations": s.realisations}
-            for s in segments
+            {"at": segment.first} | {count: getattr(segment, count) for count in SEGMENT_COUNTS} for segment in segments
         ]
         for dimension, segments in report["axes"].items()
     }

@@ -1,7 +1,8 @@
-"""Commands about the paper's numbers: compare and calibrate."""
+"""Commands about stores or the whole paper, compare and report; and the one that fits its curves, calibrate."""
 
 import logging
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,21 +10,59 @@ import click
 
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import FILE, json_option, json_or, stores_argument
+from sweep.cli.options import FILE, gathered, json_option, json_or, option_with_default, stores_argument
 from sweep.cli.output import print_comparisons, print_whole
 from sweep.cli.resource_options import resource_options
-from sweep.cli.running import run_with_progress
+from sweep.cli.running import Running, run_with_progress
 from sweep.formatting import to_json
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
     from sweep.stores.location import Location
 
-
 all_option = click.option(
     "--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it was not yet."
 )
 results_option = click.option("--results", type=FILE, help="Folder with the stores of --all.  [default: results]")
+
+
+@dataclass(frozen=True)
+class AskedStores:
+    """The stores that a command is about: those that it names, or with --all those of the whole paper."""
+
+    stores: "tuple[Location, ...]"
+    everything: bool
+    results: Path | None
+    resources: "Resources"
+    watching: Watching
+
+    def require_either(self) -> None:
+        """Raise click.UsageError unless there are either stores or --all, and only with --all what belongs to it."""
+        from sweep.executing.choose import Resources
+
+        if self.everything == bool(self.stores):
+            raise click.UsageError("name stores, or give --all")
+        of_runs = self.results is not None or self.resources != Resources() or self.watching != Watching()
+        if of_runs and not self.everything:
+            raise click.UsageError(
+                "--results, what to run on and how to watch it go with --all: nothing runs without it"
+            )
+
+    def found(self) -> "tuple[Location, ...]":
+        """Return the stores; with --all after running the studies with something published that need it."""
+        if not self.everything:
+            return self.stores
+        from sweep.paper.published_stores import published_studies, store_of, unfinished
+        from sweep.stores.location import located
+        from sweep.stores.named import RESULTS
+
+        results = self.results or RESULTS
+        studies = published_studies()
+        for study in unfinished(studies, results):
+            if self.watching.level < logging.ERROR:
+                click.echo(f"{study.name}:", err=True)
+            run_with_progress(study, located(store_of(study, results)), Running(self.resources, self.watching, None))
+        return tuple(located(store_of(study, results)) for study in studies)
 
 
 @main.command()
@@ -32,17 +71,10 @@ results_option = click.option("--results", type=FILE, help="Folder with the stor
 @results_option
 @resource_options
 @watching_options
-@click.option("--format", "table_format", type=click.Choice(["text", "csv"]), default="text", show_default=True)
+@option_with_default("--format", "table_format", type=click.Choice(["text", "csv"]), default="text")
 @json_option
-def compare(
-    stores: "tuple[Location, ...]",
-    everything: bool,
-    results: Path | None,
-    resources: "Resources",
-    watching: Watching,
-    table_format: str,
-    as_json: bool,
-) -> None:
+@gathered("asked", AskedStores)
+def compare(asked: AskedStores, table_format: str, as_json: bool) -> None:
     """Compare the results in STORE with the published numbers and claims of its study.
 
     The exit code is 1 if something is not reproduced or incomplete.
@@ -55,45 +87,45 @@ def compare(
     from sweep.analysis.compare import all_is_well
     from sweep.paper.published_stores import compare_stores
 
-    require_stores_or_all(stores, everything, results, resources, watching)
-    if everything:
-        stores = run_what_is_missing(results, resources, watching)
-    comparisons, remarks = compare_stores(stores)
+    asked.require_either()
+    comparisons, remarks = compare_stores(asked.found())
     print_comparisons(comparisons, remarks, table_format)
     if not all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)
 
 
-def require_stores_or_all(
-    stores: "tuple[Location, ...]",
-    everything: bool,
-    results: Path | None,
-    resources: "Resources",
-    watching: Watching,
-) -> None:
-    """Raise click.UsageError unless a command has either stores or --all, and only with --all what belongs to it."""
-    from sweep.executing.choose import Resources
+@main.command()
+@stores_argument
+@all_option
+@results_option
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    help="The page; an earlier report there is replaced, nothing else is.  [default: NAME-report.html]",
+)
+@resource_options
+@watching_options
+@gathered("asked", AskedStores)
+def report(asked: AskedStores, output: Path | None) -> None:
+    """Write one HTML page about the results in STORE: the answer, figures, tables, an interactive view, a comparison
+    with published numbers, and where everything comes from.
 
-    if everything == bool(stores):
-        raise click.UsageError("name stores, or give --all")
-    if not everything and (results is not None or resources != Resources() or watching != Watching()):
-        raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without it")
+    The page needs no network and no server.
 
-
-def run_what_is_missing(results: Path | None, resources: "Resources", watching: Watching) -> "tuple[Location, ...]":
-    """Return the stores of all built-in studies with something published, after running those that need it."""
-    from sweep.paper.published_stores import published_studies, store_of, unfinished
-    from sweep.stores.location import located
-    from sweep.stores.named import RESULTS
-
-    results = results or RESULTS
-    studies = published_studies()
-    for study in unfinished(studies, results):
-        store = located(store_of(study, results))
-        if watching.level < logging.ERROR:
-            click.echo(f"{study.name}:", err=True)
-        run_with_progress(study, store, resources, watching, None)
-    return tuple(located(store_of(study, results)) for study in studies)
+    \b
+    sweep report results/quasars.zarr
+    sweep report --all -o paper.html
+    """
+    try:
+        from sweep.report.page import check_output, default_path, report_of, write_report
+    except ImportError as error:
+        raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
+    asked.require_either()
+    path = output or (Path("paper-report.html") if asked.everything else default_path(asked.stores))
+    check_output(path)
+    write_report(report_of(asked.found()), path)
+    click.echo(f"wrote {path}", err=True)
 
 
 @main.command()
@@ -107,8 +139,8 @@ def calibrate(as_json: bool) -> None:
     """
     from sweep.paper.calibrate import as_text, calibration_report
 
-    report = calibration_report()
+    found = calibration_report()
     if as_json:
-        click.echo(to_json(report))
-        return
-    print_whole(as_text(report))
+        click.echo(to_json(found))
+    else:
+        print_whole(as_text(found))

@@ -1,12 +1,13 @@
 """The command that draws: plot."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import FILE, link_in, naming, part_of, place_option
+from sweep.cli.options import FILE, gathered, link_in, part_of, place_option
 from sweep.plots.kinds import STANDALONE, all_kinds
 
 NARROWEST_MM, WIDEST_MM = 40.0, 1000.0
@@ -20,9 +21,81 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
     except ValueError:
         width = 0.0
     if not NARROWEST_MM <= width <= WIDEST_MM:
-        wanted = f"must be from {NARROWEST_MM:g}mm to {WIDEST_MM:g}mm, like 88mm or 180mm"
-        raise click.BadParameter(f"{value!r}: {wanted}")
+        raise click.BadParameter(f"{value!r}: must be from {NARROWEST_MM:g}mm to {WIDEST_MM:g}mm, like 88mm or 180mm")
     return width
+
+
+def drawing_styles() -> Any:
+    """Return `sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is not installed."""
+    try:
+        from sweep.plots import style
+    except ImportError as error:
+        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
+    return style
+
+
+def save_figure(dataset: Any, path: Path) -> None:
+    """Draw a dataset in the way that suits it into a file."""
+    from sweep.plots import style
+    from sweep.plots.figure import draw_figure
+
+    with style.settings():
+        style.save(draw_figure(dataset), path)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What is drawn, as the command line names it."""
+
+    source: str | None
+    kind: str | None
+    variables: tuple[str, ...]
+    over: tuple[str, ...]
+    models: tuple[str, ...]
+    at: tuple[str, ...]
+
+    def require_choices(self) -> None:
+        """Raise click.UsageError for options that do not go with the kind."""
+        if self.source is None and self.kind != "accuracy":
+            raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
+        if self.models and self.kind != "accuracy":
+            raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
+        if self.kind in STANDALONE and (self.variables or self.over):
+            raise click.UsageError(f"--variable and --over do not go with --kind {self.kind}")
+
+    def figure(self) -> tuple[Any, Any]:
+        """Return a figure, and the dataset that it is of."""
+        from sweep.plots.figure import draw_figure
+        from sweep.plots.standalone import accuracy_figure, sky_figure
+        from sweep.stores.named import store_named
+
+        if self.kind == "accuracy":
+            from sweep.plots.views import accuracy_curves, models_of
+
+            models: Any = self.models
+            if self.source is not None:
+                from sweep.running.reproduce import study_to_look_at
+                from sweep.studies.reader import load_study
+
+                is_file = self.source.endswith(".toml")
+                study = load_study(self.source) if is_file else study_to_look_at(store_named(self.source))
+                models = models_of(study, models)
+            curves = accuracy_curves(models)
+            return accuracy_figure(curves), curves
+        assert self.source is not None, "asked for before"
+        if self.kind == "sky":
+            from sweep.plots.views import catalogue_of_point, catalogue_of_table
+
+            if Path(self.source).is_file():
+                sky = catalogue_of_table(Path(self.source))
+            else:
+                sky = catalogue_of_point(store_named(self.source), self.at)
+            return sky_figure(sky), sky
+        store = store_named(self.source)
+        if (link := link_in(store, self.at)) is not None:
+            return draw_figure(link, self.kind, self.variables, self.over), link
+        with part_of(store, self.at) as dataset:
+            return draw_figure(dataset, self.kind, self.variables, self.over), dataset
 
 
 @main.command()
@@ -37,9 +110,7 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"
 )
 @click.option(
-    "--over",
-    multiple=True,
-    help="The axis to draw along; give both for a map, or two components of a scatter.",
+    "--over", multiple=True, help="The axis to draw along; give both for a map, or two components of a scatter."
 )
 @click.option("--model", "models", multiple=True, help="Accuracy: only this mission; may be given several times.")
 @place_option
@@ -51,24 +122,9 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 )
 @click.option("--style", type=click.Choice(["paper", "talk"]), help="Sizes of letters and lines.  [default: paper]")
 @click.option("--caption", is_flag=True, help="Write NAME.txt beside the picture: caption and alternative text.")
-@click.option(
-    "-o",
-    "--output",
-    type=FILE,
-    help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]",
-)
-def plot(
-    source: str | None,
-    kind: str | None,
-    variables: tuple[str, ...],
-    over: tuple[str, ...],
-    models: tuple[str, ...],
-    at: tuple[str, ...],
-    width: float | None,
-    style: str | None,
-    caption: bool,
-    output: Path | None,
-) -> None:
+@click.option("-o", "--output", type=FILE, help="Picture to write: .png, .svg or .pdf.  [default: NAME.png]")
+@gathered("drawn", Drawing)
+def plot(drawn: Drawing, width: float | None, style: str | None, caption: bool, output: Path | None) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
     values, small panels, a map, a fitted law, a scatter of kept samples; of a link or a forecast of real tables, the
     kinds from solution on.
@@ -83,16 +139,11 @@ def plot(
     sweep plot tie.zarr --kind residuals -o residuals.png
     """
     styles = drawing_styles()
-    if source is None and kind != "accuracy":
-        raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
-    if models and kind != "accuracy":
-        raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
-    if kind in STANDALONE and (variables or over):
-        raise click.UsageError(f"--variable and --over do not go with --kind {kind}")
-    path = output or Path(Path(source or "accuracy").stem + ".png")
+    drawn.require_choices()
+    path = output or Path(Path(drawn.source or "accuracy").stem + ".png")
     styles.require_format(path)
     with styles.settings(width, style):
-        figure, dataset = _figure(source, kind, variables, over, models, at)
+        figure, dataset = drawn.figure()
         styles.save(figure, path)
     click.echo(f"wrote {path}", err=True)
     if caption:
@@ -101,56 +152,3 @@ def plot(
         beside = path.with_suffix(".txt")
         styles.save_text(caption_and_description(figure, dataset), beside)
         click.echo(f"wrote {beside}", err=True)
-
-
-def drawing_styles() -> Any:
-    """Return `sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is not installed."""
-    try:
-        from sweep.plots import style
-    except ImportError as error:
-        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
-    return style
-
-
-def _figure(
-    source: str | None,
-    kind: str | None,
-    variables: tuple[str, ...],
-    over: tuple[str, ...],
-    models: tuple[str, ...],
-    at: tuple[str, ...],
-) -> tuple[Any, Any]:
-    """Return a figure, and the dataset that it is of."""
-    from sweep.plots.figure import draw_figure
-    from sweep.plots.standalone import accuracy_figure, sky_figure
-    from sweep.stores.named import store_named
-
-    if kind == "accuracy":
-        from sweep.plots.views import accuracy_curves, models_of
-
-        curves = accuracy_curves(models if source is None else models_of(_study(source), models))
-        return accuracy_figure(curves), curves
-    assert source is not None, "asked for before"
-    if kind == "sky":
-        from sweep.plots.views import catalogue_of_point, catalogue_of_table
-
-        if Path(source).is_file():
-            sky = catalogue_of_table(Path(source))
-        else:
-            sky = catalogue_of_point(store_named(source), at)
-        return sky_figure(sky), sky
-    store = store_named(source)
-    if (link := link_in(store, at)) is not None:
-        return draw_figure(link, kind, variables, over), link
-    dataset = part_of(store, at)
-    with naming(store):
-        return draw_figure(dataset, kind, variables, over), dataset
-
-
-def _study(source: str) -> Any:
-    """Return the study of a store, or in a file."""
-    from sweep.running.reproduce import study_to_look_at
-    from sweep.stores.named import store_named
-    from sweep.studies.reader import load_study
-
-    return load_study(source) if source.endswith(".toml") else study_to_look_at(store_named(source))

@@ -1,26 +1,22 @@
-"""Commands that compute: run and plan."""
+"""Commands that compute: run, plan, retry and scaling."""
 
 import logging
 import sys
-from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from sweep.cli import options
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, told, watching_options
-from sweep.cli.options import (
-    accept_code_option,
-    break_lock_option,
-    json_option,
-    load,
-    study_argument,
-    study_options,
-    trust_option,
-)
 from sweep.cli.output import print_answer, print_plan, print_table
+from sweep.cli.plot import drawing_styles, save_figure
 from sweep.cli.resource_options import resource_options
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
+from sweep.executing.pools import DEFAULT_POOL, POOLS
+from sweep.formatting import to_json
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
@@ -28,28 +24,58 @@ if TYPE_CHECKING:
     from sweep.studies.study import Study
 
 
+@dataclass(frozen=True)
+class Running:
+    """How a study is run: what on, what the user sees of it (with ``as_json`` None no results), which store goes on."""
+
+    resources: "Resources"
+    watching: Watching
+    as_json: bool | None
+    break_lock: bool = False
+    accept_code: bool = False
+
+
+def run_with_progress(
+    study: "Study", store: "Location", how: Running, *, retry: bool = False, fresh: bool = False
+) -> dict[str, str]:
+    """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
+    why points failed.  An interruption ends the command.
+    """
+    from sweep.interrupt import RunInterruptedError
+    from sweep.running.progress import TerminalProgress
+    from sweep.running.run import run_study
+    from sweep.stores.named import short_name
+
+    bar = how.watching.level < logging.ERROR
+    with a_signal_ends_the_command(), told(how.watching), TerminalProgress(study, bar) as progress:
+        try:
+            dataset, failures = run_study(
+                study, store, how.resources, progress, retry, how.break_lock, how.accept_code, fresh
+            )
+        except RunInterruptedError as stop:
+            progress.stopped(stop.signal.name, store)
+            end_stopped(stop.signal)
+        if how.as_json is not None:
+            print_table(dataset, "json" if how.as_json else "text")
+        name = short_name(store)
+        next_commands = (f"sweep plot {name}", f"sweep report {name}")
+        progress.finish(failures, store, () if how.as_json is None else next_commands)
+    if how.as_json is False:
+        print_answer(dataset)
+    return failures
+
+
 @main.command()
-@study_argument
-@study_options
+@options.study_options
 @resource_options
-@break_lock_option
-@accept_code_option
+@options.break_lock_option
+@options.accept_code_option
 @click.option("--fresh", is_flag=True, help="Replace an existing store, whatever its study and code.")
 @watching_options
-@trust_option
-@json_option
-def run(
-    study: str,
-    overrides: Mapping[str, Any],
-    store: "Location | None",
-    resources: "Resources",
-    break_lock: bool,
-    accept_code: bool,
-    fresh: bool,
-    watching: Watching,
-    trust: bool,
-    as_json: bool,
-) -> None:
+@options.trust_option
+@options.json_option
+@options.gathered("how", Running)
+def run(asked: options.AskedStudy, how: Running, fresh: bool) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
     After an interruption the same command resumes where it stopped.
@@ -61,71 +87,122 @@ def run(
     sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5
     sweep run sir.py:sir --points runs.csv
     """
-    loaded, path = load(study, overrides, store, trust)
-    failures = run_with_progress(
-        loaded, path, resources, watching, as_json, break_lock=break_lock, accept_code=accept_code, fresh=fresh
-    )
-    if failures:
+    if run_with_progress(*asked.load(), how, fresh=fresh):
         sys.exit(EXIT_FAILED_POINTS)
 
 
 @main.command()
-@study_argument
-@study_options
+@options.study_options
 @click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one per core]")
-@accept_code_option
-@trust_option
-@json_option
-def plan(
-    study: str,
-    overrides: Mapping[str, Any],
-    store: "Location | None",
-    workers: int | None,
-    accept_code: bool,
-    trust: bool,
-    as_json: bool,
-) -> None:
+@options.accept_code_option
+@options.trust_option
+@options.json_option
+def plan(asked: options.AskedStudy, workers: int | None, accept_code: bool, as_json: bool) -> None:
     """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
 
     \b
     sweep plan grid --set n_cat=100
     """
-    loaded, path = load(study, overrides, store, trust)
-    print_plan(loaded, path, workers, as_json, accept_code)
+    from sweep.running.status import plan_report
+
+    report = plan_report(*asked.load(), workers, accept_code)
+    if as_json:
+        click.echo(to_json(report))
+    else:
+        print_plan(report)
 
 
-def run_with_progress(
-    study: "Study",
-    store: "Location",
-    resources: "Resources",
-    watching: Watching,
-    as_json: bool | None,
-    *,
-    retry: bool = False,
-    break_lock: bool = False,
-    accept_code: bool = False,
-    fresh: bool = False,
-) -> dict[str, str]:
-    """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone; with
-    ``as_json`` None no results.  Return why points failed.  An interruption ends the command.
+@main.command()
+@options.store_argument
+@resource_options
+@options.break_lock_option
+@options.accept_code_option
+@watching_options
+@options.trust_option
+@options.json_option
+@options.gathered("how", Running)
+def retry(store: "Location", trust: bool, how: Running) -> None:
+    """Compute the failed points in STORE again, and only those.
+
+    \b
+    sweep retry results/quasars.zarr
     """
-    from sweep.interrupt import RunInterruptedError
-    from sweep.running.progress import TerminalProgress
-    from sweep.running.run import run_study
-    from sweep.stores.named import short_name
+    from sweep.running.reproduce import study_of
 
-    bar = watching.level < logging.ERROR
-    with a_signal_ends_the_command(), told(watching), TerminalProgress(study, bar) as progress:
+    if run_with_progress(study_of(store, trust=trust), store, how, retry=True):
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+def _counts(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, ...]:
+    words = value.split(",")
+    if not all(word.strip().isdecimal() and len(word) < 6 for word in words):
+        raise click.BadParameter(f"{value!r} is no list of numbers of workers; write 1,2,4")
+    return tuple(map(int, words))
+
+
+@main.command()
+@click.argument("study")
+@options.option_with_default("--workers", default="1,2", callback=_counts, help="Numbers of workers, from 1 up.")
+@options.option_with_default(
+    "--pool",
+    type=click.Choice([name for name, pool in POOLS.items() if pool.has_workers]),
+    default=DEFAULT_POOL,
+    help="Workers are processes, or threads of this one.",
+)
+@options.option_with_default(
+    "--repetitions", type=click.IntRange(1, 1000), default=3, help="Of every run; 5 or more give errors."
+)
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Override a value of the study.")
+@click.option("--axis", "axes", multiple=True, metavar="NAME=SPEC", help="Override or add an axis.")
+@click.option(
+    "-o", "--output", type=options.FILE, help="The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"
+)
+@click.option("--figure", type=options.FILE, help="Also draw them with the ideal lines: .png, .svg, .pdf.")
+@options.trust_option
+@options.json_option
+def scaling(
+    study: str,
+    workers: tuple[int, ...],
+    pool: Any,
+    repetitions: int,
+    settings: tuple[str, ...],
+    axes: tuple[str, ...],
+    output: Path | None,
+    figure: Path | None,
+    trust: bool,
+    as_json: bool,
+) -> None:
+    """Measure how STUDY scales with local workers: the same work on more of them (strong), and as much for each (weak).
+
+    The results of the runs are thrown away; the time to start workers is measured apart.
+
+    \b
+    sweep scaling quasars --workers 1,2 --figure scaling.svg
+    """
+    if figure is not None:
+        drawing_styles().require_format(figure)
+    from sweep.interrupt import RunInterruptedError
+    from sweep.running.scaling import check_free, measure_scaling, write_scaling
+    from sweep.running.trust import require_trust_of_study
+    from sweep.stores.named import default_store
+    from sweep.studies.reader import load_study
+    from sweep.studies.source import find_study
+
+    require_trust_of_study(find_study(study), trust)
+    loaded = load_study(study, settings, axes)
+    path = output or default_store(f"{loaded.name}-scaling")
+    check_free(path)
+    with a_signal_ends_the_command():
         try:
-            dataset, failures = run_study(study, store, resources, progress, retry, break_lock, accept_code, fresh)
+            dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
         except RunInterruptedError as stop:
-            progress.stopped(stop.signal.name, store)
             end_stopped(stop.signal)
-        if as_json is not None:
-            print_table(dataset, "json" if as_json else "text")
-        name = short_name(store)
-        next_commands = (f"sweep plot {name}", f"sweep report {name}")
-        progress.finish(failures, store, () if as_json is None else next_commands)
-    if as_json is False:
-        print_answer(dataset)
-    return failures
+    frame = dataset[["seconds", "start_seconds", "speedup", "efficiency"]].to_dataframe().reset_index()
+    if as_json:
+        click.echo(to_json(frame.to_dict(orient="records")))
+    else:
+        click.echo(frame.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
+    write_scaling(dataset, path)
+    if figure is not None:
+        save_figure(dataset, figure)
+    click.echo(f"wrote {path}" + (f" and {figure}" if figure is not None else ""), err=True)

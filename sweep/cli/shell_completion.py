@@ -2,6 +2,7 @@
 
 import tomllib
 from contextlib import suppress
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,21 +25,16 @@ def stores(_context: Context, _parameter: Parameter, incomplete: str) -> list[Co
     return [CompletionItem(incomplete, type="dir")]
 
 
-def settings(context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
-    """Offer the keys that a study before it sets, and those of its sampling."""
-    return _keys(context, incomplete, SAMPLING)
-
-
-def axes(context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+def axes(context: Context, _parameter: Parameter, incomplete: str, more: tuple[str, ...] = ()) -> list[CompletionItem]:
     """Offer the axes of a study before it, and what it fixes."""
-    return _keys(context, incomplete)
-
-
-def _keys(context: Context, incomplete: str, more: tuple[str, ...] = ()) -> list[CompletionItem]:
     named = context.params.get("study") or next(iter(context.args), "")  # not parsed where an option misses its value
-    document = _document(named)
-    found = [key for table in ("axes", "fixed") for key in document.get(table, {})]
+    tables = _document(named)
+    found = [*tables.get("axes", {}), *tables.get("fixed", {})]
     return [CompletionItem(f"{key}=") for key in (*found, *more) if f"{key}=".startswith(incomplete)]
+
+
+settings = partial(axes, more=SAMPLING)
+"""Offer the keys that a study before it sets, and those of its sampling."""
 
 
 def _document(study: object) -> dict[str, Any]:

@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -32,18 +31,17 @@ def a_signal_ends_the_command() -> Iterator[None]:
     """
     from sweep.interrupt import SIGNALS
 
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    for number, handler in before.items():
-        if handler not in (signal.SIG_IGN, None):
-            signal.signal(number, _leave_at_once)
+    answered = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, _leave_at_once)
     sys.warnoptions.append(NO_LEAK_WARNING)
     try:
         yield
     finally:
         sys.warnoptions.remove(NO_LEAK_WARNING)
         for number, handler in before.items():
-            if handler is not None:
-                signal.signal(number, handler)
+            signal.signal(number, handler)
 
 
 def end_stopped(number: int) -> NoReturn:
@@ -53,7 +51,9 @@ def end_stopped(number: int) -> NoReturn:
     _stopped_by.append(number)
     _kill_children()
     skip_end_of_clusters()
-    threading.Thread(target=_leave_after, args=(LAST_SECOND, 128 + number), daemon=True).start()
+    without_clean_up = threading.Timer(LAST_SECOND, os._exit, (128 + number,))
+    without_clean_up.daemon = True
+    without_clean_up.start()
     sys.exit(128 + number)
 
 
@@ -67,11 +67,6 @@ def leave_with_exit_code() -> None:
             with suppress(OSError, ValueError):
                 stream.flush()
         os._exit(128 + _stopped_by[-1])
-
-
-def _leave_after(seconds: float, code: int) -> None:
-    time.sleep(seconds)
-    os._exit(code)
 
 
 def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:

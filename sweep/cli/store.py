@@ -1,23 +1,14 @@
-"""Commands about stores as they are: show, status, check, repair and merge."""
+"""Commands about stores as they are: show, status, check, repair, reproduce and merge."""
 
+import json
 import sys
+import traceback
 from typing import TYPE_CHECKING
 
 import click
 
+from sweep.cli import options
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import (
-    accept_code_option,
-    break_lock_option,
-    json_option,
-    json_or,
-    link_in,
-    located_option,
-    part_of,
-    place_option,
-    store_argument,
-    trust_option,
-)
 from sweep.cli.output import print_status, print_table, status_as_json
 from sweep.formatting import to_json
 
@@ -26,10 +17,10 @@ if TYPE_CHECKING:
 
 
 @main.command()
-@store_argument
-@click.option("--format", "table_format", type=click.Choice(["text", "csv", "ecsv"]), default="text", show_default=True)
-@place_option
-@json_option
+@options.store_argument
+@options.option_with_default("--format", "table_format", type=click.Choice(["text", "csv", "ecsv"]), default="text")
+@options.place_option
+@options.json_option
 def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: bool) -> None:
     """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
     link or forecast, what `sweep tie` or `sweep forecast` printed.
@@ -38,19 +29,20 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
     sweep show quasars --at model=gaia
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
-    table_format = json_or(table_format, as_json)
-    if (link := link_in(store, at)) is not None:
+    table_format = options.json_or(table_format, as_json)
+    if (link := options.link_in(store, at)) is not None:
         from sweep.tie.text import as_format
 
         click.echo(as_format(link, table_format).rstrip("\n"))
         return
-    part = part_of(store, at, excluded_too=table_format != "text")  # the others have a column that says so
-    print_table(part, table_format, with_components=True)
+    # Formats for programs have a column that says so.
+    with options.part_of(store, at, excluded_too=table_format != "text") as part:
+        print_table(part, table_format, with_components=True)
 
 
 @main.command()
-@store_argument
-@json_option
+@options.store_argument
+@options.json_option
 def status(store: "Location", as_json: bool) -> None:
     """Say how far the run in STORE is, what failed, and where the results come from.
 
@@ -67,8 +59,8 @@ def status(store: "Location", as_json: bool) -> None:
 
 
 @main.command()
-@store_argument
-@json_option
+@options.store_argument
+@options.json_option
 def check(store: "Location", as_json: bool) -> None:
     """Read every file in STORE and compare it with its checksum; the exit code is 1 if any is damaged.
 
@@ -94,8 +86,8 @@ def check(store: "Location", as_json: bool) -> None:
 
 
 @main.command()
-@store_argument
-@break_lock_option
+@options.store_argument
+@options.break_lock_option
 def repair(store: "Location", break_lock: bool) -> None:
     """Set damaged files of STORE aside, in STORE.damaged, so that the next run computes again what was in them.
 
@@ -109,12 +101,54 @@ def repair(store: "Location", break_lock: bool) -> None:
 
 
 @main.command()
-@store_argument
-@click.argument("other", callback=located_option)
-@click.option("-o", "--output", required=True, callback=located_option, help="The new store.")
-@accept_code_option
-@trust_option
-@json_option
+@options.store_argument
+@click.option("--at", required=True, metavar="AXIS=VALUE[,AXIS=VALUE]", help="The point, e.g. model=gaia,v_max=16.")
+@click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
+@options.trust_option
+@options.json_option
+def reproduce(store: "Location", at: str, debug: bool, trust: bool, as_json: bool) -> None:
+    """Compute one point of STORE again, in this process, and compare every bit with what is stored.
+
+    The exit code is 1 if it raises, or if anything differs.
+
+    \b
+    sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
+    """
+    from sweep.contract import SweepError
+    from sweep.running.reproduce import reproduce as compute_again
+
+    try:
+        again = compute_again(store, at, trust=trust)
+    except SweepError:
+        raise
+    except Exception as error:
+        traceback.print_exception(error)
+        if debug:
+            import pdb
+
+            pdb.post_mortem(error.__traceback__)
+        sys.exit(EXIT_FAILED_POINTS)
+    print_table(again.dataset.assign_attrs(title=again.place, complete=1), "json" if as_json else "text")
+    for sentence in again.other_code:
+        click.echo(f"computed by other code than the store was: {sentence}", err=True)
+    if again.differences is None:
+        click.echo(f"{again.place} is {again.stored} in {store}; there is nothing to compare with", err=True)
+    elif not again.differences:
+        click.echo(f"every bit as in {store}", err=True)
+    else:
+        click.echo(f"differs from {store} in {', '.join(again.differences)}", err=True)
+        for name, (stored, computed) in again.differences.items():
+            click.echo(f"  {name}: {json.dumps(stored.tolist())} stored, {json.dumps(computed.tolist())} now", err=True)
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+@main.command()
+@options.store_argument
+@click.argument("other", callback=options.located_option)
+@click.option("-o", "--output", required=True, callback=options.located_option, help="The new store.")
+@options.accept_code_option
+@options.trust_option
+@options.json_option
 def merge(
     store: "Location", other: "Location", output: "Location", accept_code: bool, trust: bool, as_json: bool
 ) -> None:

@@ -3,7 +3,6 @@
 import json
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -36,17 +35,6 @@ def list_studies(as_json: bool) -> None:
         click.echo(_indented(study["title"]))
         for sentence in study["answer"] or [study["question"]]:
             click.echo(_indented(sentence))
-
-
-def _experiment(name: str) -> Any:
-    """Return the experiment at a reference, or the one that a study is of."""
-    from sweep.load import load_experiment
-    from sweep.studies.reader import load_study
-    from sweep.studies.source import built_in_studies
-
-    if name.endswith(".toml") or name in built_in_studies():
-        return load_study(name).experiment
-    return load_experiment(name)
 
 
 def _indented(text: str) -> str:
@@ -82,10 +70,15 @@ def params(experiment: str, as_json: bool) -> None:
     sweep params quasars
     sweep params my_experiment.py:experiment
     """
-    parameters = _experiment(experiment).parameters
+    from sweep.load import load_experiment
+    from sweep.studies.reader import load_study
+    from sweep.studies.source import built_in_studies
+
+    is_study = experiment.endswith(".toml") or experiment in built_in_studies()
+    declared = load_study(experiment).experiment if is_study else load_experiment(experiment)
     rows = [
         {"name": p.name, "unit": p.unit, "default": p.default, "allowed": p.allowed(), "meaning": p.meaning}
-        for p in parameters
+        for p in declared.parameters
     ]
     if as_json:
         click.echo(to_json(rows))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from sweep.cli.group import main
-from sweep.cli.options import FILE, json_option
+from sweep.cli.options import FILE, json_option, option_with_default
 from sweep.cli.tie_options import numbers, table_options
 
 if TYPE_CHECKING:
@@ -38,20 +38,18 @@ figures_option = click.option(
     metavar="X,Y,Z|TABLE",
     help="Subtracted before the fit: mas/yr with the sign of --sign, or a table by magnitude.",
 )
-@click.option("--clip", default="none", show_default=True, help="none, rayleigh, median:K, discrepancy[:N] or huber:C.")
-@click.option(
+@option_with_default("--clip", default="none", help="none, rayleigh, median:K, discrepancy[:N] or huber:C.")
+@option_with_default(
     "--errors",
     default="scaled",
-    show_default=True,
     help="Kinds of errors, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.",
 )
-@click.option("--resamples", type=click.IntRange(2), default=1000, show_default=True, help="Of the bootstrap.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the bootstrap.")
-@click.option(
+@option_with_default("--resamples", type=click.IntRange(2), default=1000, help="Of the bootstrap.")
+@option_with_default("--seed", type=click.IntRange(0), default=0, help="Of the bootstrap.")
+@option_with_default(
     "--sign",
     type=click.Choice(["reference-satellite", "satellite-reference"]),
     default="reference-satellite",
-    show_default=True,
     help="Of everything that is printed and stored.",
 )
 @click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for millions of quasars in Parquet.")
@@ -106,17 +104,13 @@ def tie(
 @click.argument("reference")
 @click.option("--unknowns", metavar="BLOCKS", help="Like orientation,spin.")
 @click.option("--add", metavar="YEARS", default="", help="Epochs of new positions, e.g. 2026,2030.")
-@click.option("--error", type=float, default=0.1, show_default=True, metavar="MAS", help="Of each new coordinate.")
+@option_with_default("--error", type=float, default=0.1, metavar="MAS", help="Of each new coordinate.")
 @click.option("--release", help="Scale the satellite's errors to dr4 or dr5.")
-@click.option("--from-release", default="dr3", show_default=True, help="Release of the satellite's table.")
+@option_with_default("--from-release", default="dr3", help="Release of the satellite's table.")
 @click.option("--choose", "number", type=click.IntRange(0), default=0, metavar="N", help="Choose the N best sources.")
 @click.option("--for", "goal", default="", metavar="BLOCKS", help="What they are best for.  [default: all unknowns]")
-@click.option(
-    "--criterion",
-    type=click.Choice(["A", "D"]),
-    default="A",
-    show_default=True,
-    help="Trace or determinant of the covariance.",
+@option_with_default(
+    "--criterion", type=click.Choice(["A", "D"]), default="A", help="Trace or determinant of the covariance."
 )
 @click.option("--all-sources", is_flag=True, help="Sources without any row of the reference are candidates too.")
 @table_options

@@ -1,135 +1,12 @@
 """The options that say how the tables of a link are read: columns, units, epochs, missions."""
 
-import functools
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import click
 
+from sweep.cli.options import gathered, option_with_default
 from sweep.formatting import split_assignment
-
-
-def table_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of tables.
-
-    The command gets by their names those that `sweep.tie.options.Options` has as they are written, and the others, as
-    it has them, as ``tables``.
-    """
-
-    @click.option(
-        "--by",
-        metavar="HOW",
-        help="Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]",
-    )
-    @click.option(
-        "--mission",
-        "missions",
-        multiple=True,
-        metavar="NAME=TABLE",
-        help="A further mission's table of the same sources, in a frame with its own orientation and spin.",
-    )
-    @click.option(
-        "--column",
-        multiple=True,
-        metavar="[TABLE:]KEY=COLUMN",
-        help="The column with a quantity, of all tables or of satellite, reference or a mission, e.g. "
-        "reference:parallax=plx.",
-    )
-    @click.option(
-        "--unit",
-        "units",
-        multiple=True,
-        metavar="[TABLE:]KEY=UNIT",
-        help="The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
-    )
-    @click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, for a column.")
-    @click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, for a column.")
-    @click.option(
-        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, for a column."
-    )
-    @click.option(
-        "--positions",
-        type=click.Choice(["single-epoch", "mean"]),
-        help="Reference positions without parallax: displaced by it, or mean.  [default: what the table says]",
-    )
-    @click.option(
-        "--zero-errors",
-        type=click.Choice(["error", "missing", "exact"]),
-        default="error",
-        show_default=True,
-        help="What an error of 0 means.",
-    )
-    @click.option(
-        "--without-cos-dec",
-        multiple=True,
-        metavar="satellite|reference|NAME",
-        help="The table whose pmra is mu_alpha, without cos(dec).",
-    )
-    @click.option(
-        "--weights",
-        type=click.Choice(["covariance", "variance", "equal"]),
-        default="covariance",
-        show_default=True,
-        help="Of the differences.",
-    )
-    @click.option(
-        "--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind, or of all."
-    )
-    @click.option("--epoch", type=float, metavar="YEAR", help="Epoch of the orientation.  [default: the satellite's]")
-    @click.option(
-        "--aberration",
-        type=float,
-        default=0.0,
-        metavar="UAS_YR",
-        help="Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.",
-    )
-    @functools.wraps(command)
-    def with_tables(
-        *arguments: Any,
-        missions: Sequence[str],
-        column: Sequence[str],
-        units: Sequence[str],
-        satellite_epoch: float | None,
-        reference_epoch: float | None,
-        mission_epoch: Sequence[str],
-        positions: Any,
-        zero_errors: Any,
-        without_cos_dec: Sequence[str],
-        jitter: Sequence[str],
-        **named: Any,
-    ) -> Any:
-        from sweep.tie.column_names import TableOptions
-
-        further = dict(_named("--mission", "NAME=TABLE", item) for item in missions)
-        if len(further) < len(missions):
-            raise click.BadParameter("a mission is named twice", param_hint="--mission")
-        names = ("satellite", "reference", *further)
-        own_columns = _by_table("--column", "KEY=COLUMN", column, names)
-        own_units = _by_table("--unit", "KEY=UNIT", units, names)
-        epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **_mission_epochs(mission_epoch, further)}
-        if unknown := set(without_cos_dec) - set(names):
-            raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint="--without-cos-dec")
-        options = {
-            name: TableOptions(
-                columns=own_columns[name],
-                units=own_units[name],
-                epoch=epochs.get(name),
-                positions=positions if name == "reference" else None,
-                zero_errors=zero_errors,
-                pmra_cos_dec=name not in without_cos_dec,
-            )
-            for name in names
-        }
-        tables = {
-            "jitter": dict(map(_jitter, jitter)),
-            "satellite_options": options["satellite"],
-            "reference_options": options["reference"],
-            "missions": further,
-            "mission_options": {name: options[name] for name in further},
-        }
-        return command(*arguments, tables=tables, **named)
-
-    return with_tables
 
 
 def numbers(option: str, text: str) -> list[float]:
@@ -180,3 +57,121 @@ def _jitter(item: str) -> tuple[str, tuple[float, float]]:
     if kind in ("motion", "three-parameter") and len(values) == 1:
         return kind, (0.0, values[0])
     return kind, (values[0], values[1] if len(values) == 2 else 0.0)
+
+
+def _tables(
+    missions: Sequence[str],
+    column: Sequence[str],
+    units: Sequence[str],
+    satellite_epoch: float | None,
+    reference_epoch: float | None,
+    mission_epoch: Sequence[str],
+    positions: Any,
+    zero_errors: Any,
+    without_cos_dec: Sequence[str],
+    jitter: Sequence[str],
+) -> dict[str, Any]:
+    """Return the options of the tables as `sweep.tie.options.Options` has them."""
+    from sweep.tie.column_names import TableOptions
+
+    further = dict(_named("--mission", "NAME=TABLE", item) for item in missions)
+    if len(further) < len(missions):
+        raise click.BadParameter("a mission is named twice", param_hint="--mission")
+    names = ("satellite", "reference", *further)
+    own_columns = _by_table("--column", "KEY=COLUMN", column, names)
+    own_units = _by_table("--unit", "KEY=UNIT", units, names)
+    epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **_mission_epochs(mission_epoch, further)}
+    if unknown := set(without_cos_dec) - set(names):
+        raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint="--without-cos-dec")
+    options = {
+        name: TableOptions(
+            columns=own_columns[name],
+            units=own_units[name],
+            epoch=epochs.get(name),
+            positions=positions if name == "reference" else None,
+            zero_errors=zero_errors,
+            pmra_cos_dec=name not in without_cos_dec,
+        )
+        for name in names
+    }
+    return {
+        "jitter": dict(map(_jitter, jitter)),
+        "satellite_options": options["satellite"],
+        "reference_options": options["reference"],
+        "missions": further,
+        "mission_options": {name: options[name] for name in further},
+    }
+
+
+table_options = gathered(
+    "tables",
+    _tables,
+    click.option(
+        "--by",
+        metavar="HOW",
+        help="Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]",
+    ),
+    click.option(
+        "--mission",
+        "missions",
+        multiple=True,
+        metavar="NAME=TABLE",
+        help="A further mission's table of the same sources, in a frame with its own orientation and spin.",
+    ),
+    click.option(
+        "--column",
+        multiple=True,
+        metavar="[TABLE:]KEY=COLUMN",
+        help="The column with a quantity, of all tables or of satellite, reference or a mission, e.g. "
+        "reference:parallax=plx.",
+    ),
+    click.option(
+        "--unit",
+        "units",
+        multiple=True,
+        metavar="[TABLE:]KEY=UNIT",
+        help="The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
+    ),
+    click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, for a column."),
+    click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, for a column."),
+    click.option(
+        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, for a column."
+    ),
+    click.option(
+        "--positions",
+        type=click.Choice(["single-epoch", "mean"]),
+        help="Reference positions without parallax: displaced by it, or mean.  [default: what the table says]",
+    ),
+    option_with_default(
+        "--zero-errors",
+        type=click.Choice(["error", "missing", "exact"]),
+        default="error",
+        help="What an error of 0 means.",
+    ),
+    click.option(
+        "--without-cos-dec",
+        multiple=True,
+        metavar="satellite|reference|NAME",
+        help="The table whose pmra is mu_alpha, without cos(dec).",
+    ),
+    option_with_default(
+        "--weights",
+        type=click.Choice(["covariance", "variance", "equal"]),
+        default="covariance",
+        help="Of the differences.",
+    ),
+    click.option(
+        "--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind, or of all."
+    ),
+    click.option("--epoch", type=float, metavar="YEAR", help="Epoch of the orientation.  [default: the satellite's]"),
+    click.option(
+        "--aberration",
+        type=float,
+        default=0.0,
+        metavar="UAS_YR",
+        help="Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.",
+    ),
+)
+"""The command gets by their names those that `sweep.tie.options.Options` has as they are written, and the others, as it
+has them, as ``tables``.
+"""

@@ -1,7 +1,6 @@
 """Keeps what an experiment prints, and what it is warned of, apart from standard output, thread by thread."""
 
 import io
-import os
 import sys
 import threading
 import warnings
@@ -25,15 +24,6 @@ class Captured:
 
     printed: str = ""
     warnings: Counter[str] = field(default_factory=Counter)
-
-    def write(self, text: str) -> None:
-        """Keep a text, as far as there is room."""
-        self.printed += text[: MOST_PRINTED - len(self.printed)]
-
-    def warn(self, text: str) -> None:
-        """Count a warning."""
-        if text in self.warnings or len(self.warnings) < MOST_WARNINGS:
-            self.warnings[text] += 1
 
     def taken(self) -> "Captured | None":
         """Return what was captured since the last call, None if that is nothing; filters of warnings that were changed
@@ -92,17 +82,13 @@ class _Routes(io.TextIOBase):
     def write(self, text: str) -> int:
         """Keep what a thread prints; text of a thread that an experiment has started goes to a block under way."""
         if (captured := self._of_this_thread()) is not None:
-            captured.write(text)
+            captured.printed += text[: MOST_PRINTED - len(captured.printed)]
         elif self._before is not None:
             self._before.write(text)
         return len(text)
 
     def writable(self) -> bool:
-        """Return True."""
         return True
-
-    def flush(self) -> None:
-        """Do nothing."""
 
     def _of_this_thread(self) -> Captured | None:
         with self._lock:
@@ -111,7 +97,9 @@ class _Routes(io.TextIOBase):
 
     def _warn(self, message: Any, category: type[Warning], filename: str, lineno: int, *rest: Any) -> None:
         if (captured := self._of_this_thread()) is not None:
-            captured.warn(f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})")
+            text = f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})"
+            if text in captured.warnings or len(captured.warnings) < MOST_WARNINGS:
+                captured.warnings[text] += 1
         else:
             self._showwarning(message, category, filename, lineno, *rest)
 
@@ -128,10 +116,3 @@ def captured() -> Iterator[Captured]:
         yield found
     finally:
         _routes.end()
-
-
-def no_standard_output() -> None:
-    """Send everything that this process writes to its standard output to standard error:
-    also code in C, and programs that it starts.
-    """
-    os.dup2(2, 1)

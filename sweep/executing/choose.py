@@ -1,20 +1,11 @@
 """Chooses where a run computes: as requested, or else as the amount of work suggests."""
 
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 from sweep.contract import SweepError, shown, suggest
-from sweep.executing.execute import (
-    NO_LIMITS,
-    Executor,
-    Limits,
-    Place,
-    Say,
-    available_cores,
-    measured_first,
-)
+from sweep.executing.execute import NO_LIMITS, Limits, Opened, Say, available_cores, measured_first
 from sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName
 from sweep.studies.study import Study
 
@@ -61,24 +52,23 @@ class Resources:
 ANY_RESOURCES = Resources()
 
 
-def choose_executor(
-    study: Study, cost: float, resources: Resources, say: Say
-) -> AbstractContextManager[tuple[Place, Executor]]:
+def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -> Opened:
     """Return the place where a run of so many random numbers will be and its executor, to be entered.
 
     Where nothing is requested it is worker processes, one per core; if the cost that the experiment declares does not
     show that they are needed, only once the time that the first points take does.
     """
-    limits, workers = resources.limits, resources.workers or available_cores()
-    if resources.scheduler is None and resources.cluster is None:
-        pool = POOLS[resources.pool or DEFAULT_POOL]
-        if resources.none_requested and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
-            return measured_first(study, cost, workers, lambda: pool.open(study, workers, say, limits), say)
-        return pool.open(study, workers, say, limits, resources.dashboard)
-    from sweep.executing.clusters import dask_from_file, dask_scheduler, tls
-
+    limits = resources.limits
     if resources.scheduler is not None:
+        from sweep.executing.clusters import dask_scheduler, tls
+
         security = tls(*resources.tls) if resources.tls else None
         return dask_scheduler(study, resources.scheduler, security, say, limits)
-    assert resources.cluster is not None
-    return dask_from_file(study, resources.cluster, say, limits)
+    if resources.cluster is not None:
+        from sweep.executing.clusters import dask_from_file
+
+        return dask_from_file(study, resources.cluster, say, limits)
+    pool, workers = POOLS[resources.pool or DEFAULT_POOL], resources.workers or available_cores()
+    if resources.none_requested and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
+        return measured_first(study, cost, workers, lambda: pool.open(study, workers, say, limits, False), say)
+    return pool.open(study, workers, say, limits, resources.dashboard)

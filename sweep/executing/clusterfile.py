@@ -78,13 +78,11 @@ def cluster_class(file: ClusterFile) -> Any:
     module, _, attribute = file.class_name.rpartition(".")
     try:
         found = getattr(importlib.import_module(module), attribute)
-    except ModuleNotFoundError as error:
-        hint = "; pip install 'linksweep[jobqueue]'" if error.name == "dask_jobqueue" else ""
-        raise SweepError(f"class = {file.class_name!r}: {error}{hint}", str(file.path)) from error
-    except AttributeError as error:
-        raise SweepError(f"class = {file.class_name!r}: {error}", str(file.path)) from error
     except Exception as error:  # whatever a module raises while it is imported
-        raise SweepError(f"class = {file.class_name!r}: {type(error).__name__}: {error}", str(file.path)) from error
+        missing = isinstance(error, ModuleNotFoundError) and error.name == "dask_jobqueue"
+        hint = "; pip install 'linksweep[jobqueue]'" if missing else ""
+        kind = "" if isinstance(error, ModuleNotFoundError | AttributeError) else f"{type(error).__name__}: "
+        raise SweepError(f"class = {file.class_name!r}: {kind}{error}{hint}", str(file.path)) from error
     if not isinstance(found, type) or not all(hasattr(found, name) for name in ("scale", "adapt", "close")):
         raise SweepError(f"class = {file.class_name!r}: is no class of a Dask cluster", str(file.path))
     return found
@@ -95,22 +93,17 @@ def _is_count(value: object, least: int) -> bool:
 
 
 def _parse(path: Path) -> Mapping[Any, Any]:
+    import yaml
+
     try:
         text = path.read_text(encoding="utf-8")
-        document = _yaml(text, path) if path.suffix in (".yaml", ".yml") else tomllib.loads(text)
+        document = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else tomllib.loads(text)
     except (OSError, UnicodeDecodeError) as error:
         raise SweepError(f"cannot be read: {error}", str(path)) from error
     except tomllib.TOMLDecodeError as error:
         raise SweepError(f"not valid TOML: {error}", str(path)) from error
+    except yaml.YAMLError as error:
+        raise SweepError(f"not valid YAML: {' '.join(str(error).split())}", str(path)) from error
     if not isinstance(document, dict):
         raise SweepError("must be a table with the keys class, options, and scale or adapt", str(path))
     return document
-
-
-def _yaml(text: str, path: Path) -> Any:
-    import yaml  # Dask needs it too, so it is always there
-
-    try:
-        return yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise SweepError(f"not valid YAML: {' '.join(str(error).split())}", str(path)) from error

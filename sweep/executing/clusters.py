@@ -3,7 +3,7 @@
 import importlib.metadata
 import warnings
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,47 +26,25 @@ ADAPT_WITHIN = "500ms"
 """An adaptive cluster has as many workers as the tasks in flight would keep busy for so long: they are short."""
 
 
-def worker_processes(
-    study: Study, workers: int, say: Say, limits: Limits, dashboard: bool, method: str
-) -> AbstractContextManager[tuple[Place, Executor]]:
-    """Give an executor on a Dask cluster of worker processes of one thread each, started by a ``method`` of
-    multiprocessing.
-    """
-    options: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
-    if limits.memory is not None:
-        options["memory_limit"] = limits.memory
-    noun = "worker process" if workers == 1 else "worker processes"
-    return _local(study, workers, options, f"{workers} local {noun}", say, limits, dashboard, method)
-
-
-def worker_threads(
-    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False
-) -> AbstractContextManager[tuple[Place, Executor]]:
-    """Give an executor on threads of this process; with limits each task runs in a child process."""
-    options = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
-    noun = "thread" if workers == 1 else "threads"
-    return _local(study, workers, options, f"{workers} local {noun}", say, limits, dashboard, guarded=bool(limits))
-
-
 @contextmanager
-def _local(
-    study: Study,
-    workers: int,
-    options: dict[str, Any],
-    words: str,
-    say: Say,
-    limits: Limits,
-    dashboard: bool,
-    method: str | None = None,
-    guarded: bool = False,
+def local_workers(
+    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False, method: str | None = None
 ) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on a Dask cluster of this machine."""
-    with ExitStack() as stack:
-        stack.enter_context(threadpool_limits(1))
-        cluster = stack.enter_context(local_cluster(options, dashboard, method))
-        client = stack.enter_context(cluster.get_client())
+    """Give an executor on a Dask cluster of this machine: of worker processes of one thread each, started by a
+    ``method`` of multiprocessing; without one of threads of this process, where with limits each task runs in a child
+    process.
+    """
+    options: dict[str, Any] = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
+    noun = "thread" if workers == 1 else "threads"
+    if method is not None:
+        options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+        if limits.memory is not None:
+            options["memory_limit"] = limits.memory
+        noun = "worker process" if workers == 1 else "worker processes"
+    words = f"{workers} local {noun}"
+    with threadpool_limits(1), local_cluster(options, dashboard, method) as cluster, cluster.get_client() as client:
         place = Place(words, workers, _dashboard(client) if dashboard else "")
-        yield place, _executor(client, study, words, say, limits, guarded)
+        yield place, _executor(client, study, words, say, limits, guarded=method is None and bool(limits))
 
 
 @contextmanager
@@ -86,7 +64,9 @@ def dask_from_file(study: Study, path: Path, say: Say, limits: Limits = NO_LIMIT
         except SweepError:
             raise
         except Exception as error:  # whatever a cluster's class makes of its options
-            cause = _root_cause(error)
+            cause: BaseException = error
+            while cause.__cause__ is not None:
+                cause = cause.__cause__
             raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(path)) from error
         yield _place(client, words), _executor(client, study, words, say, limits)
 
@@ -120,12 +100,6 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
             message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}"
             raise SweepError(message) from error
         yield stack.enter_context(client)
-
-
-def _root_cause(error: BaseException) -> BaseException:
-    while error.__cause__ is not None:
-        error = error.__cause__
-    return error
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:

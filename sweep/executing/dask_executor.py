@@ -183,7 +183,7 @@ class DaskExecutor:
         pause = FIRST_PAUSE_S * 2.0 ** (troubles - 1)
         return replace(submission, troubles=troubles, not_before=time.monotonic() + pause)
 
-    def _next(self, timeout: float = LOOK_EVERY_S) -> Future[Any] | None:
+    def _next(self, timeout: float) -> Future[Any] | None:
         """Return a future that has ended, None if there was none for a while; look after the workers meanwhile."""
         self._workers.look_if_due()
         try:

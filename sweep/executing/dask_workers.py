@@ -12,7 +12,7 @@ from distributed import Client, Future, WorkerPlugin
 
 from sweep.contract import SweepError
 from sweep.executing.execute import Say
-from sweep.executing.versions import Identity, differences, identity
+from sweep.executing.versions import Identity, differences, identity, require_same
 from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin
 from sweep.load import source_digest, sources_of
 
@@ -62,15 +62,12 @@ class DaskWorkers:
             raise
         except Exception as error:  # whatever keeps a worker from importing what it is sent
             raise (self.unable(error) if self.client.status == "running" else self.gone()) from error
-        problems = []
+        # One that has gone meanwhile is asked again with its first task.
+        found = {worker: what for worker, what in found.items() if not isinstance(what, OSError)}
         for worker, what in sorted(found.items()):
             if isinstance(what, Identity):
                 self.warn(worker, differences(self.expected.others, what.others))
-                problems += [f"{worker}: {text}" for text in differences(self.expected.deciding, what.deciding)]
-            elif not isinstance(what, OSError):  # one that has gone meanwhile is asked again with its first task
-                problems.append(f"{worker}: {type(what).__name__}: {what}")
-        if problems:
-            raise SweepError(problems, "workers that would not compute what this process would")
+        require_same(self.expected.deciding, found)
         self.look()
 
     def _register(self, plugin: WorkerPlugin) -> None:

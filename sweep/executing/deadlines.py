@@ -23,7 +23,6 @@ class Deadlines:
     """
 
     def __init__(self) -> None:
-        """Start with no block."""
         self._lock = threading.Lock()
         self._ends: dict[int, float] = {}
 

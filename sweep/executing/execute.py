@@ -22,6 +22,7 @@ Results = Iterator[tuple[list[Work], TaskResult]]
 """The work of each task and its result, which has no rows for blocks at its end that were not started."""
 
 Executor = Callable[[Take], Results]
+Opened = AbstractContextManager[tuple["Place", Executor]]
 Say = Callable[[str], None]
 
 
@@ -94,11 +95,7 @@ def serial(study: Study, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Ex
 
 @contextmanager
 def measured_first(
-    study: Study,
-    cost: float,
-    cores: int,
-    elsewhere: Callable[[], AbstractContextManager[tuple[Place, Executor]]],
-    say: Say,
+    study: Study, cost: float, cores: int, elsewhere: Callable[[], Opened], say: Say
 ) -> Iterator[tuple[Place, Executor]]:
     """Give an executor for work of unknown length: it computes in this process until what is left, judged by the time
     that was measured, is worth the start of workers ``elsewhere``, which then do the rest.

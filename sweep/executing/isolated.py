@@ -59,7 +59,8 @@ def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> Tas
         guilty.deaths += 1
         if death.kind == "time limit" or guilty.deaths >= TRIES:
             for part in pending:
-                if part.result is None and part.is_of_same_point(guilty):
+                same_point = (part.unit.stream, part.unit.points) == (guilty.unit.stream, guilty.unit.points)
+                if part.result is None and same_point:
                     part.result = failed(1, width, death)
     results: list[TaskResult] = []
     for part in parts:
@@ -77,9 +78,6 @@ class _Part:
     whole: bool = True
     deaths: int = 0
     result: TaskResult | None = None
-
-    def is_of_same_point(self, other: "_Part") -> bool:
-        return (self.unit.stream, self.unit.points) == (other.unit.stream, other.unit.points)
 
 
 def _run_child(

@@ -1,8 +1,8 @@
 """A function of many pieces on Dask workers: results in the order of the pieces, few of them in memory at a time."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -33,30 +33,25 @@ def ordered_map(workers: int | None, scheduler: str | None, experiment: str) -> 
     if scheduler is None and (workers is None or workers == 1):
         yield here
         return
-    with ExitStack() as stack:
-        client = stack.enter_context(_local(workers) if scheduler is None else _elsewhere(scheduler, experiment))
+    with _local(workers) if scheduler is None else _elsewhere(scheduler, experiment) as client:
         yield lambda function, pieces: _mapped(client, function, pieces)
 
 
 def _mapped(client: Any, function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
     from distributed import KilledWorker
 
-    rest = iter(pieces)
     threads = sum(client.nthreads().values())
-    waiting = deque(_sent(client, function, piece) for piece in islice(rest, AHEAD * max(threads, 1)))
+    sent = (client.submit(_on_one_thread, function, *piece, pure=False) for piece in pieces)
+    waiting = deque(islice(sent, AHEAD * max(threads, 1)))
     while waiting:
         future = waiting.popleft()
         try:
             result = future.result()
         except KilledWorker as error:
             raise SweepError(f"a worker died, perhaps for lack of memory: {error}") from error
-        waiting.extend(_sent(client, function, piece) for piece in islice(rest, 1))
+        waiting.extend(islice(sent, 1))
         del future  # Dask forgets the result
         yield result
-
-
-def _sent(client: Any, function: Callable[..., Any], piece: tuple[Any, ...]) -> Any:
-    return client.submit(_on_one_thread, function, *piece, pure=False)
 
 
 def _on_one_thread(function: Callable[..., Result], *arguments: Any) -> Result:
@@ -76,19 +71,11 @@ def _local(workers: int | None) -> Iterator[Any]:
 @contextmanager
 def _elsewhere(scheduler: str, experiment: str) -> Iterator[Any]:
     from sweep.executing.clusters import client_at
-    from sweep.executing.versions import differences, identity
+    from sweep.executing.versions import identity, require_same
 
     with client_at(scheduler) as client:
         if not client.nthreads():
             raise SweepError(f"the Dask scheduler at {scheduler} has no workers")
         own = identity(experiment).deciding
-        found: Mapping[str, Any] = client.run(identity, experiment, on_error="return")
-        problems = []
-        for worker, what in sorted(found.items()):
-            if isinstance(what, BaseException):
-                problems.append(f"{worker}: {type(what).__name__}: {what}")
-            else:
-                problems += [f"{worker}: {text}" for text in differences(own, what.deciding)]
-        if problems:
-            raise SweepError(problems, "workers that would not compute what this process would")
+        require_same(own, client.run(identity, experiment, on_error="return"))
         yield client

@@ -1,26 +1,17 @@
 """The pools: what a study can run on in this machine.  A further one is an entry of `POOLS`, and its name."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 if TYPE_CHECKING:
-    from sweep.executing.execute import Executor, Limits, Place, Say
+    from sweep.executing.execute import Executor, Limits, Opened, Place, Say
     from sweep.studies.study import Study
 
 PoolName = Literal["processes", "threads", "serial"]
 
-Opened = AbstractContextManager["tuple[Place, Executor]"]
-
-
-class OpenPool(Protocol):
-    """How a pool is opened."""
-
-    def __call__(
-        self, study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False, /
-    ) -> Opened:
-        """Open it for a study with so many workers, with Dask's ``dashboard`` where it can have one."""
-        ...
+OpenPool = Callable[["Study", int, "Say", "Limits", bool], "Opened"]
+"""Opens a pool for a study with so many workers, with Dask's dashboard where it is asked for and there can be one."""
 
 
 class Pool(NamedTuple):
@@ -33,24 +24,24 @@ class Pool(NamedTuple):
 
 @contextmanager
 def _processes(
-    study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False
+    study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool
 ) -> "Iterator[tuple[Place, Executor]]":
     from sweep.executing.forkserver import start_method
 
     with start_method() as method:  # what workers are forked from imports Dask while this process does
-        from sweep.executing.clusters import worker_processes
+        from sweep.executing.clusters import local_workers
 
-        with worker_processes(study, workers, say, limits, dashboard, method) as opened:
+        with local_workers(study, workers, say, limits, dashboard, method) as opened:
             yield opened
 
 
-def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool = False) -> Opened:
-    from sweep.executing.clusters import worker_threads
+def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool) -> "Opened":
+    from sweep.executing.clusters import local_workers
 
-    return worker_threads(study, workers, say, limits, dashboard)
+    return local_workers(study, workers, say, limits, dashboard)
 
 
-def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits", _dashboard: bool = False) -> Opened:
+def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits", _dashboard: bool) -> "Opened":
     from sweep.executing.execute import serial
 
     return serial(study, limits)

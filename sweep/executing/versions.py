@@ -3,8 +3,10 @@
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from sweep.code_identity import code_of
+from sweep.contract import SweepError
 from sweep.distributions import version_of
 from sweep.load import load_experiment
 
@@ -39,3 +41,17 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
         for name in names
         if here.get(name) != there.get(name)
     ]
+
+
+def require_same(expected: Mapping[str, str], found: Mapping[str, Any]) -> None:
+    """Raise SweepError with a list unless what decides the numbers is as ``expected`` in the `Identity` that each
+    worker, by its address, has answered with; or where it has answered with an exception.
+    """
+    problems = []
+    for worker, what in sorted(found.items()):
+        if isinstance(what, BaseException):
+            problems.append(f"{worker}: {type(what).__name__}: {what}")
+        else:
+            problems += [f"{worker}: {text}" for text in differences(expected, what.deciding)]
+    if problems:
+        raise SweepError(problems, "workers that would not compute what this process would")

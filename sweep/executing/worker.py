@@ -107,19 +107,20 @@ def _try(
                 return True
             sums, samples = run_block(experiment, points, unit.block.n_sim, pairs, task.keep_samples)
     except TimeLimitError:
-        result.failures.update(dict.fromkeys(rows, too_long(task, traceback.format_exc())))
-        return False
+        reason = too_long(task, traceback.format_exc())
     except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
         if is_interruption(error):
             raise
-        result.failures.update(dict.fromkeys(rows, failure_of(error)))
-        return False
-    result.sums[rows] = sums
-    if task.keep_samples:
-        result.samples.update(zip(rows, samples, strict=True))
-    for row in rows:
-        result.failures.pop(row, None)
-    return True
+        reason = failure_of(error)
+    else:
+        result.sums[rows] = sums
+        if task.keep_samples:
+            result.samples.update(zip(rows, samples, strict=True))
+        for row in rows:
+            result.failures.pop(row, None)
+        return True
+    result.failures.update(dict.fromkeys(rows, reason))
+    return False
 
 
 def function_values(

@@ -1,5 +1,6 @@
 """What linksweep brings to a Dask worker: one thread for linear algebra, time limits, the function that runs a task."""
 
+import os
 import signal
 from dataclasses import dataclass
 from typing import Any
@@ -7,7 +8,6 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
-from sweep.executing.captured import no_standard_output
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.isolated import run_guarded
 from sweep.executing.task import Task, TaskResult
@@ -28,7 +28,6 @@ class TaskPlugin(WorkerPlugin):
     """
 
     name = PLUGIN
-
     idempotent = True  # a second client of the same workers must not reset their alarm
 
     def setup(self, worker: Any) -> None:
@@ -36,7 +35,7 @@ class TaskPlugin(WorkerPlugin):
         self._limits = threadpool_limits(1)
         self.deadlines = Deadlines()
         if getattr(worker, "nanny", None):  # a process of its own
-            no_standard_output()
+            os.dup2(2, 1)  # to standard error what goes to standard output: also of code in C, and of programs started
             if hasattr(signal, "pthread_sigmask"):
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
 

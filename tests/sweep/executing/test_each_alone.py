@@ -5,7 +5,7 @@ import pytest
 
 import linksweep
 from linksweep import experiment
-from sweep.executing.each_alone import dependence
+from sweep.executing.together import dependence
 from sweep.functions.adapter import experiment_of
 from sweep.planning.point_status import Status
 

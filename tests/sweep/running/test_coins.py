@@ -146,7 +146,7 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
         drawn += len(tasks)
         return tasks
 
-    with clusters.worker_threads(study, 2, print) as (_, executor):
+    with clusters.local_workers(study, 2, print) as (_, executor):
         ahead = [drawn - received for received, _ in enumerate(executor(take))]
     assert len(ahead) == 6 * 8
     assert max(ahead) <= 2 * dask_executor.TASKS_IN_FLIGHT
