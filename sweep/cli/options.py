@@ -120,18 +120,25 @@ class AskedStudy:
 
     def load(self) -> "tuple[Study, Location]":
         """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""
-        from sweep.running.trust import require_trust_of_study
         from sweep.stores.location import located
         from sweep.stores.named import default_store
-        from sweep.studies.reader import load_study
-        from sweep.studies.source import find_study, reference_in
 
-        if (function := reference_in(self.study)) is None:
-            require_trust_of_study(find_study(self.study), self.trust)
-        elif (file := function.rpartition(":")[0]).endswith(".py"):
-            require_trust_of_study(Path(file), self.trust)
-        study = load_study(self.study, self.settings, self.axes, self.points, self.design, self.ranges)
+        given = self.settings, self.axes, self.points, self.design, self.ranges
+        study = load_trusted(self.study, self.trust, *given)
         return study, self.store or located(default_store(study.name))
+
+
+def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
+    """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
+    from sweep.running.trust import require_trust_of_study
+    from sweep.studies.reader import load_study
+    from sweep.studies.source import find_study, reference_in
+
+    if (function := reference_in(study)) is None:
+        require_trust_of_study(find_study(study), trust)
+    elif (file := function.rpartition(":")[0]).endswith(".py"):
+        require_trust_of_study(Path(file), trust)
+    return load_study(study, *overrides)
 
 
 study_options = gathered(

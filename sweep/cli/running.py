@@ -183,13 +183,9 @@ def scaling(
         drawing_styles().require_format(figure)
     from sweep.interrupt import RunInterruptedError
     from sweep.running.scaling import check_free, measure_scaling, write_scaling
-    from sweep.running.trust import require_trust_of_study
     from sweep.stores.named import default_store
-    from sweep.studies.reader import load_study
-    from sweep.studies.source import find_study
 
-    require_trust_of_study(find_study(study), trust)
-    loaded = load_study(study, settings, axes)
+    loaded = options.load_trusted(study, trust, settings, axes)
     path = output or default_store(f"{loaded.name}-scaling")
     check_free(path)
     with a_signal_ends_the_command():

@@ -57,17 +57,19 @@ def measure_scaling(
     Seconds begin when the workers are there and end with the last result on disk; ``start_seconds`` are what comes
     before and after.  Each repetition has every run in it, ratios are taken within one, and ``NAME_error`` is the
     standard error of the median, where there are at least 5 repetitions.  Weak scaling multiplies the catalogues by the
-    workers where a study has several, or else the realisations.  Runs go into stores of their own, which are removed.
+    workers where a study has several, or else the realisations; a function without random numbers has neither, and no
+    weak scaling.  Runs go into stores of their own, which are removed.
     Raises SweepError for workers that are not distinct or do not begin with one, for a study of a precision, and where
     a point fails.
     """
     _check(study, workers, repetitions)
     grown: Grown = "n_cat" if study.sampling.n_cat > 1 else "n_sim"
-    timed = np.empty((len(KINDS), len(workers), repetitions, 2))
+    kinds = KINDS[:1] if study.experiment.deterministic else KINDS
+    timed = np.empty((len(kinds), len(workers), repetitions, 2))
     _timed(_with(study, "n_sim", 1), 1, pool)  # the first run of all also reads what is not in memory yet
     for turn in range(repetitions):
         for place, count in enumerate(workers):
-            for kind, name in enumerate(KINDS):
+            for kind, name in enumerate(kinds):
                 if name == "weak" and count == 1:
                     timed[kind, place, turn] = timed[0, place, turn]
                     continue
@@ -75,7 +77,7 @@ def measure_scaling(
                 timed[kind, place, turn] = _timed(more, count, pool)
                 seconds = timed[kind, place, turn, 0]
                 told(f"{turn + 1}/{repetitions}: {name} scaling, workers: {count}, {seconds:.2f} s")
-    dataset = _dataset(np.array(workers), timed)
+    dataset = _dataset(kinds, np.array(workers), timed)
     return dataset.assign_attrs(
         provenance(study),
         title=f"Scaling of: {study.title}",
@@ -138,9 +140,9 @@ def _timed(study: Study, workers: int, pool: PoolName) -> tuple[float, float]:
     return clock.ended - clock.started, whole - (clock.ended - clock.started)
 
 
-def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
+def _dataset(kinds: Sequence[str], workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
     seconds, starts = timed[..., 0], timed[..., 1]
-    work = np.stack([np.ones_like(workers), workers])[..., None]  # as many times that of one worker
+    work = np.stack([np.ones_like(workers), workers])[: len(kinds), :, None]  # as many times that of one worker
     speedup = work * seconds[:, :1] / seconds
     values = {
         "seconds": (seconds, "s", "time with the workers there"),
@@ -157,5 +159,5 @@ def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
             of_mean = array.var(axis=2, ddof=1) * small_sample_factor(count) / count
             error = np.sqrt(MEDIAN_OVER_MEAN * of_mean)
             variables[f"{name}_error"] = (("kind", "workers"), error, described(unit, f"error of {name}"))
-    coordinates = {"kind": np.array(KINDS, dtype=object), "workers": workers}
+    coordinates = {"kind": np.array(kinds, dtype=object), "workers": workers}
     return xr.Dataset(variables, coords=coordinates)

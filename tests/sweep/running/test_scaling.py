@@ -50,6 +50,17 @@ def test_a_study_of_one_catalogue_grows_its_realisations(coins, slow_clock):
     assert "efficiency_error" not in found
 
 
+def test_a_function_without_random_numbers_has_no_weak_scaling(tmp_path, sweep):
+    """There is nothing to multiply; its command takes a function as `sweep run` does."""
+    (tmp_path / "area.py").write_text("def area(width: float):\n    return width * 2.0\n")
+    status, out, err = sweep(
+        "scaling", f"{tmp_path}/area.py:area", "--axis", "width=1:9:1", "--pool", "threads", "--repetitions", "1",
+        "--json", "-o", tmp_path / "s.zarr",
+    )  # fmt: skip
+    assert status == 0, err
+    assert {(row["kind"], row["workers"]) for row in json.loads(out)} == {("strong", 1), ("strong", 2)}
+
+
 @pytest.mark.slow
 def test_the_command_leaves_the_measurements_and_nothing_else(coins, tmp_path, sweep, monkeypatch):
     scratch = tmp_path / "scratch"
