@@ -22,13 +22,14 @@ n_sim = 1
 """
 
 MEASURED = """
-import resource, runpy, sys
+import re, resource, runpy, sys
 sys.argv = ["sweep", *sys.argv[1:]]
 try:
     runpy.run_module("sweep", run_name="__main__")
 finally:
-    own, others = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
-    print(own.ru_maxrss, others.ru_maxrss, file=sys.stderr)
+    # of the program alone: ru_maxrss is at least that of the process that started it
+    peak = re.search(r"VmHWM:\s+(\d+) kB", open("/proc/self/status").read())[1]
+    print(peak, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
 """
 
 
