@@ -51,7 +51,9 @@ def checked(
 def check_finite(arrays: Mapping[str, Array], may_be_nan: Sequence[str]) -> None:
     """Raise NotFiniteError that says how many values of which array are NaN or infinite."""
     problems = [
-        problem for name, array in arrays.items() if name not in may_be_nan if (problem := _finite(name, array))
+        problem
+        for name, array in arrays.items()
+        if name not in may_be_nan and (problem := not_finite(name, array, is_one=array.size == 1))
     ]
     if problems:
         raise NotFiniteError("; ".join(problems))
@@ -70,13 +72,16 @@ def _array(given: Any, shape: tuple[int, ...]) -> Array:
     return array.astype(np.float64, copy=False).reshape(shape)
 
 
-def _finite(name: str, array: Array) -> str | None:
+def not_finite(name: str, array: Array, is_one: bool) -> str | None:
+    """Return how many values of an array are NaN or infinite, in words that fit a single value if it ``is_one``; None
+    where all are finite.
+    """
     finite = np.isfinite(array)
     if finite.all():
         return None
     bad = array[~finite]
     nan = int(np.isnan(bad).sum())
-    counts = [f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n]
-    if array.size == 1:
+    if is_one:
         return f"{name} is {'NaN' if nan else 'infinite'}"
+    counts = [f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n]
     return f"{name} has {' and '.join(counts)} of {array.size} values"

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -70,13 +70,12 @@ class Layout:
     @cached_property
     def width(self) -> int:
         """Numbers of 8 bytes in a row."""
-        return sum(math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields)
+        return max((place.stop for place in self.places.values()), default=0)
 
     @cached_property
     def places(self) -> dict[str, slice]:
         """Where in a row each result stands, in numbers of 8 bytes."""
-        sizes = [math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields]
-        ends = np.cumsum([0, *sizes]).tolist()
+        ends = accumulate((math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields), initial=0)
         return {field.name: slice(*ends) for field, ends in zip(self.fields, pairwise(ends), strict=True)}
 
     def values(self, rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:

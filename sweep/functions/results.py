@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import NotFiniteError, Output, ResultError, suggest
+from sweep.contract.checked import not_finite
 from sweep.contract.units import same_unit
 from sweep.functions.layout import Coordinate, Field, Layout, Type, problems_of_names
 from sweep.functions.named_results import Declared, named_results
@@ -197,18 +198,10 @@ def _check_finite(values: Mapping[str, Value], declared: Declared) -> None:
     for name, value in values.items():
         if (output := declared.by_name.get(name)) is not None and output.nan:
             continue
-        if value.type == "float" and not (finite := np.isfinite(value.array)).all():
-            bad = value.array[~finite]
-            nan = int(np.isnan(bad).sum())
-            words = " and ".join(f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n)
-            whole = value.array.ndim == 0
-            problems.append(
-                f"{name} is {'NaN' if nan else 'infinite'}"
-                if whole
-                else f"{name} has {words} of {value.array.size} values"
-            )
-        elif value.type == "datetime" and np.isnat(value.array).any():
-            problems.append(f"{name} has {int(np.isnat(value.array).sum())} times that are NaT")
+        if value.type == "float" and (problem := not_finite(name, value.array, is_one=value.array.ndim == 0)):
+            problems.append(problem)
+        elif value.type == "datetime" and (n := np.count_nonzero(np.isnat(value.array))):
+            problems.append(f"{name} has {n} times that are NaT")
     if problems:
         hint = "declare Output(..., nan=True) where that is a value"
         raise NotFiniteError(f"{declared.function}: {'; '.join(problems)} ({hint})")

@@ -170,15 +170,7 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:  # noqa: PLR0
             if issubclass(annotation, base):
                 return typing.cast(Kind, kind), ()
         return None, ()
-    return (KINDS.get(annotation) if _hashable(annotation) else None), ()
-
-
-def _hashable(value: object) -> bool:
-    try:
-        hash(value)
-    except TypeError:
-        return False
-    return True
+    return next((kind for known, kind in KINDS.items() if annotation is known), None), ()
 
 
 def _words(annotation: Any) -> str:

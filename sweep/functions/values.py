@@ -91,18 +91,14 @@ def value_of(value: Any) -> Value:
     return Value(*_typed(value), unit=unit)
 
 
-def _typed(value: Any) -> tuple[Type, NDArray[Any]]:  # noqa: PLR0911 (one for each type)
+def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
     """Return the type of a value that is no xarray object, and it as an array; raises ResultError that says why not."""
     if value is None:
         raise ResultError("is None")
-    if isinstance(value, bool | np.bool_):
-        return "bool", np.array(bool(value))
-    if isinstance(value, int) and not isinstance(value, np.generic):
+    if isinstance(value, int) and not isinstance(value, bool | np.generic):
         if not -(2**63) <= value < 2**63:
             raise ResultError(f"is {shown(value)}; integers have 64 bits at most")
         return "int", np.array(value, dtype="i8")
-    if isinstance(value, float):
-        return "float", np.array(float(value))
     if isinstance(value, str):
         return "text", _texts(np.array(str(value), dtype=object))
     if isinstance(value, datetime.datetime | datetime.date):
@@ -113,7 +109,7 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:  # noqa: PLR0911 (one for e
         raise ResultError("is a duration; return a number and declare its unit")
     if isinstance(value, list | tuple):
         return _of_list(value)
-    if isinstance(value, np.ndarray | np.generic | complex) or hasattr(value, "__array__"):
+    if isinstance(value, bool | float | complex) or hasattr(value, "__array__"):
         return _of_array(np.asarray(value))
     if hasattr(value, "jyear"):  # of astropy
         raise ResultError("is a Time of astropy; return .utc.datetime64, or a number such as .jyear")
