@@ -35,7 +35,6 @@ class Evaluate(Protocol):
         `Experiment.shared` and are to use the same random numbers; elsewhere there is one at a time.  The sums of a
         point must not depend, not in the last bit, on the others.
         """
-        ...
 
 
 class EvaluateCatalogues(Protocol):
@@ -47,7 +46,6 @@ class EvaluateCatalogues(Protocol):
 
         Where it raises an Exception, the catalogues are evaluated one by one.
         """
-        ...
 
 
 class Summarise(Protocol):
@@ -59,7 +57,6 @@ class Summarise(Protocol):
 
         ``n`` and ``n_cat`` (points,) count realisations and catalogues; all are at least 1.
         """
-        ...
 
 
 def _no_problem(point: Point) -> str | None:

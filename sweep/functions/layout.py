@@ -70,7 +70,7 @@ class Layout:
     @cached_property
     def width(self) -> int:
         """Numbers of 8 bytes in a row."""
-        return max((place.stop for place in self.places.values()), default=0)
+        return sum(math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields)
 
     @cached_property
     def places(self) -> dict[str, slice]:

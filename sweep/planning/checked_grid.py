@@ -69,13 +69,13 @@ def _with_points(counts: Mapping[str, int]) -> list[str]:
 def _repeated(grid: Grid) -> list[str]:
     """Say which points occur twice: as every axis has distinct values, only axes that are zipped can make some."""
     sentences: list[str] = []
-    for dimension, axes in grid.dimensions.items():
+    for dimension, rows in grid.rows.items():
         if dimension == POINT:
             continue  # a table may repeat a point
-        counts = Counter(zip(*(grid.study.axes[name] for name in axes), strict=True))
+        counts = Counter(rows)
         repeated = [values for values, n in counts.items() if n > 1]
         for values in repeated[:MAX_PROBLEMS]:
-            place = ",".join(f"{name}={value}" for name, value in zip(axes, values, strict=True))
+            place = ",".join(f"{name}={value}" for name, value in zip(grid.dimensions[dimension], values, strict=True))
             sentences.append(f"the same point occurs {counts[values]} times: {place}")
         if len(repeated) > MAX_PROBLEMS:
             sentences.append(f"... and {len(repeated) - MAX_PROBLEMS} more points")

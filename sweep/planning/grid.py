@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Value
-from sweep.studies.study import Study
+from sweep.studies.study import POINT, Study
 from sweep.tables.file import as_json
 
 AT_ONCE = 2**16
@@ -56,7 +56,7 @@ class Grid:
         """For each row of a table of points the first row that is the same point; None where no row repeats."""
         if self.study.points is None:
             return None
-        rows = self._columns[0]
+        rows = self.rows[POINT]
         first: dict[tuple[Value, ...], int] = {}
         found = np.array([first.setdefault(values, place) for place, values in enumerate(rows)])
         return found if len(first) < len(rows) else None
@@ -77,12 +77,12 @@ class Grid:
         """Yield index and parameters of the points that are not excluded, in C order; of repeated ones the first."""
         names, clauses, first = self._names, self.study.excluded, self.first_rows
         row = 1 if first is None else len(self) // len(first)
-        for index, combination in enumerate(itertools.product(*self._columns)):
+        for index, combination in enumerate(itertools.product(*self.rows.values())):
             if first is not None and first[index // row] != index // row:
                 continue
             parameters = self._fixed.copy()
             parameters.update(zip(names, itertools.chain.from_iterable(combination), strict=True))
-            if not (clauses and self._excluded(parameters)):
+            if not (clauses and self.excludes(parameters)):
                 yield index, parameters
 
     def indices(self) -> NDArray[np.intp]:
@@ -149,9 +149,8 @@ class Grid:
 
     def _along(self, indices: NDArray[np.intp]) -> list[Iterator[tuple[Value, ...]]]:
         """Return the values on the axes of each dimension, point by point."""
-        return [
-            map(column.__getitem__, places) for column, places in zip(self._columns, self._places(indices), strict=True)
-        ]
+        places = zip(self.rows.values(), self._places(indices), strict=True)
+        return [map(rows.__getitem__, along) for rows, along in places]
 
     def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:
         """Return where along each dimension the points at ``indices`` are."""
@@ -166,9 +165,10 @@ class Grid:
         return [axis for axes in self.dimensions.values() for axis in axes]
 
     @cached_property
-    def _columns(self) -> list[list[tuple[Value, ...]]]:
-        study = self.study
-        return [list(zip(*(study.axes[a] for a in axes), strict=True)) for axes in self.dimensions.values()]
+    def rows(self) -> dict[str, list[tuple[Value, ...]]]:
+        """The values at each place along each dimension, one for each of its axes."""
+        axes = self.study.axes
+        return {name: list(zip(*(axes[axis] for axis in own), strict=True)) for name, own in self.dimensions.items()}
 
     @cached_property
     def _shared(self) -> frozenset[str]:
@@ -184,7 +184,8 @@ class Grid:
     def _drawing(self) -> list[str]:
         return [name for name in self._names if name not in self._shared]
 
-    def _excluded(self, parameters: dict[str, Any]) -> bool:
+    def excludes(self, parameters: Mapping[str, Any]) -> bool:
+        """Return whether the study leaves out a point."""
         return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
 
 

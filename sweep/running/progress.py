@@ -5,7 +5,6 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
@@ -51,10 +50,8 @@ class TerminalProgress:
     def __enter__(self) -> "TerminalProgress":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._end_bar()
+    def __exit__(self, *_error: object) -> None:
+        self.written()
 
     def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
         """Say what there is to do and where it is done."""
@@ -99,7 +96,9 @@ class TerminalProgress:
 
     def written(self) -> None:
         """Take the bar away."""
-        self._end_bar()
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
 
     def _tell_points(self, taken: Taken) -> None:
         if not taken.failed and not SENTENCES.isEnabledFor(logging.DEBUG):
@@ -126,7 +125,7 @@ class TerminalProgress:
 
     def stopped(self, signal: str, store: object) -> None:
         """Say what an interrupted run leaves, and how to go on."""
-        self._end_bar()
+        self.written()
         done_so_far = self._summary.done
         what = counted(done_so_far.points, "point") if self._once else f"{done_so_far.realisations:,} realisations"
         kept = f"{what} of this run {'is' if what == '1 point' else 'are'} kept in {store}"
@@ -135,7 +134,7 @@ class TerminalProgress:
 
     def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
         """Say what the run took, why points failed (``failures`` by their place), and which ``commands`` come next."""
-        self._end_bar()
+        self.written()
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
             for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}{further}"):
@@ -156,11 +155,6 @@ class TerminalProgress:
         number, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
         share = f" ({100.0 * done.cost / self._work:.0f} % of the work)" if self._work > 0.0 and not self._once else ""
         return f"{self._points:,}/{self._all_points:,} points{share}, {per_second(number, elapsed, noun)}"
-
-    def _end_bar(self) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
 
 
 class _Left(ProgressColumn):

@@ -209,10 +209,11 @@ def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) ->
         if column not in outputs and column not in study.axes and not _same(settings[column], text):
             return None
     place = []
-    for axes in grid.dimensions.values():
+    for dimension, rows in grid.rows.items():
+        axes = grid.dimensions[dimension]
         matches = [
             i
-            for i, values in enumerate(zip(*(study.axes[a] for a in axes), strict=True))
+            for i, values in enumerate(rows)
             if all(a not in row or _same(value, row[a]) for a, value in zip(axes, values, strict=True))
         ]
         if len(matches) != 1:

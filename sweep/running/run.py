@@ -36,35 +36,27 @@ if TYPE_CHECKING:
 
 
 class Progress(Protocol):
-    """Who watches a run."""
+    """Who watches a run; what such a class leaves out does nothing."""
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
         """Work begins, at the place that ``where`` names, with so many workers if that is known."""
+        return
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """A task's result is in the ledger."""
+        return
 
     def written(self) -> None:
         """All results are on disk; the workers are about to end."""
+        return
 
     def say(self, text: str) -> None:
         """Tell something in a sentence."""
+        return
 
 
-class Silent:
+class Silent(Progress):
     """Watches nothing."""
-
-    def start(self, survey: Survey, where: str, workers: int | None) -> None:
-        """Do nothing."""
-
-    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
-        """Do nothing."""
-
-    def written(self) -> None:
-        """Do nothing."""
-
-    def say(self, text: str) -> None:
-        """Do nothing."""
 
 
 def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:

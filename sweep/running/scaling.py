@@ -37,11 +37,9 @@ class _Clock(Silent):
     ended: float = 0.0
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
-        """Note the moment."""
         self.started = time.perf_counter()
 
     def written(self) -> None:
-        """Note the moment."""
         self.ended = time.perf_counter()
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from threading import Event, RLock, Thread
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 MAX_FAILURES_NAMED = 1000
 
-KEPT = ("merged",)
+KEPT = ("merged", "started")
 """Attributes of a store that stay whatever goes on with it."""
 
 
@@ -71,7 +71,6 @@ class Writer:
         self._provenance = provenance(plan.grid.study) | {RECORD: recorded(plan.grid.study, plan.costs())}
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
         self._provenance |= {**kept, **further}
-        self._provenance["started"] = store.attributes.get("started", self._provenance["started"])
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
         self._long_write = False
@@ -87,9 +86,7 @@ class Writer:
         Thread(target=self._flush_late, name="flush", daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._ended.set()
 
     def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
@@ -123,7 +120,9 @@ class Writer:
         added: list[Work] = []
         for row, (point, block) in enumerate(points):
             if (failure := result.failures.get(row)) is not None:
-                ends = self._fail(point, failure)
+                ends = self.accumulator.is_missing(point.index)  # else it was given up already
+                if ends:
+                    self._fail(point, failure)
             else:
                 good.append(row)
                 more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
@@ -212,22 +211,14 @@ class Writer:
         found = failing(self.accumulator, indices) if indices else {}
         failures = {index: failure_of(error) for index, error in found.items()}
         for index, failure in failures.items():
-            self.accumulator.fail(index)
-            self._record(self.plan.grid.point(index), failure)
+            self._fail(self.plan.grid.point(index), failure)
         return failures
 
-    def _fail(self, point: GridPoint, failure: Failure) -> bool:
-        """Record why a point cannot be computed; return whether it was not given up already."""
-        if not self.accumulator.is_missing(point.index):
-            return False
+    def _fail(self, point: GridPoint, failure: Failure) -> None:
+        """Record why a point cannot be computed."""
         self.accumulator.fail(point.index)
-        self._record(point, failure)
-        return True
-
-    def _record(self, point: GridPoint, failure: Failure) -> None:
-        record = {"kind": failure.kind, "message": failure.message, "traceback": failure.traceback}
         place = describe(self.plan.grid.study, point.parameters)
-        self.store.fail(point.digest, {"place": place, **record, "host": host(), "when": now()})
+        self.store.fail(point.digest, {"place": place, **vars(failure), "host": host(), "when": now()})
 
 
 def _size(works: Sequence[Work], points: int) -> PlanSize:
