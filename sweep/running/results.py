@@ -113,10 +113,9 @@ def assemble_samples(
     column = 0
     for output in experiment.sample_outputs:
         size = experiment.size_of(output)
-        shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *(len(experiment.coordinates[d]) for d in output.dims))
+        shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *experiment.shape_of(output))
         values = kept[..., column : column + size].reshape(shape)
-        attributes = _attributes(output)
-        variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, attributes)
+        variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, _attributes(output))
         column += size
     return variables
 
