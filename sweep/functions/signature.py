@@ -109,7 +109,9 @@ def _parameter(argument: inspect.Parameter) -> Parameter | None:
     if argument.kind is argument.POSITIONAL_ONLY:
         raise ValueError(f"{name} is positional-only; parameters are given by name: wrap it in a function")
     required = argument.default is argument.empty
-    default = None if required else _plain(argument.default)
+    default = None if required else argument.default
+    if isinstance(default, np.generic):
+        default = default.item()
     told = Parameter(name)
     annotation = argument.annotation
     if get_origin(annotation) is Annotated:
@@ -143,10 +145,6 @@ def _type_in_words(argument: inspect.Parameter) -> str:
     if told is argument.empty:
         return type(argument.default).__name__
     return _words(get_args(told)[0] if get_origin(told) is Annotated else told)
-
-
-def _plain(default: Any) -> Any:
-    return default.item() if isinstance(default, np.generic) else default
 
 
 def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:  # noqa: PLR0911

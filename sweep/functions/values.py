@@ -101,15 +101,13 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
         return "int", np.array(value, dtype="i8")
     if isinstance(value, str):
         return "text", _texts(np.array(str(value), dtype=object))
-    if isinstance(value, datetime.datetime | datetime.date):
-        return "datetime", np.array(_time(value))
     if isinstance(value, Mapping):
         raise ResultError("is a dict; results are not nested: return its entries under names of their own")
     if isinstance(value, datetime.timedelta | np.timedelta64):
         raise ResultError("is a duration; return a number and declare its unit")
     if isinstance(value, list | tuple):
         return _of_list(value)
-    if isinstance(value, bool | float | complex) or hasattr(value, "__array__"):
+    if isinstance(value, bool | float | complex | datetime.date) or hasattr(value, "__array__"):
         return _of_array(np.asarray(value))
     if hasattr(value, "jyear"):  # of astropy
         raise ResultError("is a Time of astropy; return .utc.datetime64, or a number such as .jyear")

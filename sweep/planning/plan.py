@@ -2,9 +2,9 @@
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
 from sweep.contract import SweepError
@@ -119,25 +119,21 @@ class Plan:
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
         they are; only a last, partial block is computed again.
         """
-        known = self._cuts.get((cost, parts))
-        if known is None:
-            known = tuple(self._cut(cost, range(self.parts(cost)) if parts is None else parts))
-            if len(self._cuts) < MOST_CUTS:
-                self._cuts[cost, parts] = known
-        return known
+        return self._cut(cost, parts)
 
     @cached_property
-    def _cuts(self) -> dict[tuple[float, range | None], Sequence[Block]]:
-        """Blocks by cost and parts: points that cost the same are cut in the same way."""
-        return {}
+    def _cut(self) -> Callable[[float, range | None], Sequence[Block]]:
+        return lru_cache(MOST_CUTS)(self._cut_anew)  # points that cost the same are cut in the same way
 
-    def _cut(self, cost: float, parts: range) -> Iterator[Block]:
+    def _cut_anew(self, cost: float, parts: range | None) -> Sequence[Block]:
         n_cat = self.grid.study.sampling.n_cat
         _, catalogues = self.block_shape(cost)
+        blocks = []
         for group, first in enumerate(range(0, n_cat, catalogues)):
-            for part in parts:
+            for part in range(self.parts(cost)) if parts is None else parts:
                 n_sim = self.realisations(cost, part + 1) - self.realisations(cost, part)
-                yield Block(group, part, first, min(catalogues, n_cat - first), n_sim)
+                blocks.append(Block(group, part, first, min(catalogues, n_cat - first), n_sim))
+        return tuple(blocks)
 
     def groups(self, cost: float) -> int:
         """Return into how many groups the catalogues of a point are cut."""
@@ -165,15 +161,10 @@ class Plan:
             return sims * whole
         return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
 
-    def block_shape(self, cost: float) -> tuple[int, int]:
-        """Return how many realisations of how many catalogues a whole block holds."""
-        if (known := self._shapes.get(cost)) is None:
-            known = self._shapes[cost] = self._shape(cost)
-        return known
-
     @cached_property
-    def _shapes(self) -> dict[float, tuple[int, int]]:
-        return {}
+    def block_shape(self) -> Callable[[float], tuple[int, int]]:
+        """How many realisations of how many catalogues a whole block holds, as a function of the cost."""
+        return cache(self._shape)
 
     def _shape(self, cost: float) -> tuple[int, int]:
         if self.grid.study.sampling.common_random_numbers:

@@ -61,13 +61,10 @@ class TerminalProgress:
         self._points, self._all_points = total.points - pending.points, total.points
         self._work = pending.cost
         held = f", {self._points:,} of them in the store already" if self._points else ""
-        partly = (
-            ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
-        )
-        to_do = counted(
-            pending.points if self._once else pending.realisations, "point" if self._once else "realisation"
-        )
-        self.say(f"{counted(total.points, 'point')}{held}{partly}; {to_do} to do on {where}")
+        begun = total.points == pending.points and total.blocks > pending.blocks
+        partly = ", part of the realisations too" if begun else ""
+        number, noun = (pending.points, "point") if self._once else (pending.realisations, "realisation")
+        self.say(f"{counted(total.points, 'point')}{held}{partly}; {counted(number, noun)} to do on {where}")
         if self._with_bar and pending.blocks:
             columns = (BarColumn(), TextColumn("{task.description}"), _Left(self._eta))
             self._bar = Progress(*columns, console=self._console, transient=True)

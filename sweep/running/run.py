@@ -65,10 +65,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     """
     plan = Plan(make_grid(study))
     found = find_store(store, study)
-    plan = _as_stored(plan, found)
-    opened = None if found is None else Store(found, plan.grid.study)
-    if opened is not None and not accept_code:
-        check_code(opened, study)
+    plan, opened = _with_store(plan, found, accept_code)
     if study.points is not None and found is not None and part_of_larger(found, plan.grid) is None:
         check_points(found, study)
     return plan, _accumulator(plan, opened).survey
@@ -107,11 +104,8 @@ def run_study(
                 raise
             return _left_alone(part, store, progress)
         found = replace_store(store, study, provenance(study)) if fresh else find_store(store, study)
-        plan = plan if fresh else _as_stored(plan, found)
+        plan, opened = _with_store(plan, found, accept_code)
         study = plan.grid.study
-        opened = None if found is None else Store(found, study)
-        if opened is not None and not accept_code:
-            check_code(opened, study)
         if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:
             return _left_alone(part, store, progress)
         if found is not None:
@@ -180,12 +174,19 @@ def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: Tas
     progress.advance(works, result, writer.take(works, result))
 
 
-def _as_stored(plan: Plan, found: OpenStore | None) -> Plan:
-    """Return the plan of a plain function with the layout of results that its store holds."""
-    study = plan.grid.study
-    if found is None or not study.experiment.undeclared:
-        return plan
-    return plan.of(as_recorded(study, found.attributes))
+def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple[Plan, Store | None]:
+    """Return a plan, that of a plain function with the layout of results that its store holds, and the open store.
+
+    Raises SweepError for a store that other code made unless ``accept_code``.
+    """
+    if found is None:
+        return plan, None
+    if plan.grid.study.experiment.undeclared:
+        plan = plan.of(as_recorded(plan.grid.study, found.attributes))
+    opened = Store(found, plan.grid.study)
+    if not accept_code:
+        check_code(opened, plan.grid.study)
+    return plan, opened
 
 
 def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
