@@ -73,9 +73,7 @@ def _array(given: Any, shape: tuple[int, ...]) -> Array:
 
 
 def not_finite(name: str, array: Array, is_one: bool) -> str | None:
-    """Return how many values of an array are NaN or infinite, in words that fit a single value if it ``is_one``; None
-    where all are finite.
-    """
+    """Return how many values are NaN or infinite, in words, those of one value if it ``is_one``; None for none."""
     finite = np.isfinite(array)
     if finite.all():
         return None

@@ -178,9 +178,7 @@ def _differences_of_coordinate(expected: Coordinate, found: Coordinate) -> Itera
 
 
 def held(row: bytes, found: Layout, expected: Layout) -> bytes | None:
-    """Return the row of a point in the expected layout, from which it has no `differences`; None where an integer is
-    too large to be a float.
-    """
+    """Return a row without `differences` in the expected layout; None where an integer is too large to be a float."""
     if found == expected:
         return row
     numbers = np.frombuffer(row, dtype="<f8")

@@ -17,9 +17,7 @@ from sweep.functions.values import TEXT_BYTES, Value, text_digest, value_of
 
 
 class Flat(NamedTuple):
-    """The result of a point: its layout, a row of numbers as bytes, the texts in it by their digests, and of random
-    realisations those that are kept.
-    """
+    """A point's result: layout, numbers as bytes, texts by their digests, and the random realisations that are kept."""
 
     layout: Layout
     row: bytes

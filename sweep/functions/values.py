@@ -1,6 +1,4 @@
-"""One value that a plain function returns: an array of one type, and the dimensions, coordinates, unit and meaning
-that it brings.
-"""
+"""One value that a plain function returns: an array of one type, with dimensions, coordinates, unit and meaning."""
 
 import datetime
 import sys

@@ -179,9 +179,7 @@ class Accumulator:
         return self.is_missing(point.index) and (self._only is None or point.digest in self._only)
 
     def add(self, point: GridPoint, block: Block, row: Array, kept: Array | None = None) -> list[Block]:
-        """Add one block's sums, and what is ``kept`` of its realisations; return the blocks that the point needs beyond
-        those known so far.
-        """
+        """Add a block's sums, and realisations that are ``kept``; return blocks that are needed beyond those known."""
         index, experiment = point.index, self.plan.grid.study.experiment
         self.realisations[index] += block.realisations
         if not self.is_missing(index):

@@ -22,9 +22,7 @@ AT_ONCE = 2**16
 
 @dataclass(frozen=True, slots=True)
 class GridPoint:
-    """One point: its place in the grid (C order), all its parameters, the digest by which the ledger knows it, and the
-    one that names its random streams.
-    """
+    """One point: its place in C order, all its parameters, and the digests that name it in ledgers and its streams."""
 
     index: int
     parameters: dict[str, Any]

@@ -65,18 +65,14 @@ class Block(NamedTuple):
 
 
 class Work(NamedTuple):
-    """One block of one point, or of several that share its random numbers, with its estimated cost in random
-    numbers.
-    """
+    """One block of one point, or of several that share its random numbers, with its cost in random numbers."""
 
     points: tuple[GridPoint, ...]
     block: Block
     cost: float
 
     def ledger_keys(self) -> list[bytes]:
-        """Return what the ledger knows each point's block by; two runs agree on a key if and only if the block's sums
-        are the same numbers.
-        """
+        """Return each point's key in the ledger: two runs agree on it if and only if the sums are the same numbers."""
         return [ledger_key(point.digest, self.block) for point in self.points]
 
 
@@ -184,9 +180,7 @@ class Plan:
         return not self.grid.study.experiment.says_cost
 
     def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
-        """Return the axes on which the cost of a point depends, and the cost by their values; None where that is a
-        long table.
-        """
+        """Return the axes on which the cost of a point depends, and the cost by their values; None for a long table."""
         grid = self.grid
         if self.costs_nothing_special:
             return (), {(): 1.0}
@@ -225,9 +219,7 @@ class Plan:
 
 
 def ledger_key(digest: bytes, block: Block) -> bytes:
-    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues and realisations of
-    each.
-    """
+    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues, realisations of each."""
     return digest + struct.pack("<4I", block.group, block.part, block.n_cat, block.n_sim)
 
 

@@ -9,9 +9,7 @@ from sweep.planning.plan import MOST_SHARING, SHARED, PlanSize
 
 @dataclass(frozen=True)
 class Survey:
-    """How large a plan is, as far as known, how much of it the ledger holds, and how much is pending; the rest are
-    points that failed.
-    """
+    """How large a plan is, as far as known, what of it the ledger holds, and what is pending; the rest has failed."""
 
     total: PlanSize
     held: PlanSize

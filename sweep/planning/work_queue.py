@@ -15,9 +15,7 @@ TASK_S = 1.0
 """Seconds of work that a task aims at."""
 
 TASKS_PER_S = 200.0
-"""Tasks that may end in a second: a scheduler and a client spend some milliseconds on each, so on more than as many
-threads tasks take longer.
-"""
+"""Tasks that may end in a second: each takes schedulers and clients milliseconds; on more threads they are longer."""
 
 SHORTEST_TASK_S = 0.05
 """Shorter tasks would cost more to hand over than they spread."""

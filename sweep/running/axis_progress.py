@@ -16,9 +16,7 @@ MOST_LINES = 15
 
 @dataclass(frozen=True)
 class AxisSegment:
-    """Values of a dimension that follow one another, the first and the last with a value for each of its axes: what
-    all points there have, counted.
-    """
+    """Values that follow one another along a dimension, the first and the last by axis, and counts of their points."""
 
     first: Mapping[str, Any]
     last: Mapping[str, Any]
@@ -86,9 +84,7 @@ def by_axis(
 
 
 def folded(segments: Sequence[AxisSegment], most: int = MOST_LINES) -> list[AxisSegment]:
-    """Join neighbours until at most ``most`` segments are left: those that are finished or untouched like each other
-    first, then the pair of the fewest values.
-    """
+    """Join neighbours, down to ``most`` segments: those finished or untouched alike first, then the shortest."""
     left = list(segments)
     if len(left) > most:
         joined = left[:1]

@@ -33,9 +33,7 @@ LINE_SHARE = 0.1
 
 
 class TerminalProgress:
-    """Shows points done, realisations per second and the time left: in a bar if ``bar`` and on a terminal, else in a
-    line now and then.
-    """
+    """Shows points done, speed and time left: in a ``bar`` if there is a terminal, else in a line now and then."""
 
     def __init__(self, study: Study, bar: bool = True) -> None:
         """Prepare to show a run of this study, with a bar on a terminal if ``bar``."""

@@ -167,9 +167,7 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
 
 
 def _published(grid: Grid) -> dict[str, Any]:
-    """Return variables ``NAME_published`` and ``NAME_published_rounding`` for every output that the study's published
-    table has a column of.
-    """
+    """Return ``NAME_published`` and ``NAME_published_rounding`` of each output with a column of published numbers."""
     study = grid.study
     if study.published is None:
         return {}

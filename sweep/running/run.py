@@ -138,9 +138,7 @@ def _computed(
     held: Callable[[], AbstractContextManager[None]],
     tuning: Tuning,
 ) -> "tuple[xr.Dataset, dict[str, str]]":
-    """Compute what is pending into an open store, after the results that came first, and return the dataset and the
-    failures.
-    """
+    """Compute what is pending into an open store, after the first results; return the dataset and the failures."""
     pending = Pending(plan, accumulator, tuning)
     writer = Writer(plan, accumulator, pending, store, held, tuning=tuning)
     try:

@@ -1,6 +1,4 @@
-"""The one writer of a run: results into the ledger as they come, on disk every second, as labelled dataset now and
-then.
-"""
+"""The one writer of a run: results into the ledger as they come, on disk every second, as a dataset now and then."""
 
 import json
 import time
@@ -38,9 +36,7 @@ KEPT = ("merged", "started")
 
 @dataclass(frozen=True)
 class Taken:
-    """How much a task did, how much more its results made known, the points that it finished or failed, and why these
-    failed, by their index.
-    """
+    """What a task did, what more its results made known, which points it ended, and why some failed, by their index."""
 
     done: PlanSize
     more: PlanSize
