@@ -50,12 +50,9 @@ def checked(
 
 def check_finite(arrays: Mapping[str, Array], may_be_nan: Sequence[str]) -> None:
     """Raise NotFiniteError that says how many values of which array are NaN or infinite."""
-    problems = [
-        problem
-        for name, array in arrays.items()
-        if name not in may_be_nan and (problem := not_finite(name, array, is_one=array.size == 1))
-    ]
-    if problems:
+    bounded = {name: array for name, array in arrays.items() if name not in may_be_nan}
+    found = [not_finite(name, array, is_one=array.size == 1) for name, array in bounded.items()]
+    if problems := [problem for problem in found if problem]:
         raise NotFiniteError("; ".join(problems))
 
 

@@ -22,11 +22,7 @@ class Evaluate(Protocol):
     """The function that does the work of one block for one catalogue."""
 
     def __call__(
-        self,
-        points: Sequence[Point],
-        n_sim: int,
-        rng: np.random.Generator,
-        catalogue_rng: np.random.Generator,
+        self, points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
     ) -> Mapping[str, Any]:
         """Return sums over ``n_sim`` realisations, each of shape (len(points), *shape declared in `Experiment.sums`).
 

@@ -237,14 +237,9 @@ def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
     """Return the outputs of a layout; those without dimensions are the headline where none is declared so."""
     by_name = {output.name: output for output in declared}
     headline = layout.headline(declared)
-    return tuple(
-        replace(
-            by_name.get(field.name, Output(field.name)),
-            unit=field.unit,
-            meaning=field.meaning or field.name.replace("_", " "),
-            dims=field.dims,
-            headline=field.name in headline,
-            coords=None,
-        )
-        for field in layout.fields
-    )
+    made = []
+    for field in layout.fields:
+        output = by_name.get(field.name, Output(field.name))
+        meaning, named = field.meaning or field.name.replace("_", " "), field.name in headline
+        made.append(replace(output, unit=field.unit, meaning=meaning, dims=field.dims, headline=named, coords=None))
+    return tuple(made)

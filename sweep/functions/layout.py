@@ -126,13 +126,11 @@ def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
 
     The order does not matter, and an integer may stand for a float.
     """
-    phrases: list[str] = []
     wanted = {field.name: field for field in expected.fields}
     given = {field.name: field for field in found.fields}
     extra = [name for name in given if name not in wanted]
-    for name in wanted:
-        if name not in given:
-            phrases.append(f"{name!r} is missing{suggest(name, extra) if extra else ''}")
+    lost = [name for name in wanted if name not in given]
+    phrases = [f"{name!r} is missing{suggest(name, extra) if extra else ''}" for name in lost]
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
     before, after = ({c.name: c for c in layout.coordinates} for layout in (expected, found))
     compared: set[str] = set()

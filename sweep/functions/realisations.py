@@ -11,7 +11,7 @@ from sweep.contract import Array, Output, ResultError
 from sweep.functions.layout import Field, Layout, differences, held
 from sweep.functions.named_results import Declared
 from sweep.functions.results import Flat
-from sweep.functions.statistics import MOMENTS, merged, moments_of, quantile_of, quantiles, statistic, statistics_of
+from sweep.functions.statistics import DEFAULT, MOMENTS, merged, moments_of, quantile_of, quantiles, statistic
 
 NUMBERS = ("float", "int", "bool")
 """Types of which statistics can be made."""
@@ -30,8 +30,8 @@ class Realisations:
     @cached_property
     def statistics(self) -> dict[str, tuple[str, ...]]:
         """The statistics of each output, by its name."""
-        by_name = {output.name: output for output in self.declared}
-        return {field.name: statistics_of(by_name.get(field.name)) for field in self.layout.fields}
+        declared = {output.name: tuple(dict.fromkeys(output.statistics)) for output in self.declared}
+        return {field.name: declared.get(field.name) or DEFAULT for field in self.layout.fields}
 
     @property
     def width(self) -> int:
@@ -82,16 +82,11 @@ class Realisations:
         made = []
         for field in self.layout.fields:
             meaning = field.meaning or field.name.replace("_", " ")
+            told = Output(field.name, field.unit, dims=field.dims, headline=field.name in headline, nan=True)
             for name in self.statistics[field.name]:
-                unit = "" if name == "count" else field.unit
-                value = Output(
-                    f"{field.name}_{name}",
-                    unit,
-                    f"{_in_words(name)} of {meaning}",
-                    dims=field.dims,
-                    headline=field.name in headline,
-                    nan=True,
-                )
+                value = replace(told, name=f"{field.name}_{name}", meaning=f"{_in_words(name)} of {meaning}")
+                if name == "count":
+                    value = replace(value, unit="")
                 made.append(value)
                 if name not in ("min", "max"):
                     error = f"one-sigma Monte-Carlo error of {value.name}"

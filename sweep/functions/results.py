@@ -154,8 +154,8 @@ def _scalar_layout(types: tuple[tuple[Any, type], ...], declared: Declared) -> t
 
 def _as_declared(name: str, value: Value, declared: Declared) -> Value:
     """Return a value with dimensions, and with what is declared of its output; raises ResultError where they differ."""
-    output = declared.by_name.get(name)
-    dims = () if output is None else tuple(output.dims)
+    output = declared.by_name.get(name, Output(name))
+    dims = tuple(output.dims)
     ndim = value.array.ndim
     if value.dims is not None and dims and value.dims != dims:
         if set(value.dims) != set(dims):
@@ -164,12 +164,9 @@ def _as_declared(name: str, value: Value, declared: Declared) -> Value:
     if value.dims is None and dims and len(dims) != ndim:
         raise ResultError(f"has the shape {value.array.shape}, expected the dimensions ({', '.join(dims)})")
     found = value.dims or dims or tuple(f"{name}_dim_{k}" for k in range(ndim))
-    value = value._replace(dims=found)
-    if output is None:
-        return value
     if output.unit and value.unit and not same_unit(output.unit, value.unit):
         raise ResultError(f"is in {value.unit}, expected {output.unit}")
-    return value._replace(unit=output.unit or value.unit, meaning=output.meaning or value.meaning)
+    return value._replace(dims=found, unit=output.unit or value.unit, meaning=output.meaning or value.meaning)
 
 
 def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[str, Coordinate], list[str]]:

@@ -43,8 +43,7 @@ a block has more than that, but a few seconds of work are all that an interrupti
 
 
 class Block(NamedTuple):
-    """One point's realisations ``part`` of the catalogues of one ``group``: the unit of work, of the ledger and of
-    resuming.
+    """A point's realisations ``part`` of the catalogues of one ``group``: the unit of work, ledger and resuming.
 
     Catalogues are numbered from ``first_catalogue``; each gets ``n_sim`` realisations from a stream of its own.
 
@@ -109,8 +108,7 @@ class Plan:
         return Plan(replace(self.grid, study=study))
 
     def blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
-        """Return the blocks, of these ``parts`` (all by default), of a point whose realisations cost this many random
-        numbers each.
+        """Return the blocks of a point, of these ``parts`` (default: all); ``cost`` is in random numbers a realisation.
 
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
         they are; only a last, partial block is computed again.

@@ -1,7 +1,9 @@
 """The pending work of a run, given out in tasks of about a second, as measured, in the order of the grid."""
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import accumulate
 
 import numpy as np
 
@@ -71,10 +73,8 @@ class Pending:
 
         There may be fewer seconds than points: a worker stops where a task takes too long.  The rest is pending again.
         """
-        done, rows = 0, 0
-        while done < len(works) and rows + len(works[done].points) <= len(seconds):
-            rows += len(works[done].points)
-            done += 1
+        rows = accumulate(len(work.points) for work in works)
+        done = bisect_right(list(rows), len(seconds))
         for work in reversed(works[done:]):
             self._known.appendleft(work)
             self._left += work.cost

@@ -17,7 +17,6 @@ from sweep.functions.record import layout_of_record
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
-from sweep.planning.work_queue import Pending
 from sweep.running.reproduce import study_of
 from sweep.running.writer import Writer
 from sweep.stores import failures
@@ -95,7 +94,7 @@ def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, t
         if records := _codes(sources, rows):
             store.record_code(as_json(records))
         accumulator = Accumulator(plan, store.rows, store.sums(), store.failures, samples=store.samples)
-        return Writer(plan, accumulator, Pending(plan, accumulator), store, further=told).write(final=True)
+        return Writer(accumulator, store, further=told).write(final=True)
 
 
 def _source(location: Location, trust: bool) -> _Source:

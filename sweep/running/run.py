@@ -1,7 +1,7 @@
 """Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
 
-from collections.abc import Callable, Collection, Sequence
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Collection, Sequence
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -124,34 +124,25 @@ def run_study(
         accumulator = _accumulator(plan, opened, again) if first else accumulator
         if unused := len(opened.rows) - accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-        return _computed(plan, accumulator, opened, first, place, run, progress, interruptions.held, tuning)
+        writer = Writer(accumulator, opened, interruptions.held, tuning=tuning)
+        return _computed(writer, first, place, run, progress)
 
 
 def _computed(
-    plan: Plan,
-    accumulator: Accumulator,
-    store: Store,
-    first: Sequence[Done],
-    place: Place,
-    run: Executor,
-    progress: Progress,
-    held: Callable[[], AbstractContextManager[None]],
-    tuning: Tuning,
+    writer: Writer, first: Sequence[Done], place: Place, run: Executor, progress: Progress
 ) -> "tuple[xr.Dataset, dict[str, str]]":
-    """Compute what is pending into an open store, after the first results; return the dataset and the failures."""
-    pending = Pending(plan, accumulator, tuning)
-    writer = Writer(plan, accumulator, pending, store, held, tuning=tuning)
+    """Compute what is pending, after the first results; return the dataset and the failures."""
     try:
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
         for works, result in first:
             _take(writer, progress, works, result)
-        results = run(pending.take)
-        if accumulator.survey.pending.blocks:
+        results = run(writer.pending.take)
+        if writer.accumulator.survey.pending.blocks:
             writer.write()  # so that there is a labelled, if empty, dataset from the start
         with writer:
             for given, result in results:
-                _take(writer, progress, pending.settle(given, result.seconds), result)
+                _take(writer, progress, writer.pending.settle(given, result.seconds), result)
         dataset = writer.write(final=True)
         progress.written()
         return dataset, writer.failures()

@@ -15,7 +15,7 @@ from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.failing import failing
 from sweep.planning.grid import AT_ONCE, GridPoint, describe
-from sweep.planning.plan import Block, Plan, PlanSize, Work
+from sweep.planning.plan import Block, PlanSize, Work
 from sweep.planning.point_status import Status
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
@@ -45,7 +45,7 @@ class Taken:
 
 
 class Writer:
-    """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``.
+    """Takes the results of tasks, in whatever order they arrive, and puts what they make known into ``pending``.
 
     ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
     manager it makes results durable also while this thread waits for the next ones, or computes them.
@@ -53,17 +53,17 @@ class Writer:
 
     def __init__(
         self,
-        plan: Plan,
         accumulator: Accumulator,
-        pending: Pending,
         store: Store,
         held: Callable[[], AbstractContextManager[None]] = nullcontext,
         further: Mapping[str, Any] = MappingProxyType({}),
         tuning: Tuning = TUNED,
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
+        plan = accumulator.plan
         self.plan, self.accumulator, self.store = plan, accumulator, store
-        self._pending, self._held, self._tuning = pending, held, tuning
+        self.pending = Pending(plan, accumulator, tuning)
+        self._held, self._tuning = held, tuning
         self._provenance = provenance(plan.grid.study) | {RECORD: recorded(plan.grid.study, plan.costs())}
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
         self._provenance |= {**kept, **further}
@@ -94,7 +94,7 @@ class Writer:
             good, ended, added = self._add(works, points, result)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
-            self._pending.add(added)
+            self.pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples, result.texts)
             self._unflushed = True
