@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -200,13 +201,9 @@ class Experiment:
 
     def named(self, rows: Array) -> dict[str, Array]:
         """Return sums by name, each of shape (rows, *shape), from rows of `sums_width` numbers."""
-        pieces: dict[str, Array] = {}
-        start = 0
-        for name, shape in self.sums.items():
-            size = math.prod(shape)
-            pieces[name] = rows[:, start : start + size].reshape(-1, *shape)
-            start += size
-        return pieces
+        ends = pairwise(accumulate(map(math.prod, self.sums.values()), initial=0))
+        places = zip(self.sums.items(), ends, strict=True)
+        return {name: rows[:, start:end].reshape(-1, *shape) for (name, shape), (start, end) in places}
 
     def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
         """Return every output, (points, *dims), from rows of `sums_width` sums over n realisations of n_cat catalogues.

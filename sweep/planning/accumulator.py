@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from sweep.contract import Array, Value
 from sweep.planning.block_rows import BlockRows
 from sweep.planning.grid import AT_ONCE, GridPoint
-from sweep.planning.plan import Block, Plan, PlanSize, Work, ledger_key
+from sweep.planning.plan import Block, Plan, PlanSize, Survey, Work, cost_together, ledger_key
 from sweep.planning.point_status import Status
 from sweep.planning.precision import wanted_parts
-from sweep.planning.survey import Survey, cost_together
 
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 """As integers, which NumPy compares with its own ten times as fast as with members of an enumeration."""

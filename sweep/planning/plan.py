@@ -2,12 +2,12 @@
 
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
-from sweep.contract import SweepError
+from sweep.contract import SweepError, Value
 from sweep.planning.grid import Grid, GridPoint
 from sweep.planning.point_cache import PointCache
 from sweep.studies.study import Study
@@ -70,10 +70,6 @@ class Work(NamedTuple):
     block: Block
     cost: float
 
-    def ledger_keys(self) -> list[bytes]:
-        """Return each point's key in the ledger: two runs agree on it if and only if the sums are the same numbers."""
-        return [ledger_key(point.digest, self.block) for point in self.points]
-
 
 @dataclass(frozen=True)
 class PlanSize:
@@ -91,6 +87,15 @@ class PlanSize:
             self.realisations + other.realisations,
             self.cost + other.cost,
         )
+
+
+@dataclass(frozen=True)
+class Survey:
+    """How large a plan is, as far as known, what of it the ledger holds, and what is pending; the rest has failed."""
+
+    total: PlanSize
+    held: PlanSize
+    pending: PlanSize
 
 
 @dataclass(frozen=True)
@@ -216,8 +221,25 @@ class Plan:
             raise SweepError(f"{sizes} make more than {MAX_BLOCKS:,} blocks", self.grid.study.source)
 
 
+def cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:
+    """Return what is left of points, each with the cost of its realisations, that draw together with those of their
+    group: the costliest draws, the others only make something of it (see `Plan.work`).
+    """
+    total = 0.0
+    for members in groups.values():
+        for start in range(0, len(members), MOST_SHARING):
+            piece = members[start : start + MOST_SHARING]
+            draws = max(range(len(piece)), key=lambda k: piece[k][0])
+            for k, (cost, left) in enumerate(piece):
+                total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
+    return total
+
+
 def ledger_key(digest: bytes, block: Block) -> bytes:
-    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues, realisations of each."""
+    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues, realisations of each.
+
+    Two runs agree on a key if and only if the block's sums are the same numbers.
+    """
     return digest + struct.pack("<4I", block.group, block.part, block.n_cat, block.n_sim)
 
 

@@ -7,8 +7,7 @@ from html import escape
 from typing import Any
 
 from sweep.executing.task import TaskResult
-from sweep.planning.plan import Work
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
 from sweep.running.writer import Taken
 

@@ -14,8 +14,7 @@ from sweep.executing.task import TaskResult
 from sweep.formatting import counted, per_second
 from sweep.interrupt import how_ended
 from sweep.planning.grid import describe
-from sweep.planning.plan import Work
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
 from sweep.running.run_summary import RunSummary, failed_points
 from sweep.running.writer import Taken

@@ -41,15 +41,12 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     variables: dict[str, Any] = {}
     results: Mapping[str, Array] = {}
     if done.any():
-        n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        results = experiment.results(
-            grid.with_repeats(accumulator.total)[done], realisations[done].astype(float), n_cat
-        )
+        sums, n = grid.with_repeats(accumulator.total)[done], realisations[done].astype(float)
+        results = experiment.results(sums, n, np.full(len(n), float(study.sampling.n_cat)))
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already
-        shape = experiment.shape_of(output)
-        values = typed_array(results.get(output.name), done, shape, texts)
+        values = typed_array(results.get(output.name), done, experiment.shape_of(output), texts)
         variables[output.name] = _variable(grid, values, output)
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""

@@ -14,8 +14,7 @@ from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan, Work
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Plan, Survey, Work
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import Done, as_rows, first_results

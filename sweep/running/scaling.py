@@ -17,7 +17,7 @@ from sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_facto
 from sweep.executing.choose import Resources
 from sweep.executing.execute import available_cores
 from sweep.executing.pools import DEFAULT_POOL, PoolName
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Survey
 from sweep.running.run import Silent, run_study
 from sweep.studies.provenance import now, provenance
 from sweep.studies.study import Study

@@ -15,7 +15,7 @@ from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.failing import failing
 from sweep.planning.grid import AT_ONCE, GridPoint, describe
-from sweep.planning.plan import Block, PlanSize, Work
+from sweep.planning.plan import Block, PlanSize, Work, ledger_key
 from sweep.planning.point_status import Status
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
@@ -64,9 +64,9 @@ class Writer:
         self.plan, self.accumulator, self.store = plan, accumulator, store
         self.pending = Pending(plan, accumulator, tuning)
         self._held, self._tuning = held, tuning
-        self._provenance = provenance(plan.grid.study) | {RECORD: recorded(plan.grid.study, plan.costs())}
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
-        self._provenance |= {**kept, **further}
+        record = {RECORD: recorded(plan.grid.study, plan.costs())}
+        self._provenance = provenance(plan.grid.study) | record | kept | dict(further)
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
         self._long_write = False
@@ -88,7 +88,7 @@ class Writer:
     def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
         """Add a task's results."""
         points = [(point, work.block) for work in works for point in work.points]
-        keys = [key for work in works for key in work.ledger_keys()]
+        keys = [ledger_key(point.digest, block) for point, block in points]
         clock = time.monotonic()
         with self._held(), self._lock:
             good, ended, added = self._add(works, points, result)
