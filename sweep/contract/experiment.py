@@ -133,7 +133,6 @@ class Experiment:
     citation: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raise SweepError with all that is wrong in the declaration."""
         if found := problems(self):
             raise SweepError(found, f"experiment {shown(self.name)}")
 

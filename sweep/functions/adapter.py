@@ -1,7 +1,7 @@
 """A plain function as an `Experiment`, so that one road leads from a study to a store."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeGuard
 
@@ -178,7 +178,7 @@ class FunctionExperiment(Experiment):
         """Return what a store records of it beside what it does of every experiment."""
         return {
             "rng": self.rng,
-            "layout": None if self.layout is None else self.layout.as_json(),
+            "layout": None if self.layout is None else asdict(self.layout),
             "outputs": [{name: getattr(one, name) for name in _RECORDED} for one in self.declared],
         }
 

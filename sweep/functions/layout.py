@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from typing import Any, Literal
@@ -93,13 +93,9 @@ class Layout:
         names = names or {field.name for field in self.fields if not field.dims}
         return names or {field.name for field in self.fields}
 
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON holds it."""
-        return asdict(self)
-
 
 def layout_of_json(document: Mapping[str, Any]) -> Layout:
-    """Return the layout that `Layout.as_json` gave."""
+    """Return the layout that was recorded as a dictionary."""
     fields = tuple(Field(**{**one, "dims": tuple(one["dims"])}) for one in document["fields"])
     coordinates = tuple(Coordinate(**{**one, "values": tuple(one["values"])}) for one in document["coordinates"])
     return Layout(fields, coordinates)

@@ -54,10 +54,9 @@ def named_results(result: Any, declared: Declared) -> dict[str, Any]:
         named = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
     elif hasattr(result, "_asdict"):
         named = dict(result._asdict())
-    elif is_xarray(result) and hasattr(result, "data_vars"):
-        named = dict(result.data_vars) | _beside_dimensions(result, declared)
     elif is_xarray(result):
-        named = {result.name or declared.single: result} | _beside_dimensions(result, declared)
+        own = dict(result.data_vars) if hasattr(result, "data_vars") else {result.name or declared.single: result}
+        named = own | _beside_dimensions(result, declared)
     elif isinstance(result, tuple) and len(declared.outputs) > 1:
         named = _in_order(result, declared)
     else:

@@ -135,7 +135,6 @@ def drawn(flats: Sequence[Flat], declared: Declared) -> Flat:
 
 
 def _in_words(name: str) -> str:
-    """Return a statistic in words."""
     level = None if name == "median" else quantile_of(name)
     if level is not None:
         return f"{100.0 * level:g} % quantile"

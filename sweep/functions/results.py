@@ -69,7 +69,7 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
     Raises ResultError as `flatten`, and for arrays of another length.
     """
     columns: dict[str, NDArray[Any]] = {}
-    problems = []
+    problems, each = [], f"one for each of {n} {noun}"
     for name, given in named_results(result, declared).items():
         try:
             value = value_of(given)
@@ -79,12 +79,10 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
             if value.unit and (output is None or not same_unit(output.unit, value.unit)):
                 raise ResultError(f"is in {value.unit}; declare that as the unit of its output")
             if value.array.ndim == 0 and value.type in ("float", "int"):
-                raise ResultError(
-                    f"is one number, perhaps a sum or mean; expected an array, one for each of {n} {noun}"
-                )
+                raise ResultError(f"is one number, perhaps a sum or mean; expected an array, {each}")
             array = np.broadcast_to(value.array, (n,)) if value.array.ndim == 0 else value.array
             if len(array) != n:
-                raise ResultError(f"has {len(array)} values, expected one for each of {n} {noun}")
+                raise ResultError(f"has {len(array)} values, expected {each}")
             columns[name] = array
         except ResultError as error:
             problems.append(f"{name!r} {error}")
@@ -176,10 +174,9 @@ def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[
     for name, value in values.items():
         for one in value.coordinates:
             before = known.setdefault(one.name, one)
-            if before != one and (before.type, before.values) != (one.type, one.values):
-                problems.append(
-                    f"{name!r} has other values along {one.name!r} than are declared or than another output"
-                )
+            if (before.type, before.values) != (one.type, one.values):
+                text = f"{name!r} has other values along {one.name!r} than are declared or than another output"
+                problems.append(text)
     for name, value in values.items():
         for dim, size in zip(value.dims or (), value.array.shape, strict=True):
             expected = len(known.setdefault(dim, Coordinate(dim, "int", tuple(range(size)))).values)

@@ -47,8 +47,7 @@ class Accumulator:
         only: Collection[bytes] | None = None,
         samples: Callable[[bytes], Array] | None = None,
     ) -> None:
-        """Start with the ``rows`` of a ledger (`BlockRows`, or any mapping) and their ``sums``, and the points (by
-        digest) that ``failed``.
+        """Start with the ``rows`` of a ledger, their ``sums``, and the points (by digest) that ``failed``.
 
         With ``only`` nothing is missing but these points; ``samples`` gives the kept realisations of a row.  Raises
         SweepError for a plan of too many blocks.

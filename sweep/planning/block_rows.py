@@ -70,7 +70,6 @@ class BlockRows(Mapping[bytes, int]):
         return iter(self._numbers)
 
     def __len__(self) -> int:
-        """Return how many blocks there are."""
         if self._number is not None:
             return len(self._number)
         hashes, rows = self._by_hash()

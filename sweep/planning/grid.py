@@ -108,8 +108,7 @@ class Grid:
         return next(self.points(np.array([index])))
 
     def digests(self, indices: NDArray[np.intp]) -> list[bytes]:
-        """Return the digests of the points at ``indices``, as `points` has them: 16 bytes that identify a point by its
-        own parameters, whatever grid it is in.
+        """Return the digests of the points at ``indices``: 16 bytes that identify a point by its own parameters.
 
         Parameters at their default do not count, so that a parameter which a later version adds leaves old points what
         they were.
@@ -176,11 +175,7 @@ class Grid:
 
     def draw(self, parameters: Mapping[str, Any]) -> tuple[Value, ...]:
         """Return what points of this grid that share their random numbers have in common, and no others."""
-        return tuple(parameters[name] for name in self._drawing)
-
-    @cached_property
-    def _drawing(self) -> list[str]:
-        return [name for name in self._names if name not in self._shared]
+        return tuple(parameters[name] for name in self._names if name not in self._shared)
 
     def excludes(self, parameters: Mapping[str, Any]) -> bool:
         """Return whether the study leaves out a point."""

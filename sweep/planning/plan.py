@@ -173,9 +173,7 @@ class Plan:
 
     def cost(self, parameters: dict[str, Any]) -> float:
         """Return the random numbers that one realisation of a point takes, at least 1."""
-        if self.costs_nothing_special:
-            return 1.0
-        return max(1.0, self._cost(parameters))
+        return 1.0 if self.costs_nothing_special else max(1.0, self._cost(parameters))
 
     @cached_property
     def costs_nothing_special(self) -> bool:
@@ -207,11 +205,10 @@ class Plan:
     def size(self, cost: float, points: int = 1) -> PlanSize:
         """Return the counts of whole points that cost the same, by arithmetic."""
         sampling = self.grid.study.sampling
-        parts = self.parts(cost)
+        parts, groups = self.parts(cost), self.groups(cost)
         realisations = sampling.n_cat * self.realisations(cost, parts)
         work = realisations * cost + sampling.n_cat * parts * OVERHEAD
-        blocks = parts * self.groups(cost)
-        return PlanSize(points, points * blocks, points * realisations, points * work)
+        return PlanSize(points, points * parts * groups, points * realisations, points * work)
 
     def check_size(self, blocks: int) -> None:
         """Raise SweepError for more than `MAX_BLOCKS` blocks, more than a run can finish or a ledger hold."""

@@ -79,9 +79,7 @@ def _deviations(
     own_n = sum(block.realisations for block in samples[0])
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
     deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
-    for point in grid.points():
-        if accumulator.status[point.index] != Status.DONE:
-            continue
+    for point in grid.points(np.flatnonzero(accumulator.status == Status.DONE)):
         own = np.array([sums[[rows[ledger_key(point.digest, b)] for b in blocks]].sum(axis=0) for blocks in samples])
         n = float(accumulator.realisations[point.index])
         without = experiment.named(accumulator.total[point.index] - own)

@@ -62,10 +62,6 @@ class _Source:
         """What the results of a plain function are, if the store says so."""
         return layout_of_record(_record(self.attributes))
 
-    def points(self) -> dict[bytes, dict[str, Any]]:
-        """Return the parameters of each point by its digest."""
-        return {point.digest: point.parameters for point in Grid(self.study).points()}
-
 
 def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, trust: bool = False) -> xr.Dataset:
     """Make the store ``into`` of two stores of one experiment, and return its results; it goes on as any other.
@@ -196,8 +192,8 @@ def _rows(one: _Source, other: _Source) -> list[list[bytes]]:
         if same and one.study.keeps_samples:
             same = one.ledger.samples(key).tobytes() == other.ledger.samples(key).tobytes()
         if not same:
-            place = one.points().get(key[DIGEST])
-            words = "a point" if place is None else describe(one.study, place)
+            places = {point.digest: describe(one.study, point.parameters) for point in Grid(one.study).points()}
+            words = places.get(key[DIGEST], "a point")
             raise SweepError(f"has other numbers than {other.location} at {words}", str(one.location))
     return [sorted(mine, key=mine.__getitem__), sorted(theirs.keys() - mine.keys(), key=theirs.__getitem__)]
 

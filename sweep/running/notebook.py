@@ -26,7 +26,6 @@ class NotebookProgress:
     """Shows points done and the time left below the cell that runs."""
 
     def __init__(self) -> None:
-        """Start with nothing shown."""
         self._handle: Any = None
         self._points = self._all_points = 0
         self._shown = 0.0

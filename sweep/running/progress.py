@@ -35,7 +35,6 @@ class TerminalProgress:
     """Shows points done, speed and time left: in a ``bar`` if there is a terminal, else in a line now and then."""
 
     def __init__(self, study: Study, bar: bool = True) -> None:
-        """Prepare to show a run of this study, with a bar on a terminal if ``bar``."""
         self._study = study
         self._once = study.experiment.deterministic
         self._console = Console(stderr=True)
@@ -81,8 +80,7 @@ class TerminalProgress:
         if result.said:
             self._tell_what_was_said(works, result)
         if self._bar is not None:
-            total = (self._bar.tasks[0].total or 0.0) + taken.more.cost
-            self._bar.update(self._task, advance=taken.done.cost, total=total, description=self._description())
+            self._bar.update(self._task, advance=taken.done.cost, total=self._work, description=self._description())
         if now - self._said > min(max(LINE_FIRST_S, LINE_SHARE * (now - self._begun)), LINE_LAST_S):
             self._said = now
             line = f"{self._description()}, {_left_in_words(self._eta, now)}"

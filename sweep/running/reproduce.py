@@ -1,6 +1,5 @@
 """The study of an existing store, and one of its points computed again in this process."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,7 +88,9 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
     alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **own}, published=None)
     result = compute(Plan(Grid(as_recorded(alone, opened.attributes))))
-    stored = opened.dataset().isel(_indices(study, place))
+    axes = study.dimensions
+    indices = {name: rows.index(tuple(place[axis] for axis in axes[name])) for name, rows in Grid(study).rows.items()}
+    stored = opened.dataset().isel(indices)
     status = Status(int(stored["status"]))
     other_code = differences_of_code(opened.attributes, study)
     differences = None
@@ -208,12 +209,6 @@ def _on_axis(study: Study, name: str, text: str, problems: list[str]) -> Any:
     if value not in study.axes[name]:
         problems.append(f"--at {name} = {shown(value)}: not on the axis, which has {_listed(study.axes[name])}")
     return value
-
-
-def _indices(study: Study, place: Mapping[str, Any]) -> dict[str, int]:
-    """Return where along each dimension a point stands."""
-    grid = Grid(study)
-    return {name: rows.index(tuple(place[axis] for axis in grid.dimensions[name])) for name, rows in grid.rows.items()}
 
 
 def _listed(values: Any) -> str:

@@ -94,17 +94,13 @@ def assemble_samples(
     grid = plan.grid
     experiment, sampling = grid.study.experiment, grid.study.sampling
     kept = np.full((len(grid), sampling.n_cat, sampling.n_sim, experiment.samples_width), np.nan)
-    flat_status = status.reshape(-1)
-    for point in grid.points():
-        if flat_status[point.index] != Status.DONE:
-            continue
-        start: dict[int, int] = {}
-        for block in plan.blocks(plan.cost(point.parameters)):
-            first = start.get(block.group, 0)
+    for point in grid.points(np.flatnonzero(status == Status.DONE)):
+        cost = plan.cost(point.parameters)
+        for block in plan.blocks(cost):
+            first = plan.realisations(cost, block.part)
             catalogues = slice(block.first_catalogue, block.first_catalogue + block.n_cat)
             drawn = samples(ledger_key(point.digest, block)).reshape(block.n_cat, block.n_sim, -1)
             kept[point.index, catalogues, first : first + block.n_sim] = drawn
-            start[block.group] = first + block.n_sim
     kept = grid.with_repeats(kept)
     variables: dict[str, Any] = {}
     column = 0

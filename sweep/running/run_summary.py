@@ -52,7 +52,6 @@ class RunSummary:
     """Adds up a run from its results."""
 
     def __init__(self, study: Study) -> None:
-        """Start with nothing done."""
         self.done = PlanSize(0, 0, 0, 0.0)
         self.busy = 0.0
         self._study = study

@@ -148,12 +148,9 @@ def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
     }
     variables = {}
     for name, (array, unit, meaning) in values.items():
-        attributes = described(unit, meaning)
-        variables[name] = (("kind", "workers"), np.median(array, axis=2), attributes)
-        if array.shape[2] >= FEWEST_SAMPLES:
-            count = array.shape[2]
+        variables[name] = (("kind", "workers"), np.median(array, axis=2), described(unit, meaning))
+        if (count := array.shape[2]) >= FEWEST_SAMPLES:
             of_mean = array.var(axis=2, ddof=1) * small_sample_factor(count) / count
             error = np.sqrt(MEDIAN_OVER_MEAN * of_mean)
             variables[f"{name}_error"] = (("kind", "workers"), error, described(unit, f"error of {name}"))
-    coordinates = {"kind": np.array(KINDS, dtype=object), "workers": workers}
-    return xr.Dataset(variables, coords=coordinates)
+    return xr.Dataset(variables, coords={"kind": np.array(KINDS, dtype=object), "workers": workers})

@@ -98,7 +98,6 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -
 
 
 def _points_of(dataset: xr.Dataset) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-    """Return the status and the realisations of each point of a dataset."""
     status = dataset["status"].values
     return status, dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int)
 

@@ -196,11 +196,8 @@ class Writer:
     def failures(self) -> dict[str, str]:
         """Return the points of this study that failed, by their place on the axes, and why."""
         grid, records = self.plan.grid, self.store.failures
-        failed = (
-            grid.point(int(index))
-            for index in np.flatnonzero(self.accumulator.status == Status.FAILED)[:MAX_FAILURES_NAMED]
-        )
-        return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in failed}
+        failed = np.flatnonzero(self.accumulator.status == Status.FAILED)[:MAX_FAILURES_NAMED]
+        return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
     def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
         """Let those of some finished points fail whose results are not what the experiment declares; return why."""
@@ -211,7 +208,6 @@ class Writer:
         return failures
 
     def _fail(self, point: GridPoint, failure: Failure) -> None:
-        """Record why a point cannot be computed."""
         self.accumulator.fail(point.index)
         place = describe(self.plan.grid.study, point.parameters)
         self.store.fail(point.digest, {"place": place, **vars(failure), "host": host(), "when": now()})
