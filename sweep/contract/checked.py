@@ -50,10 +50,9 @@ def checked(
 
 def check_finite(arrays: Mapping[str, Array], may_be_nan: Sequence[str]) -> None:
     """Raise NotFiniteError that says how many values of which array are NaN or infinite."""
-    problems = [
-        problem for name, array in arrays.items() if name not in may_be_nan if (problem := _finite(name, array))
-    ]
-    if problems:
+    bounded = {name: array for name, array in arrays.items() if name not in may_be_nan}
+    found = [not_finite(name, array, is_one=array.size == 1) for name, array in bounded.items()]
+    if problems := [problem for problem in found if problem]:
         raise NotFiniteError("; ".join(problems))
 
 
@@ -70,13 +69,14 @@ def _array(given: Any, shape: tuple[int, ...]) -> Array:
     return array.astype(np.float64, copy=False).reshape(shape)
 
 
-def _finite(name: str, array: Array) -> str | None:
+def not_finite(name: str, array: Array, is_one: bool) -> str | None:
+    """Return how many values are NaN or infinite, in words, those of one value if it ``is_one``; None for none."""
     finite = np.isfinite(array)
     if finite.all():
         return None
     bad = array[~finite]
     nan = int(np.isnan(bad).sum())
-    counts = [f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n]
-    if array.size == 1:
+    if is_one:
         return f"{name} is {'NaN' if nan else 'infinite'}"
+    counts = [f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n]
     return f"{name} has {' and '.join(counts)} of {array.size} values"

@@ -44,9 +44,7 @@ def shown(value: object) -> str:
 
 
 class DefinitionError(ValueError):
-    """A definition of a value that is wrong; ``problems`` holds (key, sentence) for each mistake, with an empty key for
-    the whole.
-    """
+    """A wrong definition of a value; ``problems`` holds pairs (key, sentence), with an empty key for the whole."""
 
     def __init__(self, problems: Sequence[tuple[str, str]]) -> None:
         self.problems = list(problems)

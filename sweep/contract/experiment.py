@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import accumulate, pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,11 +23,7 @@ class Evaluate(Protocol):
     """The function that does the work of one block for one catalogue."""
 
     def __call__(
-        self,
-        points: Sequence[Point],
-        n_sim: int,
-        rng: np.random.Generator,
-        catalogue_rng: np.random.Generator,
+        self, points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
     ) -> Mapping[str, Any]:
         """Return sums over ``n_sim`` realisations, each of shape (len(points), *shape declared in `Experiment.sums`).
 
@@ -35,7 +32,6 @@ class Evaluate(Protocol):
         `Experiment.shared` and are to use the same random numbers; elsewhere there is one at a time.  The sums of a
         point must not depend, not in the last bit, on the others.
         """
-        ...
 
 
 class EvaluateCatalogues(Protocol):
@@ -47,7 +43,6 @@ class EvaluateCatalogues(Protocol):
 
         Where it raises an Exception, the catalogues are evaluated one by one.
         """
-        ...
 
 
 class Summarise(Protocol):
@@ -59,7 +54,6 @@ class Summarise(Protocol):
 
         ``n`` and ``n_cat`` (points,) count realisations and catalogues; all are at least 1.
         """
-        ...
 
 
 def _no_problem(point: Point) -> str | None:
@@ -139,7 +133,6 @@ class Experiment:
     citation: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raise SweepError with all that is wrong in the declaration."""
         if found := problems(self):
             raise SweepError(found, f"experiment {shown(self.name)}")
 
@@ -207,13 +200,9 @@ class Experiment:
 
     def named(self, rows: Array) -> dict[str, Array]:
         """Return sums by name, each of shape (rows, *shape), from rows of `sums_width` numbers."""
-        pieces: dict[str, Array] = {}
-        start = 0
-        for name, shape in self.sums.items():
-            size = math.prod(shape)
-            pieces[name] = rows[:, start : start + size].reshape(-1, *shape)
-            start += size
-        return pieces
+        ends = pairwise(accumulate(map(math.prod, self.sums.values()), initial=0))
+        places = zip(self.sums.items(), ends, strict=True)
+        return {name: rows[:, start:end].reshape(-1, *shape) for (name, shape), (start, end) in places}
 
     def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
         """Return every output, (points, *dims), from rows of `sums_width` sums over n realisations of n_cat catalogues.

@@ -37,16 +37,13 @@ class Function(Protocol):
     @property
     def name(self) -> str:
         """What it is called in its source."""
-        ...
 
     @property
     def digest(self) -> str:
         """The digest of its source."""
-        ...
 
     def __call__(self, *arguments: Any) -> Any:
         """Call it."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,6 @@ class Define(Protocol):
         ``load`` returns the function at ``module:function`` or ``file.py:function``.  Raises DefinitionError for a
         wrong table, SweepError where a function cannot be loaded.
         """
-        ...
 
 
 @dataclass(frozen=True)

@@ -1,3 +1,1 @@
-"""Plain Python functions as experiments: parameters from the signature, outputs from a declaration or the first
-result.
-"""
+"""Plain Python functions as experiments: parameters from signatures, outputs from declarations or first results."""

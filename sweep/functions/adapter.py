@@ -1,7 +1,7 @@
 """A plain function as an `Experiment`, so that one road leads from a study to a store."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeGuard
 
@@ -178,7 +178,7 @@ class FunctionExperiment(Experiment):
         """Return what a store records of it beside what it does of every experiment."""
         return {
             "rng": self.rng,
-            "layout": None if self.layout is None else self.layout.as_json(),
+            "layout": None if self.layout is None else asdict(self.layout),
             "outputs": [{name: getattr(one, name) for name in _RECORDED} for one in self.declared],
         }
 
@@ -237,14 +237,9 @@ def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
     """Return the outputs of a layout; those without dimensions are the headline where none is declared so."""
     by_name = {output.name: output for output in declared}
     headline = layout.headline(declared)
-    return tuple(
-        replace(
-            by_name.get(field.name, Output(field.name)),
-            unit=field.unit,
-            meaning=field.meaning or field.name.replace("_", " "),
-            dims=field.dims,
-            headline=field.name in headline,
-            coords=None,
-        )
-        for field in layout.fields
-    )
+    made = []
+    for field in layout.fields:
+        output = by_name.get(field.name, Output(field.name))
+        meaning, named = field.meaning or field.name.replace("_", " "), field.name in headline
+        made.append(replace(output, unit=field.unit, meaning=meaning, dims=field.dims, headline=named, coords=None))
+    return tuple(made)

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -75,8 +75,7 @@ class Layout:
     @cached_property
     def places(self) -> dict[str, slice]:
         """Where in a row each result stands, in numbers of 8 bytes."""
-        sizes = [math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields]
-        ends = np.cumsum([0, *sizes]).tolist()
+        ends = accumulate((math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields), initial=0)
         return {field.name: slice(*ends) for field, ends in zip(self.fields, pairwise(ends), strict=True)}
 
     def values(self, rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
@@ -94,13 +93,9 @@ class Layout:
         names = names or {field.name for field in self.fields if not field.dims}
         return names or {field.name for field in self.fields}
 
-    def as_json(self) -> dict[str, Any]:
-        """Return it as JSON holds it."""
-        return asdict(self)
-
 
 def layout_of_json(document: Mapping[str, Any]) -> Layout:
-    """Return the layout that `Layout.as_json` gave."""
+    """Return the layout that was recorded as a dictionary."""
     fields = tuple(Field(**{**one, "dims": tuple(one["dims"])}) for one in document["fields"])
     coordinates = tuple(Coordinate(**{**one, "values": tuple(one["values"])}) for one in document["coordinates"])
     return Layout(fields, coordinates)
@@ -127,13 +122,11 @@ def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
 
     The order does not matter, and an integer may stand for a float.
     """
-    phrases: list[str] = []
     wanted = {field.name: field for field in expected.fields}
     given = {field.name: field for field in found.fields}
     extra = [name for name in given if name not in wanted]
-    for name in wanted:
-        if name not in given:
-            phrases.append(f"{name!r} is missing{suggest(name, extra) if extra else ''}")
+    lost = [name for name in wanted if name not in given]
+    phrases = [f"{name!r} is missing{suggest(name, extra) if extra else ''}" for name in lost]
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
     before, after = ({c.name: c for c in layout.coordinates} for layout in (expected, found))
     compared: set[str] = set()
@@ -179,9 +172,7 @@ def _differences_of_coordinate(expected: Coordinate, found: Coordinate) -> Itera
 
 
 def held(row: bytes, found: Layout, expected: Layout) -> bytes | None:
-    """Return the row of a point in the expected layout, from which it has no `differences`; None where an integer is
-    too large to be a float.
-    """
+    """Return a row without `differences` in the expected layout; None where an integer is too large to be a float."""
     if found == expected:
         return row
     numbers = np.frombuffer(row, dtype="<f8")

@@ -13,9 +13,7 @@ from sweep.functions.values import coordinate_of, is_xarray
 
 @dataclasses.dataclass(frozen=True)
 class Declared:
-    """What a function declares of its results: ``outputs`` by name, ``single`` the name of a result without one, and
-    the names of its parameters.
-    """
+    """What results are held to: ``outputs`` of a function, names of its ``parameters``, that of a ``single`` result."""
 
     function: str
     single: str
@@ -56,10 +54,9 @@ def named_results(result: Any, declared: Declared) -> dict[str, Any]:
         named = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
     elif hasattr(result, "_asdict"):
         named = dict(result._asdict())
-    elif is_xarray(result) and hasattr(result, "data_vars"):
-        named = dict(result.data_vars) | _beside_dimensions(result, declared)
     elif is_xarray(result):
-        named = {result.name or declared.single: result} | _beside_dimensions(result, declared)
+        own = dict(result.data_vars) if hasattr(result, "data_vars") else {result.name or declared.single: result}
+        named = own | _beside_dimensions(result, declared)
     elif isinstance(result, tuple) and len(declared.outputs) > 1:
         named = _in_order(result, declared)
     else:
@@ -81,9 +78,7 @@ def _in_order(result: tuple[Any, ...], declared: Declared) -> dict[str, Any]:
 
 
 def _beside_dimensions(result: Any, declared: Declared) -> dict[str, Any]:
-    """Return the coordinates of an xarray object that are not those of its dimensions: they are results too, unless
-    they repeat a parameter.
-    """
+    """Return the coordinates that no dimension has: they are results too, unless they repeat a parameter."""
     return {
         str(name): array.reset_coords(drop=True)
         for name, array in result.coords.items()

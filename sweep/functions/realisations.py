@@ -1,7 +1,7 @@
 """What is kept of the random realisations of a plain function: moments that merge, and those that quantiles need."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,15 +11,7 @@ from sweep.contract import Array, Output, ResultError
 from sweep.functions.layout import Field, Layout, differences, held
 from sweep.functions.named_results import Declared
 from sweep.functions.results import Flat
-from sweep.functions.statistics import (
-    MOMENTS,
-    merged,
-    moments_of,
-    quantile_of,
-    quantiles,
-    statistic,
-    statistics_of,
-)
+from sweep.functions.statistics import DEFAULT, MOMENTS, merged, moments_of, quantile_of, quantiles, statistic
 
 NUMBERS = ("float", "int", "bool")
 """Types of which statistics can be made."""
@@ -36,9 +28,10 @@ class Realisations:
     declared: tuple[Output, ...]
 
     @cached_property
-    def by_name(self) -> dict[str, Output]:
-        """The outputs by name."""
-        return {output.name: output for output in self.declared}
+    def statistics(self) -> dict[str, tuple[str, ...]]:
+        """The statistics of each output, by its name."""
+        declared = {output.name: tuple(dict.fromkeys(output.statistics)) for output in self.declared}
+        return {field.name: declared.get(field.name) or DEFAULT for field in self.layout.fields}
 
     @property
     def width(self) -> int:
@@ -47,8 +40,7 @@ class Realisations:
 
     def levels(self, field: Field) -> list[float]:
         """Return the quantiles that are made of an output."""
-        named = (quantile_of(name) for name in statistics_of(self.by_name.get(field.name)))
-        return [level for level in named if level is not None]
+        return [level for name in self.statistics[field.name] if (level := quantile_of(name)) is not None]
 
     @cached_property
     def kept_width(self) -> int:
@@ -60,20 +52,16 @@ class Realisations:
         """The numbers that quantiles and their errors take."""
         return sum(2 * len(self.levels(field)) * math.prod(self.layout.shape(field)) for field in self.layout.fields)
 
-    def _parts(self) -> Iterator[tuple[Field, slice, tuple[int, ...]]]:
-        """Yield the place of each output's moments in a row, and its shape."""
-        start = 1
-        for field in self.layout.fields:
-            shape = self.layout.shape(field)
-            place = slice(start, start + MOMENTS * math.prod(shape))
-            yield field, place, shape
-            start = place.stop
+    def _place(self, field: Field) -> slice:
+        """Return the place of an output's moments in a row."""
+        place = self.layout.places[field.name]
+        return slice(1 + MOMENTS * place.start, 1 + MOMENTS * place.stop)
 
     def merged(self, one: Array, other: Array) -> Array:
         """Return the rows of two sets of realisations as one."""
         row = np.empty_like(one)
         row[0] = one[0] + other[0]
-        for _, place, _ in self._parts():
+        for place in map(self._place, self.layout.fields):
             mine, theirs = (moments[place].reshape(MOMENTS, -1) for moments in (one, other))
             row[place] = merged(mine, float(one[0]), theirs, float(other[0])).reshape(-1)
         return row
@@ -94,16 +82,11 @@ class Realisations:
         made = []
         for field in self.layout.fields:
             meaning = field.meaning or field.name.replace("_", " ")
-            for name in statistics_of(self.by_name.get(field.name)):
-                unit = "" if name == "count" else field.unit
-                value = Output(
-                    f"{field.name}_{name}",
-                    unit,
-                    f"{_in_words(name)} of {meaning}",
-                    dims=field.dims,
-                    headline=field.name in headline,
-                    nan=True,
-                )
+            told = Output(field.name, field.unit, dims=field.dims, headline=field.name in headline, nan=True)
+            for name in self.statistics[field.name]:
+                value = replace(told, name=f"{field.name}_{name}", meaning=f"{_in_words(name)} of {meaning}")
+                if name == "count":
+                    value = replace(value, unit="")
                 made.append(value)
                 if name not in ("min", "max"):
                     error = f"one-sigma Monte-Carlo error of {value.name}"
@@ -115,19 +98,21 @@ class Realisations:
         found: dict[str, Array] = {}
         n = rows[:, 0]
         further = 1 + self.width
-        for field, place, shape in self._parts():
-            moments = rows[:, place].reshape(len(rows), MOMENTS, -1)
-            for name in statistics_of(self.by_name.get(field.name)):
+        for field in self.layout.fields:
+            shape = (len(rows), *self.layout.shape(field))
+            moments = rows[:, self._place(field)].reshape(len(rows), MOMENTS, -1)
+            size = moments.shape[2]
+            for name in self.statistics[field.name]:
+                value: Array
+                error: Array | None
                 if quantile_of(name) is not None:
-                    size = math.prod(shape)
-                    value = rows[:, further : further + size]
-                    error: Array | None = rows[:, further + size : further + 2 * size]
+                    value, error = rows[:, further : further + size], rows[:, further + size : further + 2 * size]
                     further += 2 * size
                 else:
                     value, error = statistic(name, field, moments, n)
-                found[f"{field.name}_{name}"] = value.reshape(len(rows), *shape)
+                found[f"{field.name}_{name}"] = value.reshape(shape)
                 if error is not None:
-                    found[f"{field.name}_{name}_mc_error"] = error.reshape(len(rows), *shape)
+                    found[f"{field.name}_{name}_mc_error"] = error.reshape(shape)
         return found
 
 
@@ -150,11 +135,10 @@ def drawn(flats: Sequence[Flat], declared: Declared) -> Flat:
 
 
 def _in_words(name: str) -> str:
-    """Return a statistic in words."""
-    words = {"std": "standard deviation", "min": "least", "max": "largest", "count": "number of true"}
-    level = quantile_of(name)
-    if name != "median" and level is not None:
+    level = None if name == "median" else quantile_of(name)
+    if level is not None:
         return f"{100.0 * level:g} % quantile"
+    words = {"std": "standard deviation", "min": "least", "max": "largest", "count": "number of true"}
     return words.get(name, name)
 
 

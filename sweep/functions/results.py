@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import NotFiniteError, Output, ResultError, suggest
+from sweep.contract.checked import not_finite
 from sweep.contract.units import same_unit
 from sweep.functions.layout import Coordinate, Field, Layout, Type, problems_of_names
 from sweep.functions.named_results import Declared, named_results
@@ -16,9 +17,7 @@ from sweep.functions.values import TEXT_BYTES, Value, text_digest, value_of
 
 
 class Flat(NamedTuple):
-    """The result of a point: its layout, a row of numbers as bytes, the texts in it by their digests, and of random
-    realisations those that are kept.
-    """
+    """A point's result: layout, numbers as bytes, texts by their digests, and the random realisations that are kept."""
 
     layout: Layout
     row: bytes
@@ -70,7 +69,7 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
     Raises ResultError as `flatten`, and for arrays of another length.
     """
     columns: dict[str, NDArray[Any]] = {}
-    problems = []
+    problems, each = [], f"one for each of {n} {noun}"
     for name, given in named_results(result, declared).items():
         try:
             value = value_of(given)
@@ -80,12 +79,10 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
             if value.unit and (output is None or not same_unit(output.unit, value.unit)):
                 raise ResultError(f"is in {value.unit}; declare that as the unit of its output")
             if value.array.ndim == 0 and value.type in ("float", "int"):
-                raise ResultError(
-                    f"is one number, perhaps a sum or mean; expected an array, one for each of {n} {noun}"
-                )
+                raise ResultError(f"is one number, perhaps a sum or mean; expected an array, {each}")
             array = np.broadcast_to(value.array, (n,)) if value.array.ndim == 0 else value.array
             if len(array) != n:
-                raise ResultError(f"has {len(array)} values, expected one for each of {n} {noun}")
+                raise ResultError(f"has {len(array)} values, expected {each}")
             columns[name] = array
         except ResultError as error:
             problems.append(f"{name!r} {error}")
@@ -155,8 +152,8 @@ def _scalar_layout(types: tuple[tuple[Any, type], ...], declared: Declared) -> t
 
 def _as_declared(name: str, value: Value, declared: Declared) -> Value:
     """Return a value with dimensions, and with what is declared of its output; raises ResultError where they differ."""
-    output = declared.by_name.get(name)
-    dims = () if output is None else tuple(output.dims)
+    output = declared.by_name.get(name, Output(name))
+    dims = tuple(output.dims)
     ndim = value.array.ndim
     if value.dims is not None and dims and value.dims != dims:
         if set(value.dims) != set(dims):
@@ -165,12 +162,9 @@ def _as_declared(name: str, value: Value, declared: Declared) -> Value:
     if value.dims is None and dims and len(dims) != ndim:
         raise ResultError(f"has the shape {value.array.shape}, expected the dimensions ({', '.join(dims)})")
     found = value.dims or dims or tuple(f"{name}_dim_{k}" for k in range(ndim))
-    value = value._replace(dims=found)
-    if output is None:
-        return value
     if output.unit and value.unit and not same_unit(output.unit, value.unit):
         raise ResultError(f"is in {value.unit}, expected {output.unit}")
-    return value._replace(unit=output.unit or value.unit, meaning=output.meaning or value.meaning)
+    return value._replace(dims=found, unit=output.unit or value.unit, meaning=output.meaning or value.meaning)
 
 
 def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[str, Coordinate], list[str]]:
@@ -180,10 +174,9 @@ def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[
     for name, value in values.items():
         for one in value.coordinates:
             before = known.setdefault(one.name, one)
-            if before != one and (before.type, before.values) != (one.type, one.values):
-                problems.append(
-                    f"{name!r} has other values along {one.name!r} than are declared or than another output"
-                )
+            if (before.type, before.values) != (one.type, one.values):
+                text = f"{name!r} has other values along {one.name!r} than are declared or than another output"
+                problems.append(text)
     for name, value in values.items():
         for dim, size in zip(value.dims or (), value.array.shape, strict=True):
             expected = len(known.setdefault(dim, Coordinate(dim, "int", tuple(range(size)))).values)
@@ -197,18 +190,10 @@ def _check_finite(values: Mapping[str, Value], declared: Declared) -> None:
     for name, value in values.items():
         if (output := declared.by_name.get(name)) is not None and output.nan:
             continue
-        if value.type == "float" and not (finite := np.isfinite(value.array)).all():
-            bad = value.array[~finite]
-            nan = int(np.isnan(bad).sum())
-            words = " and ".join(f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n)
-            whole = value.array.ndim == 0
-            problems.append(
-                f"{name} is {'NaN' if nan else 'infinite'}"
-                if whole
-                else f"{name} has {words} of {value.array.size} values"
-            )
-        elif value.type == "datetime" and np.isnat(value.array).any():
-            problems.append(f"{name} has {int(np.isnat(value.array).sum())} times that are NaT")
+        if value.type == "float" and (problem := not_finite(name, value.array, is_one=value.array.ndim == 0)):
+            problems.append(problem)
+        elif value.type == "datetime" and (n := np.count_nonzero(np.isnat(value.array))):
+            problems.append(f"{name} has {n} times that are NaT")
     if problems:
         hint = "declare Output(..., nan=True) where that is a value"
         raise NotFiniteError(f"{declared.function}: {'; '.join(problems)} ({hint})")

@@ -3,8 +3,7 @@
 import functools
 import inspect
 import types
-import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -17,6 +16,7 @@ RNG, N_SIM = "rng", "n_sim"
 """Arguments that the platform gives: a NumPy generator, and how many realisations are wanted at once."""
 
 KINDS: dict[Any, Kind] = {float: "float", int: "int", bool: "bool", str: "str", Any: "any"}
+NUMPY_KINDS: dict[type, Kind] = {np.bool_: "bool", np.integer: "int", np.floating: "float", np.str_: "str"}
 ALLOWED = "float, int, bool, str or Literal[...]"
 
 
@@ -51,14 +51,13 @@ def signature_of(function: Callable[..., Any]) -> Signature:
     """Return what a plain function takes; raises SweepError with all that keeps it from being swept."""
     name = name_of(function)
     problems = list(_refusals(function))
+    found: Mapping[str, inspect.Parameter] = {}
     try:
-        found = {} if problems else dict(inspect.signature(function, eval_str=True).parameters)
+        found = {} if problems else inspect.signature(function, eval_str=True).parameters
     except NameError as error:
         problems.append(f"an annotation cannot be read: {error}")
-        found = {}
     except (ValueError, TypeError):
         problems.append(f"Python cannot read its signature; wrap it: def my_{name}(x: float): return {name}(x)")
-        found = {}
     if (first := next(iter(found), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
         problems.append(f"is a method and takes {first}; give that of an object, thing.{name}")
         found = {}
@@ -82,7 +81,7 @@ def signature_of(function: Callable[..., Any]) -> Signature:
     return Signature(name, tuple(parameters), rng, rng and N_SIM in found, tuple(others))
 
 
-def _refusals(function: Callable[..., Any]) -> typing.Iterator[str]:
+def _refusals(function: Callable[..., Any]) -> Iterator[str]:
     whole = _wrapped(function)
     call = whole if inspect.isroutine(whole) else getattr(whole, "__call__", whole)  # noqa: B004
     if isinstance(whole, type):
@@ -109,7 +108,9 @@ def _parameter(argument: inspect.Parameter) -> Parameter | None:
     if argument.kind is argument.POSITIONAL_ONLY:
         raise ValueError(f"{name} is positional-only; parameters are given by name: wrap it in a function")
     required = argument.default is argument.empty
-    default = None if required else _plain(argument.default)
+    default = None if required else argument.default
+    if isinstance(default, np.generic):
+        default = default.item()
     told = Parameter(name)
     annotation = argument.annotation
     if get_origin(annotation) is Annotated:
@@ -126,16 +127,9 @@ def _parameter(argument: inspect.Parameter) -> Parameter | None:
         return None
     if kind == "float" and type(default) is int:
         default = float(default)
-    meaning = told.meaning or (told.name if told.name != name else "")
-    return replace(
-        told,
-        name=name,
-        kind=kind,
-        default=default,
-        meaning=meaning or name.replace("_", " "),
-        choices=choices or told.choices,
-        required=required,
-    )
+    meaning = told.meaning or (told.name if told.name != name else "") or name.replace("_", " ")
+    choices = choices or told.choices
+    return replace(told, name=name, kind=kind, default=default, meaning=meaning, choices=choices, required=required)
 
 
 def _type_in_words(argument: inspect.Parameter) -> str:
@@ -145,11 +139,7 @@ def _type_in_words(argument: inspect.Parameter) -> str:
     return _words(get_args(told)[0] if get_origin(told) is Annotated else told)
 
 
-def _plain(default: Any) -> Any:
-    return default.item() if isinstance(default, np.generic) else default
-
-
-def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:  # noqa: PLR0911
+def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
     """Return the kind of parameter that an annotation means, None for none, and its choices."""
     origin = get_origin(annotation)
     if origin is Literal:
@@ -165,20 +155,10 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:  # noqa: PLR0
         if kinds == {"int", "float"}:
             return "float", ()
         return (None if None in kinds else "any"), tuple(choice for _, some in found for choice in some)
-    if isinstance(annotation, type) and issubclass(annotation, np.generic):
-        for kind, base in (("bool", np.bool_), ("int", np.integer), ("float", np.floating), ("str", np.str_)):
-            if issubclass(annotation, base):
-                return typing.cast(Kind, kind), ()
-        return None, ()
-    return (KINDS.get(annotation) if _hashable(annotation) else None), ()
-
-
-def _hashable(value: object) -> bool:
-    try:
-        hash(value)
-    except TypeError:
-        return False
-    return True
+    known = [kind for one, kind in KINDS.items() if annotation is one]
+    if isinstance(annotation, type):
+        known += [kind for base, kind in NUMPY_KINDS.items() if issubclass(annotation, base)]
+    return (known[0] if known else None), ()
 
 
 def _words(annotation: Any) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sweep.contract import Array, Output, shown, small_sample_factor, suggest
+from sweep.contract import Array, shown, small_sample_factor, suggest
 from sweep.functions.layout import Field
 
 MOMENTS = 6
@@ -18,6 +18,8 @@ MOMENTS = 6
 
 NAMES = ("mean", "std", "min", "max", "count", "median")
 DEFAULT = ("mean", "std")
+"""The statistics of an output that declares none."""
+
 QUANTILE = re.compile(r"q(\d{1,2}(?:\.\d+)?)")
 
 FEWEST_BEYOND = 1.0
@@ -39,13 +41,6 @@ def quantile_of(name: str) -> float | None:
     found = QUANTILE.fullmatch(name)
     level = float(found[1]) / 100.0 if found else 0.0
     return level if 0.0 < level < 1.0 else None
-
-
-def statistics_of(output: Output | None) -> tuple[str, ...]:
-    """Return the statistics that are made of an output: those declared, or the mean and the standard deviation."""
-    if output is None or not output.statistics:
-        return DEFAULT
-    return tuple(dict.fromkeys(output.statistics))
 
 
 def moments_of(values: Array) -> Array:

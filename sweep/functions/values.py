@@ -1,6 +1,4 @@
-"""One value that a plain function returns: an array of one type, and the dimensions, coordinates, unit and meaning
-that it brings.
-"""
+"""One value that a plain function returns: an array of one type, with dimensions, coordinates, unit and meaning."""
 
 import datetime
 import sys
@@ -91,29 +89,23 @@ def value_of(value: Any) -> Value:
     return Value(*_typed(value), unit=unit)
 
 
-def _typed(value: Any) -> tuple[Type, NDArray[Any]]:  # noqa: PLR0911 (one for each type)
+def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
     """Return the type of a value that is no xarray object, and it as an array; raises ResultError that says why not."""
     if value is None:
         raise ResultError("is None")
-    if isinstance(value, bool | np.bool_):
-        return "bool", np.array(bool(value))
-    if isinstance(value, int) and not isinstance(value, np.generic):
+    if isinstance(value, int) and not isinstance(value, bool | np.generic):
         if not -(2**63) <= value < 2**63:
             raise ResultError(f"is {shown(value)}; integers have 64 bits at most")
         return "int", np.array(value, dtype="i8")
-    if isinstance(value, float):
-        return "float", np.array(float(value))
     if isinstance(value, str):
         return "text", _texts(np.array(str(value), dtype=object))
-    if isinstance(value, datetime.datetime | datetime.date):
-        return "datetime", np.array(_time(value))
     if isinstance(value, Mapping):
         raise ResultError("is a dict; results are not nested: return its entries under names of their own")
     if isinstance(value, datetime.timedelta | np.timedelta64):
         raise ResultError("is a duration; return a number and declare its unit")
     if isinstance(value, list | tuple):
         return _of_list(value)
-    if isinstance(value, np.ndarray | np.generic | complex) or hasattr(value, "__array__"):
+    if isinstance(value, bool | float | complex | datetime.date) or hasattr(value, "__array__"):
         return _of_array(np.asarray(value))
     if hasattr(value, "jyear"):  # of astropy
         raise ResultError("is a Time of astropy; return .utc.datetime64, or a number such as .jyear")

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from sweep.contract import Array, Value
 from sweep.planning.block_rows import BlockRows
 from sweep.planning.grid import AT_ONCE, GridPoint
-from sweep.planning.plan import Block, Plan, PlanSize, Work, ledger_key
+from sweep.planning.plan import Block, Plan, PlanSize, Survey, Work, cost_together, ledger_key
 from sweep.planning.point_status import Status
 from sweep.planning.precision import wanted_parts
-from sweep.planning.survey import Survey, cost_together
 
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 """As integers, which NumPy compares with its own ten times as fast as with members of an enumeration."""
@@ -48,8 +47,7 @@ class Accumulator:
         only: Collection[bytes] | None = None,
         samples: Callable[[bytes], Array] | None = None,
     ) -> None:
-        """Start with the ``rows`` of a ledger (`BlockRows`, or any mapping) and their ``sums``, and the points (by
-        digest) that ``failed``.
+        """Start with the ``rows`` of a ledger, their ``sums``, and the points (by digest) that ``failed``.
 
         With ``only`` nothing is missing but these points; ``samples`` gives the kept realisations of a row.  Raises
         SweepError for a plan of too many blocks.
@@ -179,9 +177,7 @@ class Accumulator:
         return self.is_missing(point.index) and (self._only is None or point.digest in self._only)
 
     def add(self, point: GridPoint, block: Block, row: Array, kept: Array | None = None) -> list[Block]:
-        """Add one block's sums, and what is ``kept`` of its realisations; return the blocks that the point needs beyond
-        those known so far.
-        """
+        """Add a block's sums, and realisations that are ``kept``; return blocks that are needed beyond those known."""
         index, experiment = point.index, self.plan.grid.study.experiment
         self.realisations[index] += block.realisations
         if not self.is_missing(index):

@@ -70,7 +70,6 @@ class BlockRows(Mapping[bytes, int]):
         return iter(self._numbers)
 
     def __len__(self) -> int:
-        """Return how many blocks there are."""
         if self._number is not None:
             return len(self._number)
         hashes, rows = self._by_hash()
@@ -104,9 +103,7 @@ class BlockRows(Mapping[bytes, int]):
 
 
 def _hashes(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return a number for each key, which differs for nearly all that differ: digests are as good as random, counts are
-    small.
-    """
+    """Return a number for each key, nearly always another: digests are as good as random, counts are small."""
     mixed: NDArray[np.uint64] = (
         words[:, 0] ^ (words[:, 2] * np.uint64(0x9E3779B97F4A7C15)) ^ (words[:, 3] * np.uint64(0xC2B2AE3D27D4EB4F))
     )

@@ -3,7 +3,7 @@
 import itertools
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import blake2b
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Value
-from sweep.studies.study import Study
+from sweep.studies.study import POINT, Study
 from sweep.tables.file import as_json
 
 AT_ONCE = 2**16
@@ -22,9 +22,7 @@ AT_ONCE = 2**16
 
 @dataclass(frozen=True, slots=True)
 class GridPoint:
-    """One point: its place in the grid (C order), all its parameters, the digest by which the ledger knows it, and the
-    one that names its random streams.
-    """
+    """One point: its place in C order, all its parameters, and the digests that name it in ledgers and its streams."""
 
     index: int
     parameters: dict[str, Any]
@@ -56,7 +54,7 @@ class Grid:
         """For each row of a table of points the first row that is the same point; None where no row repeats."""
         if self.study.points is None:
             return None
-        rows = self._columns[0]
+        rows = self.rows[POINT]
         first: dict[tuple[Value, ...], int] = {}
         found = np.array([first.setdefault(values, place) for place, values in enumerate(rows)])
         return found if len(first) < len(rows) else None
@@ -77,12 +75,12 @@ class Grid:
         """Yield index and parameters of the points that are not excluded, in C order; of repeated ones the first."""
         names, clauses, first = self._names, self.study.excluded, self.first_rows
         row = 1 if first is None else len(self) // len(first)
-        for index, combination in enumerate(itertools.product(*self._columns)):
+        for index, combination in enumerate(itertools.product(*self.rows.values())):
             if first is not None and first[index // row] != index // row:
                 continue
             parameters = self._fixed.copy()
             parameters.update(zip(names, itertools.chain.from_iterable(combination), strict=True))
-            if not (clauses and self._excluded(parameters)):
+            if not (clauses and self.excludes(parameters)):
                 yield index, parameters
 
     def indices(self) -> NDArray[np.intp]:
@@ -93,15 +91,16 @@ class Grid:
 
     def points(self, indices: NDArray[np.intp] | None = None) -> Iterator[GridPoint]:
         """Yield the points that are not excluded, in C order, or those at ``indices``, excluded or not."""
-        if indices is None:
-            yield from itertools.starmap(self._point, self.parameters())
-            return
+        indices = self.indices() if indices is None else indices
         for start in range(0, len(indices), AT_ONCE):
             some = indices[start : start + AT_ONCE]
-            for index, digest, *combination in zip(some.tolist(), self.digests(some), *self._along(some), strict=True):
+            digests = self.digests(some)
+            streams = self._digests(some, self._shared) if self._shared else digests
+            for index, digest, stream, *combination in zip(
+                some.tolist(), digests, streams, *self._along(some), strict=True
+            ):
                 parameters = self._fixed.copy()
                 parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
-                stream = self._digest(parameters, shared=True) if self._shared else digest
                 yield GridPoint(index, parameters, digest, stream)
 
     def point(self, index: int) -> GridPoint:
@@ -109,39 +108,50 @@ class Grid:
         return next(self.points(np.array([index])))
 
     def digests(self, indices: NDArray[np.intp]) -> list[bytes]:
-        """Return the digests of the points at ``indices``, as `points` has them, in a fraction of the time."""
+        """Return the digests of the points at ``indices``: 16 bytes that identify a point by its own parameters.
+
+        Parameters at their default do not count, so that a parameter which a later version adds leaves old points what
+        they were.
+        """
+        return self._digests(indices)
+
+    def _digests(self, indices: NDArray[np.intp], left_out: Collection[str] = ()) -> list[bytes]:
+        """Return what identifies points by all parameters but some that are ``left_out``."""
         places = dict(zip(self.dimensions, self._places(indices), strict=True))
+        known = [(dimension, own) for name, dimension, own in self._texts_along if name not in left_out]
         texts = [
             itertools.repeat(own[0], len(indices)) if dimension is None else map(own.__getitem__, places[dimension])
-            for dimension, own in self._texts_along
+            for dimension, own in known
         ]
         rows: Iterable[Iterable[Any]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
-        if any(None in own for _, own in self._texts_along):  # a parameter at its default
+        if any(None in own for _, own in known):  # a parameter at its default
             rows = (filter(None, row) for row in rows)
-        return list(map(_digest, rows))
+        return [blake2b(f"{{{', '.join(row)}}}".encode(), digest_size=16).digest() for row in rows]
 
     @cached_property
-    def _texts_along(self) -> list[tuple[str | None, list[str | None]]]:
-        """The texts of `_texts` at each place of the dimension of a parameter, or its only one where it is fixed."""
+    def _texts_along(self) -> list[tuple[str, str | None, list[str | None]]]:
+        """Each parameter that may count in a digest, in order: the dimension that it is along, None where it is fixed,
+        and its text at each place there; None where it is at its default.
+        """
         dimension_of = {axis: dimension for dimension, axes in self.dimensions.items() for axis in axes}
-        return [
-            (dimension_of.get(name), [text.get(value) for value in self.study.axes.get(name, [self._fixed[name]])])
-            for name, text in self._texts
-        ]
+        defaults, axes = self.study.experiment.defaults(), self.study.axes
+        values = {name: [value] for name, value in self._fixed.items()} | {n: list(v) for n, v in axes.items()}
+        found = []
+        for name in sorted(values):
+            key, default = json.dumps(name), defaults[name]
+            texts = {v: f"{key}: {as_json(v)}" for v in values[name] if v != default}
+            if texts:
+                found.append((name, dimension_of.get(name), [texts.get(value) for value in values[name]]))
+        return found
 
     def _along(self, indices: NDArray[np.intp]) -> list[Iterator[tuple[Value, ...]]]:
         """Return the values on the axes of each dimension, point by point."""
-        return [
-            map(column.__getitem__, places) for column, places in zip(self._columns, self._places(indices), strict=True)
-        ]
+        places = zip(self.rows.values(), self._places(indices), strict=True)
+        return [map(rows.__getitem__, along) for rows, along in places]
 
     def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:
         """Return where along each dimension the points at ``indices`` are."""
         return [along.tolist() for along in np.unravel_index(indices, self.shape)] if self.shape else []
-
-    def _point(self, index: int, parameters: dict[str, Any]) -> GridPoint:
-        digest = self._digest(parameters)
-        return GridPoint(index, parameters, digest, self._digest(parameters, shared=True) if self._shared else digest)
 
     @cached_property
     def _fixed(self) -> dict[str, Any]:
@@ -152,9 +162,10 @@ class Grid:
         return [axis for axes in self.dimensions.values() for axis in axes]
 
     @cached_property
-    def _columns(self) -> list[list[tuple[Value, ...]]]:
-        study = self.study
-        return [list(zip(*(study.axes[a] for a in axes), strict=True)) for axes in self.dimensions.values()]
+    def rows(self) -> dict[str, list[tuple[Value, ...]]]:
+        """The values at each place along each dimension, one for each of its axes."""
+        axes = self.study.axes
+        return {name: list(zip(*(axes[axis] for axis in own), strict=True)) for name, own in self.dimensions.items()}
 
     @cached_property
     def _shared(self) -> frozenset[str]:
@@ -164,43 +175,11 @@ class Grid:
 
     def draw(self, parameters: Mapping[str, Any]) -> tuple[Value, ...]:
         """Return what points of this grid that share their random numbers have in common, and no others."""
-        return tuple(parameters[name] for name in self._drawing)
+        return tuple(parameters[name] for name in self._names if name not in self._shared)
 
-    @cached_property
-    def _drawing(self) -> list[str]:
-        return [name for name in self._names if name not in self._shared]
-
-    @cached_property
-    def _texts(self) -> list[tuple[str, dict[Value, str]]]:
-        """Each parameter that may count in a digest, in order, with its text for each of its values."""
-        defaults, axes = self.study.experiment.defaults(), self.study.axes
-        values = {name: [value] for name, value in self._fixed.items()} | {n: list(v) for n, v in axes.items()}
-        return [
-            (name, {v: f"{key}: {as_json(v)}" for v in values[name] if v != defaults[name]})
-            for name, key in ((name, json.dumps(name)) for name in sorted(values))
-            if any(v != defaults[name] for v in values[name])
-        ]
-
-    def _digest(self, parameters: dict[str, Any], shared: bool = False) -> bytes:
-        """Return 16 bytes that identify a point by its own parameters, whatever grid it is in.
-
-        Parameters at their default do not count, so that a parameter which a later version adds leaves old points what
-        they were.  ``shared`` leaves out those that do not change the random numbers too.
-        """
-        left_out = self._shared if shared else ()
-        own = [
-            text
-            for name, texts in self._texts
-            if name not in left_out and (text := texts.get(parameters[name])) is not None
-        ]
-        return _digest(own)
-
-    def _excluded(self, parameters: dict[str, Any]) -> bool:
+    def excludes(self, parameters: Mapping[str, Any]) -> bool:
+        """Return whether the study leaves out a point."""
         return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
-
-
-def _digest(texts: Iterable[str]) -> bytes:
-    return blake2b(f"{{{', '.join(texts)}}}".encode(), digest_size=16).digest()
 
 
 def describe(study: Study, parameters: dict[str, Any]) -> str:

@@ -2,12 +2,12 @@
 
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
-from sweep.contract import SweepError
+from sweep.contract import SweepError, Value
 from sweep.planning.grid import Grid, GridPoint
 from sweep.planning.point_cache import PointCache
 from sweep.studies.study import Study
@@ -43,8 +43,7 @@ a block has more than that, but a few seconds of work are all that an interrupti
 
 
 class Block(NamedTuple):
-    """One point's realisations ``part`` of the catalogues of one ``group``: the unit of work, of the ledger and of
-    resuming.
+    """A point's realisations ``part`` of the catalogues of one ``group``: the unit of work, ledger and resuming.
 
     Catalogues are numbered from ``first_catalogue``; each gets ``n_sim`` realisations from a stream of its own.
 
@@ -65,19 +64,11 @@ class Block(NamedTuple):
 
 
 class Work(NamedTuple):
-    """One block of one point, or of several that share its random numbers, with its estimated cost in random
-    numbers.
-    """
+    """One block of one point, or of several that share its random numbers, with its cost in random numbers."""
 
     points: tuple[GridPoint, ...]
     block: Block
     cost: float
-
-    def ledger_keys(self) -> list[bytes]:
-        """Return what the ledger knows each point's block by; two runs agree on a key if and only if the block's sums
-        are the same numbers.
-        """
-        return [ledger_key(point.digest, self.block) for point in self.points]
 
 
 @dataclass(frozen=True)
@@ -99,6 +90,15 @@ class PlanSize:
 
 
 @dataclass(frozen=True)
+class Survey:
+    """How large a plan is, as far as known, what of it the ledger holds, and what is pending; the rest has failed."""
+
+    total: PlanSize
+    held: PlanSize
+    pending: PlanSize
+
+
+@dataclass(frozen=True)
 class Plan:
     """How the points of a grid are cut into blocks.
 
@@ -113,31 +113,26 @@ class Plan:
         return Plan(replace(self.grid, study=study))
 
     def blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
-        """Return the blocks, of these ``parts`` (all by default), of a point whose realisations cost this many random
-        numbers each.
+        """Return the blocks of a point, of these ``parts`` (default: all); ``cost`` is in random numbers a realisation.
 
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
         they are; only a last, partial block is computed again.
         """
-        known = self._cuts.get((cost, parts))
-        if known is None:
-            known = tuple(self._cut(cost, range(self.parts(cost)) if parts is None else parts))
-            if len(self._cuts) < MOST_CUTS:
-                self._cuts[cost, parts] = known
-        return known
+        return self._cut(cost, parts)
 
     @cached_property
-    def _cuts(self) -> dict[tuple[float, range | None], Sequence[Block]]:
-        """Blocks by cost and parts: points that cost the same are cut in the same way."""
-        return {}
+    def _cut(self) -> Callable[[float, range | None], Sequence[Block]]:
+        return lru_cache(MOST_CUTS)(self._cut_anew)  # points that cost the same are cut in the same way
 
-    def _cut(self, cost: float, parts: range) -> Iterator[Block]:
+    def _cut_anew(self, cost: float, parts: range | None) -> Sequence[Block]:
         n_cat = self.grid.study.sampling.n_cat
         _, catalogues = self.block_shape(cost)
+        blocks = []
         for group, first in enumerate(range(0, n_cat, catalogues)):
-            for part in parts:
+            for part in range(self.parts(cost)) if parts is None else parts:
                 n_sim = self.realisations(cost, part + 1) - self.realisations(cost, part)
-                yield Block(group, part, first, min(catalogues, n_cat - first), n_sim)
+                blocks.append(Block(group, part, first, min(catalogues, n_cat - first), n_sim))
+        return tuple(blocks)
 
     def groups(self, cost: float) -> int:
         """Return into how many groups the catalogues of a point are cut."""
@@ -165,15 +160,10 @@ class Plan:
             return sims * whole
         return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
 
-    def block_shape(self, cost: float) -> tuple[int, int]:
-        """Return how many realisations of how many catalogues a whole block holds."""
-        if (known := self._shapes.get(cost)) is None:
-            known = self._shapes[cost] = self._shape(cost)
-        return known
-
     @cached_property
-    def _shapes(self) -> dict[float, tuple[int, int]]:
-        return {}
+    def block_shape(self) -> Callable[[float], tuple[int, int]]:
+        """How many realisations of how many catalogues a whole block holds, as a function of the cost."""
+        return cache(self._shape)
 
     def _shape(self, cost: float) -> tuple[int, int]:
         if self.grid.study.sampling.common_random_numbers:
@@ -183,9 +173,7 @@ class Plan:
 
     def cost(self, parameters: dict[str, Any]) -> float:
         """Return the random numbers that one realisation of a point takes, at least 1."""
-        if self.costs_nothing_special:
-            return 1.0
-        return max(1.0, self._cost(parameters))
+        return 1.0 if self.costs_nothing_special else max(1.0, self._cost(parameters))
 
     @cached_property
     def costs_nothing_special(self) -> bool:
@@ -193,9 +181,7 @@ class Plan:
         return not self.grid.study.experiment.says_cost
 
     def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
-        """Return the axes on which the cost of a point depends, and the cost by their values; None where that is a
-        long table.
-        """
+        """Return the axes on which the cost of a point depends, and the cost by their values; None for a long table."""
         grid = self.grid
         if self.costs_nothing_special:
             return (), {(): 1.0}
@@ -219,11 +205,10 @@ class Plan:
     def size(self, cost: float, points: int = 1) -> PlanSize:
         """Return the counts of whole points that cost the same, by arithmetic."""
         sampling = self.grid.study.sampling
-        parts = self.parts(cost)
+        parts, groups = self.parts(cost), self.groups(cost)
         realisations = sampling.n_cat * self.realisations(cost, parts)
         work = realisations * cost + sampling.n_cat * parts * OVERHEAD
-        blocks = parts * self.groups(cost)
-        return PlanSize(points, points * blocks, points * realisations, points * work)
+        return PlanSize(points, points * parts * groups, points * realisations, points * work)
 
     def check_size(self, blocks: int) -> None:
         """Raise SweepError for more than `MAX_BLOCKS` blocks, more than a run can finish or a ledger hold."""
@@ -233,9 +218,24 @@ class Plan:
             raise SweepError(f"{sizes} make more than {MAX_BLOCKS:,} blocks", self.grid.study.source)
 
 
+def cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:
+    """Return what is left of points, each with the cost of its realisations, that draw together with those of their
+    group: the costliest draws, the others only make something of it (see `Plan.work`).
+    """
+    total = 0.0
+    for members in groups.values():
+        for start in range(0, len(members), MOST_SHARING):
+            piece = members[start : start + MOST_SHARING]
+            draws = max(range(len(piece)), key=lambda k: piece[k][0])
+            for k, (cost, left) in enumerate(piece):
+                total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
+    return total
+
+
 def ledger_key(digest: bytes, block: Block) -> bytes:
-    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues and realisations of
-    each.
+    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues, realisations of each.
+
+    Two runs agree on a key if and only if the block's sums are the same numbers.
     """
     return digest + struct.pack("<4I", block.group, block.part, block.n_cat, block.n_sim)
 

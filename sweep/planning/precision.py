@@ -12,9 +12,7 @@ LARGEST_STEP = 16
 
 
 def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array) -> int:
-    """Return how many parts a point needs that has ``parts``, whose ``sums`` (1, width) alone decide, so that it is
-    the same in every run.
-    """
+    """Return how many parts a point needs that has ``parts``: its ``sums`` (1, width) decide, so all runs agree."""
     study = plan.grid.study
     sampling, precision = study.sampling, study.sampling.precision
     if precision is None:

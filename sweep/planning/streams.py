@@ -79,9 +79,9 @@ def _many(seed: int, places: Sequence[Place]) -> list[GeneratorPair]:
     pool = _Pool.of(words[:POOL])
     for word in words[POOL:]:
         pool = pool.then(word)
-    catalogues = pool.then(_word(0))
-    errors = pool.then(_word(1)).then(np.array([part for *_, part in places], dtype=np.uint32))
-    states = errors.states(), np.stack([errors.then(_word(k)).states() for k in range(CHILDREN)], axis=1)
+    catalogues = pool.then(np.uint32(0))
+    errors = pool.then(np.uint32(1)).then(np.array([part for *_, part in places], dtype=np.uint32))
+    states = errors.states(), np.stack([errors.then(np.uint32(k)).states() for k in range(CHILDREN)], axis=1)
     none, found = states[1][0, :0], []
     for (_, _, part), start, own, children, state in zip(places, starts, *states, catalogues.states(), strict=True):
         of_errors = _Seed(start + struct.pack("<2I", 1, part), own, children)
@@ -96,10 +96,6 @@ def _start(seed: int, name: bytes) -> bytes:
 
 def _generator(seed: Any) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(seed))
-
-
-def _word(value: int) -> Words:
-    return np.array([value], dtype=np.uint32)
 
 
 class _Seed(ISpawnableSeedSequence):
@@ -153,8 +149,8 @@ class _Pool:
             step += len(others)
         return _Pool(pool, step)
 
-    def then(self, words: Words) -> "_Pool":
-        """Return the pools after one more word each, (B,) or (1,)."""
+    def then(self, words: Words | np.uint32) -> "_Pool":
+        """Return the pools after one more word each, (B,), or the same for all."""
         return _Pool(_mixed(self.words, _hashed(words, HASH, self.step, POOL)), self.step + POOL)
 
     def states(self) -> NDArray[np.uint64]:
@@ -163,7 +159,7 @@ class _Pool:
         return np.ascontiguousarray(_hashed(self.words[turn], OUTPUT, 0, 2 * STATE).T, "<u4").view("<u8")
 
 
-def _hashed(words: Words, constants: Words, step: int, number: int) -> Words:
+def _hashed(words: Words | np.uint32, constants: Words, step: int, number: int) -> Words:
     found = (words ^ constants[step : step + number]) * constants[step + 1 : step + number + 1]
     return np.asarray(found ^ (found >> 16))
 

@@ -1,7 +1,9 @@
 """The pending work of a run, given out in tasks of about a second, as measured, in the order of the grid."""
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import accumulate
 
 import numpy as np
 
@@ -15,9 +17,7 @@ TASK_S = 1.0
 """Seconds of work that a task aims at."""
 
 TASKS_PER_S = 200.0
-"""Tasks that may end in a second: a scheduler and a client spend some milliseconds on each, so on more than as many
-threads tasks take longer.
-"""
+"""Tasks that may end in a second: each takes schedulers and clients milliseconds; on more threads they are longer."""
 
 SHORTEST_TASK_S = 0.05
 """Shorter tasks would cost more to hand over than they spread."""
@@ -73,10 +73,8 @@ class Pending:
 
         There may be fewer seconds than points: a worker stops where a task takes too long.  The rest is pending again.
         """
-        done, rows = 0, 0
-        while done < len(works) and rows + len(works[done].points) <= len(seconds):
-            rows += len(works[done].points)
-            done += 1
+        rows = accumulate(len(work.points) for work in works)
+        done = bisect_right(list(rows), len(seconds))
         for work in reversed(works[done:]):
             self._known.appendleft(work)
             self._left += work.cost

@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import reduce
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,7 @@ MOST_LINES = 15
 
 @dataclass(frozen=True)
 class AxisSegment:
-    """Values of a dimension that follow one another, the first and the last with a value for each of its axes: what
-    all points there have, counted.
-    """
+    """Values that follow one another along a dimension, the first and the last by axis, and counts of their points."""
 
     first: Mapping[str, Any]
     last: Mapping[str, Any]
@@ -86,19 +85,13 @@ def by_axis(
 
 
 def folded(segments: Sequence[AxisSegment], most: int = MOST_LINES) -> list[AxisSegment]:
-    """Join neighbours until at most ``most`` segments are left: those that are finished or untouched like each other
-    first, then the pair of the fewest values.
-    """
+    """Join neighbours, down to ``most`` segments: those finished or untouched alike first, then the shortest."""
     left = list(segments)
     if len(left) > most:
-        joined = left[:1]
-        for segment in left[1:]:
-            alike = (segment.finished, segment.untouched) == (joined[-1].finished, joined[-1].untouched)
-            if alike and (segment.finished or segment.untouched):
-                joined[-1] = joined[-1].joined(segment)
-            else:
-                joined.append(segment)
-        left = joined
+        left = []
+        for state, group in groupby(segments, key=lambda segment: (segment.finished, segment.untouched)):
+            alike = list(group)
+            left += [reduce(AxisSegment.joined, alike)] if any(state) else alike
     while len(left) > most:
         sizes = [a.values + b.values for a, b in pairwise(left)]
         at = sizes.index(min(sizes))

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,9 @@ def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int],
     samples = _independent(plan)
     if len(samples) < FEWEST_SAMPLES:
         return {}
-    along = {output: _shared_dimensions(plan, output, len(samples)) for output in _with_error(plan)}
+    outputs = {output.name: output for output in plan.grid.study.experiment.outputs}
+    with_error = [o for o in outputs.values() if f"{o.name}_mc_error" in outputs and o.name not in plan.grid.study.axes]
+    along = {output: _shared_dimensions(plan, output, len(samples)) for output in with_error}
     along = {output: dimensions for output, dimensions in along.items() if dimensions}
     deviations = _deviations(plan, accumulator, samples, list(along), rows, sums) if along else {}
     return {
@@ -49,13 +52,6 @@ def _shared_dimensions(plan: Plan, output: Output, samples: int) -> list[str]:
     return [d for d in shared if size * max(lengths[d], samples) <= LARGEST]
 
 
-def _with_error(plan: Plan) -> list[Output]:
-    """Return the results that have a Monte-Carlo error."""
-    outputs = plan.grid.study.experiment.outputs
-    names = {output.name for output in outputs}
-    return [o for o in outputs if f"{o.name}_mc_error" in names and o.name not in plan.grid.study.axes]
-
-
 def _independent(plan: Plan) -> list[list[Block]]:
     """Return the blocks of each sample: points that share random numbers are cut in the same way whatever they cost.
 
@@ -64,10 +60,7 @@ def _independent(plan: Plan) -> list[list[Block]]:
     blocks = plan.blocks(1.0)
     if plan.grid.study.sampling.n_cat == 1:
         return [[block] for block in blocks if block.n_sim == blocks[0].n_sim]
-    groups: dict[int, list[Block]] = {}
-    for block in blocks:
-        groups.setdefault(block.group, []).append(block)
-    return list(groups.values())
+    return [list(group) for _, group in groupby(blocks, key=lambda block: block.group)]
 
 
 def _deviations(
@@ -86,9 +79,7 @@ def _deviations(
     own_n = sum(block.realisations for block in samples[0])
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
     deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
-    for point in grid.points():
-        if accumulator.status[point.index] != Status.DONE:
-            continue
+    for point in grid.points(np.flatnonzero(accumulator.status == Status.DONE)):
         own = np.array([sums[[rows[ledger_key(point.digest, b)] for b in blocks]].sum(axis=0) for blocks in samples])
         n = float(accumulator.realisations[point.index])
         without = experiment.named(accumulator.total[point.index] - own)
@@ -103,14 +94,11 @@ def _deviations(
 def _covariance(plan: Plan, deviations: Array, output: Output, dimension: str) -> Variable:
     grid, count = plan.grid, deviations.shape[-1]
     dimensions = list(grid.dimensions)
-    size = [len(grid.study.experiment.coordinates[d]) for d in output.dims]
-    shaped = deviations.reshape(*grid.shape, *size, count)
+    shaped = deviations.reshape(*grid.shape, *grid.study.experiment.shape_of(output), count)
     shaped = np.moveaxis(shaped, dimensions.index(dimension), -2)
     covariance = shaped @ np.swapaxes(shaped, -1, -2)
-    attributes = {
-        **described(squared(output.unit), f"covariance of {output.name} between points along {dimension}"),
-        "samples": count,
-    }
+    meaning = f"covariance of {output.name} between points along {dimension}"
+    attributes = described(squared(output.unit), meaning) | {"samples": count}
     others = (d for d in dimensions if d != dimension)
     return (*others, *output.dims, dimension, f"{dimension}_other"), covariance, attributes
 

@@ -1,7 +1,7 @@
 """Two stores of one experiment become one that holds the points of both."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,16 +17,16 @@ from sweep.functions.record import layout_of_record
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid, describe
 from sweep.planning.plan import Plan
-from sweep.planning.work_queue import Pending
 from sweep.running.reproduce import study_of
 from sweep.running.writer import Writer
 from sweep.stores import failures
 from sweep.stores.code import CodeRecord, as_json, records_of
 from sweep.stores.create import create_store, find_store
 from sweep.stores.identity import differences
+from sweep.stores.ledger import Ledger
 from sweep.stores.location import Location, Where, located
 from sweep.stores.lock import holder, locked
-from sweep.stores.opened import OpenLedger, OpenStore
+from sweep.stores.opened import OpenStore
 from sweep.stores.store import Store
 from sweep.stores.texts import Texts
 from sweep.studies.provenance import provenance
@@ -52,7 +52,8 @@ class _Source:
     location: Location
     attributes: Mapping[str, Any]
     study: Study
-    ledger: OpenLedger
+    ledger: Ledger
+    failed: Mapping[bytes, failures.Record]
     sums: Array
     texts: Texts
 
@@ -60,10 +61,6 @@ class _Source:
     def layout(self) -> Layout | None:
         """What the results of a plain function are, if the store says so."""
         return layout_of_record(_record(self.attributes))
-
-    def points(self) -> dict[bytes, dict[str, Any]]:
-        """Return the parameters of each point by its digest."""
-        return {point.digest: point.parameters for point in Grid(self.study).points()}
 
 
 def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, trust: bool = False) -> xr.Dataset:
@@ -93,7 +90,7 @@ def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, t
         if records := _codes(sources, rows):
             store.record_code(as_json(records))
         accumulator = Accumulator(plan, store.rows, store.sums(), store.failures, samples=store.samples)
-        return Writer(plan, accumulator, Pending(plan, accumulator), store, further=told).write(final=True)
+        return Writer(accumulator, store, further=told).write(final=True)
 
 
 def _source(location: Location, trust: bool) -> _Source:
@@ -102,8 +99,9 @@ def _source(location: Location, trust: bool) -> _Source:
     opened = OpenStore(location)
     plain = "function" in _record(opened.attributes)
     study = recorded_study(opened.attributes, str(location)) if plain else study_of(location, trust=trust)
-    ledger = opened.ledger()
-    return _Source(location, opened.attributes, study, ledger, ledger.ledger.sums(), Texts(location, ledger.keys))
+    read = opened.ledger()
+    texts = Texts(location, read.keys)
+    return _Source(location, opened.attributes, study, read.ledger, read.failures, read.ledger.sums(), texts)
 
 
 def _record(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -145,7 +143,8 @@ def _study(one: _Source, other: _Source, where: str) -> Study:
     settings = [study.experiment.defaults() | dict(study.fixed) for study in (first, second)]
     differing = [name for name in settings[0] if settings[0][name] != settings[1][name]]
     names = [name for name in dict.fromkeys([*first.axes, *second.axes, *differing]) if name not in axes]
-    rows = list(dict.fromkeys((*_points(first, names), *_points(second, names))))
+    settled = (parameters for study in (first, second) for _, parameters in Grid(study).parameters())
+    rows = list(dict.fromkeys(tuple(parameters[name] for name in names) for parameters in settled))
     columns = {name: list(dict.fromkeys(row[k] for row in rows)) for k, name in enumerate(names)}
     fixed = {name: raw for name, raw in document.get("fixed", {}).items() if name not in names}
     if fixed:
@@ -175,11 +174,6 @@ def _crossed(study: Study) -> dict[str, tuple[Value, ...]]:
     return {name: values for name, values in study.axes.items() if name not in own and name not in zipped}
 
 
-def _points(study: Study, names: Sequence[str]) -> Iterator[tuple[Value, ...]]:
-    for _, parameters in Grid(study).parameters():
-        yield tuple(parameters[name] for name in names)
-
-
 def _ordered(values: Sequence[Value]) -> list[Value]:
     """Return numbers in ascending order, anything else as it is."""
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
@@ -192,35 +186,32 @@ def _written(values: Sequence[Value]) -> list[Any]:
 
 def _rows(one: _Source, other: _Source) -> list[list[bytes]]:
     """Return the blocks to take from each, in the order of their rows; raises SweepError for one with other bits."""
-    mine, theirs = one.ledger.ledger.rows, other.ledger.ledger.rows
+    mine, theirs = one.ledger.rows, other.ledger.rows
     for key in mine.keys() & theirs.keys():
         same = one.sums[mine[key]].tobytes() == other.sums[theirs[key]].tobytes()
         if same and one.study.keeps_samples:
-            same = one.ledger.ledger.samples(key).tobytes() == other.ledger.ledger.samples(key).tobytes()
+            same = one.ledger.samples(key).tobytes() == other.ledger.samples(key).tobytes()
         if not same:
-            place = one.points().get(key[DIGEST])
-            words = "a point" if place is None else describe(one.study, place)
+            places = {point.digest: describe(one.study, point.parameters) for point in Grid(one.study).points()}
+            words = places.get(key[DIGEST], "a point")
             raise SweepError(f"has other numbers than {other.location} at {words}", str(one.location))
     return [sorted(mine, key=mine.__getitem__), sorted(theirs.keys() - mine.keys(), key=theirs.__getitem__)]
 
 
 def _failures(one: _Source, other: _Source) -> dict[bytes, failures.Record]:
     """Return the failures of both, without those of points that the other has computed."""
-    done = [{key[DIGEST] for key in source.ledger.ledger.rows} for source in (one, other)]
-    kept = {digest: record for digest, record in one.ledger.failures.items() if digest not in done[1]}
-    return kept | {
-        digest: record
-        for digest, record in other.ledger.failures.items()
-        if digest not in done[0] and digest not in kept
-    }
+    done = [{key[DIGEST] for key in source.ledger.rows} for source in (one, other)]
+    mine = {digest: record for digest, record in one.failed.items() if digest not in done[1]}
+    theirs = {digest: record for digest, record in other.failed.items() if digest not in done[0]}
+    return mine | theirs | mine
 
 
 def _fill(store: Store, sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> None:
     for source, keys in zip(sources, rows, strict=True):
-        at = source.ledger.ledger.rows
+        at = source.ledger.rows
         for start in range(0, len(keys), ROWS_AT_ONCE):
             part = keys[start : start + ROWS_AT_ONCE]
-            samples = [source.ledger.ledger.samples(key) for key in part] if store.study.keeps_samples else []
+            samples = [source.ledger.samples(key) for key in part] if store.study.keeps_samples else []
             store.append(part, source.sums[[at[key] for key in part]], samples, source.texts)
 
 
@@ -229,7 +220,7 @@ def _codes(sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> list[
     found: list[CodeRecord] = []
     before = 0
     for source, keys in zip(sources, rows, strict=True):
-        at = source.ledger.ledger.rows
+        at = source.ledger.rows
         numbers = [at[key] for key in keys]
         for record in records_of(source.attributes):
             first = before + int(np.searchsorted(numbers, record.first_row))

@@ -7,8 +7,7 @@ from html import escape
 from typing import Any
 
 from sweep.executing.task import TaskResult
-from sweep.planning.plan import Work
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
 from sweep.running.writer import Taken
 
@@ -27,7 +26,6 @@ class NotebookProgress:
     """Shows points done and the time left below the cell that runs."""
 
     def __init__(self) -> None:
-        """Start with nothing shown."""
         self._handle: Any = None
         self._points = self._all_points = 0
         self._shown = 0.0

@@ -5,7 +5,6 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
@@ -15,8 +14,7 @@ from sweep.executing.task import TaskResult
 from sweep.formatting import counted, per_second
 from sweep.interrupt import how_ended
 from sweep.planning.grid import describe
-from sweep.planning.plan import Work
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
 from sweep.running.run_summary import RunSummary, failed_points
 from sweep.running.writer import Taken
@@ -34,12 +32,9 @@ LINE_SHARE = 0.1
 
 
 class TerminalProgress:
-    """Shows points done, realisations per second and the time left: in a bar if ``bar`` and on a terminal, else in a
-    line now and then.
-    """
+    """Shows points done, speed and time left: in a ``bar`` if there is a terminal, else in a line now and then."""
 
     def __init__(self, study: Study, bar: bool = True) -> None:
-        """Prepare to show a run of this study, with a bar on a terminal if ``bar``."""
         self._study = study
         self._once = study.experiment.deterministic
         self._console = Console(stderr=True)
@@ -51,10 +46,8 @@ class TerminalProgress:
     def __enter__(self) -> "TerminalProgress":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._end_bar()
+    def __exit__(self, *_error: object) -> None:
+        self.written()
 
     def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
         """Say what there is to do and where it is done."""
@@ -64,13 +57,10 @@ class TerminalProgress:
         self._points, self._all_points = total.points - pending.points, total.points
         self._work = pending.cost
         held = f", {self._points:,} of them in the store already" if self._points else ""
-        partly = (
-            ", part of the realisations too" if total.points == pending.points and total.blocks > pending.blocks else ""
-        )
-        to_do = counted(
-            pending.points if self._once else pending.realisations, "point" if self._once else "realisation"
-        )
-        self.say(f"{counted(total.points, 'point')}{held}{partly}; {to_do} to do on {where}")
+        begun = total.points == pending.points and total.blocks > pending.blocks
+        partly = ", part of the realisations too" if begun else ""
+        number, noun = (pending.points, "point") if self._once else (pending.realisations, "realisation")
+        self.say(f"{counted(total.points, 'point')}{held}{partly}; {counted(number, noun)} to do on {where}")
         if self._with_bar and pending.blocks:
             columns = (BarColumn(), TextColumn("{task.description}"), _Left(self._eta))
             self._bar = Progress(*columns, console=self._console, transient=True)
@@ -90,8 +80,7 @@ class TerminalProgress:
         if result.said:
             self._tell_what_was_said(works, result)
         if self._bar is not None:
-            total = (self._bar.tasks[0].total or 0.0) + taken.more.cost
-            self._bar.update(self._task, advance=taken.done.cost, total=total, description=self._description())
+            self._bar.update(self._task, advance=taken.done.cost, total=self._work, description=self._description())
         if now - self._said > min(max(LINE_FIRST_S, LINE_SHARE * (now - self._begun)), LINE_LAST_S):
             self._said = now
             line = f"{self._description()}, {_left_in_words(self._eta, now)}"
@@ -99,7 +88,9 @@ class TerminalProgress:
 
     def written(self) -> None:
         """Take the bar away."""
-        self._end_bar()
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
 
     def _tell_points(self, taken: Taken) -> None:
         if not taken.failed and not SENTENCES.isEnabledFor(logging.DEBUG):
@@ -126,7 +117,7 @@ class TerminalProgress:
 
     def stopped(self, signal: str, store: object) -> None:
         """Say what an interrupted run leaves, and how to go on."""
-        self._end_bar()
+        self.written()
         done_so_far = self._summary.done
         what = counted(done_so_far.points, "point") if self._once else f"{done_so_far.realisations:,} realisations"
         kept = f"{what} of this run {'is' if what == '1 point' else 'are'} kept in {store}"
@@ -135,7 +126,7 @@ class TerminalProgress:
 
     def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
         """Say what the run took, why points failed (``failures`` by their place), and which ``commands`` come next."""
-        self._end_bar()
+        self.written()
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
             for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}{further}"):
@@ -156,11 +147,6 @@ class TerminalProgress:
         number, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
         share = f" ({100.0 * done.cost / self._work:.0f} % of the work)" if self._work > 0.0 and not self._once else ""
         return f"{self._points:,}/{self._all_points:,} points{share}, {per_second(number, elapsed, noun)}"
-
-    def _end_bar(self) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
 
 
 class _Left(ProgressColumn):

@@ -1,6 +1,5 @@
 """The study of an existing store, and one of its points computed again in this process."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -8,12 +7,11 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from sweep.contract import Experiment, GeneratorPair, ResultError, SweepError, shown, suggest
-from sweep.executing.task import TaskResult
+from sweep.contract import ResultError, SweepError, Value, shown, suggest
+from sweep.executing.task import TaskResult, failed
 from sweep.executing.worker import function_values, run_block
 from sweep.formatting import first_of
 from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.results import Flat
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.failing import failing
 from sweep.planning.grid import Grid, describe
@@ -88,21 +86,11 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     study = _study_of(opened, trust)
     place = place_of(study, at, str(store))
     own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
-    fixed = {name: value for name, value in study.fixed.items() if name not in study.axes}
-    alone = replace(
-        study,
-        axes={},
-        zipped=(),
-        points=None,
-        excluded=(),
-        fixed=fixed | own,
-        published=None,
-        claims=(),
-        conclusion=None,
-    )
-    alone = as_recorded(alone, opened.attributes)
-    result = compute(Plan(Grid(alone)))
-    stored = opened.dataset().isel(_indices(study, place))
+    alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **own}, published=None)
+    result = compute(Plan(Grid(as_recorded(alone, opened.attributes))))
+    axes = study.dimensions
+    indices = {name: rows.index(tuple(place[axis] for axis in axes[name])) for name, rows in Grid(study).rows.items()}
+    stored = opened.dataset().isel(indices)
     status = Status(int(stored["status"]))
     other_code = differences_of_code(opened.attributes, study)
     differences = None
@@ -125,7 +113,7 @@ def compute(plan: Plan) -> xr.Dataset:
     with threadpool_limits(1):  # as everywhere: the last bits depend on it
         while tasks := pending.take(1):
             for work in tasks[0]:
-                result = _result(plan.grid.study, work)
+                result = _as_rows(plan.grid.study, work)
                 texts |= result.texts
                 for row, point in enumerate(work.points):
                     more = accumulator.add(point, work.block, result.sums[row], result.samples.get(row))
@@ -141,30 +129,30 @@ def _with_layout(plan: Plan) -> Plan:
     if not isinstance(study.experiment, FunctionExperiment) or not study.experiment.undeclared:
         return plan
     [[work]] = Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(1)
-    first = _values(study, study.experiment, work)[0]
+    first = _computed(study, work).values[0]
     return plan.of(replace(study, experiment=study.experiment.with_layout(first.layout)))
 
 
-def _result(study: Study, work: Work) -> TaskResult:
-    if not isinstance(study.experiment, FunctionExperiment):
-        points = [point.parameters for point in work.points]
-        rows, _ = run_block(study.experiment, points, work.block.n_sim, _generators(study, work))
-        return TaskResult(rows, np.zeros(len(rows)))
-    flats = _values(study, study.experiment, work)
-    values = TaskResult(np.empty((0, 0)), np.zeros(len(flats)), values=dict(enumerate(flats)))
-    result = as_rows(study.experiment, [work], values)
+def _as_rows(study: Study, work: Work) -> TaskResult:
+    result = _computed(study, work)
+    if isinstance(study.experiment, FunctionExperiment):
+        result = as_rows(study.experiment, [work], result)
     for failure in result.failures.values():
         raise ResultError(failure.message)
     return result
 
 
-def _values(study: Study, experiment: FunctionExperiment, work: Work) -> list[Flat]:
+def _computed(study: Study, work: Work) -> TaskResult:
+    """Return what a worker returns, but raise whatever the experiment raises."""
+    experiment, n_sim = study.experiment, work.block.n_sim
     points = [point.parameters for point in work.points]
-    return function_values(experiment, points, work.block.n_sim, _generators(study, work))
-
-
-def _generators(study: Study, work: Work) -> list[GeneratorPair]:
-    return generators_of(study.sampling.seed, work.points[0].stream, work.block)
+    pairs = generators_of(study.sampling.seed, work.points[0].stream, work.block)
+    result = failed(len(points), experiment.sums_width)
+    if isinstance(experiment, FunctionExperiment):
+        result.values.update(enumerate(function_values(experiment, points, n_sim, pairs)))
+    else:
+        result.sums, _ = run_block(experiment, points, n_sim, pairs)
+    return result
 
 
 def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
@@ -178,12 +166,12 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
             hint = suggest(name, list(study.axes)) if study.axes else ""
             problems.append(f"--at {name}: is not an axis{hint or f'; axes are {_listed(study.axes)}'}")
         else:
-            given[name] = _on_axis(study.experiment, study.axes, name, text, problems)
-    fitting = {
-        dimension: [values for values in rows if all(given.get(n, v) == v for n, v in zip(axes, values, strict=True))]
-        for dimension, axes in study.dimensions.items()
-        for rows in [dict.fromkeys(zip(*(study.axes[name] for name in axes), strict=True))]
-    }
+            given[name] = _on_axis(study, name, text, problems)
+    grid = Grid(study)
+    fitting: dict[str, list[tuple[Value, ...]]] = {}
+    for dimension, rows in grid.rows.items():
+        wanted = {k: given[name] for k, name in enumerate(grid.dimensions[dimension]) if name in given}
+        fitting[dimension] = [row for row in dict.fromkeys(rows) if all(row[k] == v for k, v in wanted.items())]
     if not problems:
         problems += [
             f"--at: {dimension} needs a value, one of {_listed(study.axes.get(dimension) or range(len(rows)))}"
@@ -197,7 +185,7 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
     parameters = study.experiment.defaults() | dict(study.fixed)
     for dimension, axes in study.dimensions.items():
         parameters |= dict(zip(axes, fitting[dimension][0], strict=True))
-    if any(all(c.holds(parameters[c.name]) for c in clause) for clause in study.excluded):
+    if grid.excludes(parameters):
         raise SweepError(f"--at {shown(at)}: the study excludes this point", where)
     return parameters
 
@@ -212,25 +200,15 @@ def _row(study: Study, text: str, problems: list[str]) -> dict[str, Any]:
     return {name: study.axes[name][int(text)] for name in study.points.names}
 
 
-def _on_axis(
-    experiment: Experiment, axes: Mapping[str, Sequence[Any]], name: str, text: str, problems: list[str]
-) -> Any:
+def _on_axis(study: Study, name: str, text: str, problems: list[str]) -> Any:
     try:
-        value = experiment.parameter(name).parse(parse_value(text))
+        value = study.experiment.parameter(name).parse(parse_value(text))
     except ValueError as error:
         problems.append(f"--at {error}")
         return None
-    if value not in axes[name]:
-        problems.append(f"--at {name} = {shown(value)}: not on the axis, which has {_listed(axes[name])}")
+    if value not in study.axes[name]:
+        problems.append(f"--at {name} = {shown(value)}: not on the axis, which has {_listed(study.axes[name])}")
     return value
-
-
-def _indices(study: Study, place: Mapping[str, Any]) -> dict[str, int]:
-    """Return where along each dimension a point stands."""
-    return {
-        dimension: list(zip(*(study.axes[name] for name in axes), strict=True)).index(tuple(place[n] for n in axes))
-        for dimension, axes in study.dimensions.items()
-    }
 
 
 def _listed(values: Any) -> str:

@@ -12,7 +12,7 @@ from sweep.attributes import described, short_meaning
 from sweep.contract import Array, Output, Parameter
 from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.typed import typed_array
+from sweep.functions.layout import EXACT_INT
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.grid import Grid
 from sweep.planning.plan import Plan, ledger_key
@@ -21,6 +21,10 @@ from sweep.studies.form import printed_rounding
 from sweep.studies.study import POINT
 
 dask_arrays_only_where_imported()  # before the first dataset that is made here; `snapshot.decode` does for those read
+
+
+MISSING_INT = np.iinfo(np.int64).min
+"""Stands for a missing integer where some integer of the array is too large to be a float."""
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
@@ -37,15 +41,12 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     variables: dict[str, Any] = {}
     results: Mapping[str, Array] = {}
     if done.any():
-        n_cat = np.full(int(done.sum()), float(study.sampling.n_cat))
-        results = experiment.results(
-            grid.with_repeats(accumulator.total)[done], realisations[done].astype(float), n_cat
-        )
+        sums, n = grid.with_repeats(accumulator.total)[done], realisations[done].astype(float)
+        results = experiment.results(sums, n, np.full(len(n), float(study.sampling.n_cat)))
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name says it already
-        shape = experiment.shape_of(output)
-        values = typed_array(results.get(output.name), done, shape, texts)
+        values = typed_array(results.get(output.name), done, experiment.shape_of(output), texts)
         variables[output.name] = _variable(grid, values, output)
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
@@ -55,6 +56,32 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     variables["status"][2].update(flag_values=list(map(int, Status)), flag_meanings=" ".join(s.word for s in Status))
     variables |= _published(grid)
     return xr.Dataset(variables, coords=_coordinates(grid))
+
+
+def typed_array(
+    results: NDArray[Any] | None, done: NDArray[np.bool_], shape: tuple[int, ...], texts: Mapping[bytes, str]
+) -> NDArray[Any]:
+    """Return an array (points, *shape) with the results (done points, *shape) at the points that are done.
+
+    Floats and times are NaN and NaT elsewhere, texts empty.  Integers and truth values keep their type where all points
+    are done; else they become floats with NaN, or stay integers with `MISSING_INT` where one is beyond 2**53.
+    ``texts`` are those that digests in the results stand for.
+    """
+    missing: Any = np.nan
+    if results is None:
+        return np.full((len(done), *shape), missing)
+    if results.dtype.kind == "V":
+        known = [texts[digest.tobytes()] for digest in results.reshape(-1)]
+        results, missing = np.array(known, dtype=object).reshape(results.shape), ""
+    elif results.dtype.kind == "M":
+        missing = np.datetime64("NaT", "ns")
+    elif done.all():
+        return np.array(results.reshape(len(done), *shape))
+    elif results.dtype.kind == "i" and np.any((results > EXACT_INT) | (results < -EXACT_INT)):
+        missing = MISSING_INT
+    found = np.full((len(done), *shape), missing, dtype=object if isinstance(missing, str) else None)
+    found[done] = results
+    return found
 
 
 def assemble_samples(
@@ -67,26 +94,21 @@ def assemble_samples(
     grid = plan.grid
     experiment, sampling = grid.study.experiment, grid.study.sampling
     kept = np.full((len(grid), sampling.n_cat, sampling.n_sim, experiment.samples_width), np.nan)
-    flat_status = status.reshape(-1)
-    for point in grid.points():
-        if flat_status[point.index] != Status.DONE:
-            continue
-        start: dict[int, int] = {}
-        for block in plan.blocks(plan.cost(point.parameters)):
-            first = start.get(block.group, 0)
+    for point in grid.points(np.flatnonzero(status == Status.DONE)):
+        cost = plan.cost(point.parameters)
+        for block in plan.blocks(cost):
+            first = plan.realisations(cost, block.part)
             catalogues = slice(block.first_catalogue, block.first_catalogue + block.n_cat)
             drawn = samples(ledger_key(point.digest, block)).reshape(block.n_cat, block.n_sim, -1)
             kept[point.index, catalogues, first : first + block.n_sim] = drawn
-            start[block.group] = first + block.n_sim
     kept = grid.with_repeats(kept)
     variables: dict[str, Any] = {}
     column = 0
     for output in experiment.sample_outputs:
         size = experiment.size_of(output)
-        shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *(len(experiment.coordinates[d]) for d in output.dims))
+        shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *experiment.shape_of(output))
         values = kept[..., column : column + size].reshape(shape)
-        attributes = _attributes(output)
-        variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, attributes)
+        variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, _attributes(output))
         column += size
     return variables
 
@@ -120,24 +142,17 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)
-            text = parameter.kind == "str" or isinstance(study.axes[name][0], str)
-            values = np.array(
-                [str(v) for v in study.axes[name]] if text else study.axes[name], object if text else None
-            )
-            coordinates[name] = (dimension, values, _attributes(parameter))
+            values: Any = study.axes[name]
+            if parameter.kind == "str" or isinstance(values[0], str):
+                values = np.array([str(value) for value in values], dtype=object)
+            coordinates[name] = (dimension, np.array(values), _attributes(parameter))
     layout = experiment.layout if isinstance(experiment, FunctionExperiment) else None
     for coordinate in layout.coordinates if layout is not None else ():
-        unit = "" if coordinate.type == "datetime" else coordinate.unit
-        about = described(unit, coordinate.name.replace("_", " "))
+        about = described(coordinate.unit, coordinate.name.replace("_", " "))
         coordinates[coordinate.name] = (coordinate.name, coordinate.array(), about)
     for dimension, labels in experiment.coordinates.items():
-        if dimension in coordinates:
-            continue
-        coordinates[dimension] = (
-            dimension,
-            np.array(labels, dtype=object),
-            described("", dimension.replace("_", " ")),
-        )
+        about = described("", dimension.replace("_", " "))
+        coordinates.setdefault(dimension, (dimension, np.array(labels, dtype=object), about))
     for dimension, units in experiment.component_units.items():
         about = described("", f"unit of each {dimension.replace('_', ' ')}")
         coordinates[f"{dimension}_unit"] = (dimension, np.array(units, dtype=object), about)
@@ -145,9 +160,7 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
 
 
 def _published(grid: Grid) -> dict[str, Any]:
-    """Return variables ``NAME_published`` and ``NAME_published_rounding`` for every output that the study's published
-    table has a column of.
-    """
+    """Return ``NAME_published`` and ``NAME_published_rounding`` of each output with a column of published numbers."""
     study = grid.study
     if study.published is None:
         return {}
@@ -186,10 +199,11 @@ def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) ->
         if column not in outputs and column not in study.axes and not _same(settings[column], text):
             return None
     place = []
-    for axes in grid.dimensions.values():
+    for dimension, rows in grid.rows.items():
+        axes = grid.dimensions[dimension]
         matches = [
             i
-            for i, values in enumerate(zip(*(study.axes[a] for a in axes), strict=True))
+            for i, values in enumerate(rows)
             if all(a not in row or _same(value, row[a]) for a, value in zip(axes, values, strict=True))
         ]
         if len(matches) != 1:

@@ -1,7 +1,7 @@
 """Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
 
-from collections.abc import Callable, Collection, Sequence
-from contextlib import AbstractContextManager, ExitStack, suppress
+from collections.abc import Collection, Sequence
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -14,8 +14,7 @@ from sweep.functions.adapter import FunctionExperiment
 from sweep.interrupt import watched
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan, Work
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Plan, Survey, Work
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import Done, as_rows, first_results
@@ -36,35 +35,27 @@ if TYPE_CHECKING:
 
 
 class Progress(Protocol):
-    """Who watches a run."""
+    """Who watches a run; what such a class leaves out does nothing."""
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
         """Work begins, at the place that ``where`` names, with so many workers if that is known."""
+        return
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """A task's result is in the ledger."""
+        return
 
     def written(self) -> None:
         """All results are on disk; the workers are about to end."""
+        return
 
     def say(self, text: str) -> None:
         """Tell something in a sentence."""
+        return
 
 
-class Silent:
+class Silent(Progress):
     """Watches nothing."""
-
-    def start(self, survey: Survey, where: str, workers: int | None) -> None:
-        """Do nothing."""
-
-    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
-        """Do nothing."""
-
-    def written(self) -> None:
-        """Do nothing."""
-
-    def say(self, text: str) -> None:
-        """Do nothing."""
 
 
 def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:
@@ -73,10 +64,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     """
     plan = Plan(make_grid(study))
     found = find_store(store, study)
-    plan = _as_stored(plan, found)
-    opened = None if found is None else Store(found, plan.grid.study)
-    if opened is not None and not accept_code:
-        check_code(opened, study)
+    plan, opened = _with_store(plan, found, accept_code)
     if study.points is not None and found is not None and part_of_larger(found, plan.grid) is None:
         check_points(found, study)
     return plan, _accumulator(plan, opened).survey
@@ -115,11 +103,8 @@ def run_study(
                 raise
             return _left_alone(part, store, progress)
         found = replace_store(store, study, provenance(study)) if fresh else find_store(store, study)
-        plan = plan if fresh else _as_stored(plan, found)
+        plan, opened = _with_store(plan, found, accept_code)
         study = plan.grid.study
-        opened = None if found is None else Store(found, study)
-        if opened is not None and not accept_code:
-            check_code(opened, study)
         if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:
             return _left_alone(part, store, progress)
         if found is not None:
@@ -138,36 +123,25 @@ def run_study(
         accumulator = _accumulator(plan, opened, again) if first else accumulator
         if unused := len(opened.rows) - accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-        return _computed(plan, accumulator, opened, first, place, run, progress, interruptions.held, tuning)
+        writer = Writer(accumulator, opened, interruptions.held, tuning=tuning)
+        return _computed(writer, first, place, run, progress)
 
 
 def _computed(
-    plan: Plan,
-    accumulator: Accumulator,
-    store: Store,
-    first: Sequence[Done],
-    place: Place,
-    run: Executor,
-    progress: Progress,
-    held: Callable[[], AbstractContextManager[None]],
-    tuning: Tuning,
+    writer: Writer, first: Sequence[Done], place: Place, run: Executor, progress: Progress
 ) -> "tuple[xr.Dataset, dict[str, str]]":
-    """Compute what is pending into an open store, after the results that came first, and return the dataset and the
-    failures.
-    """
-    pending = Pending(plan, accumulator, tuning)
-    writer = Writer(plan, accumulator, pending, store, held, tuning=tuning)
+    """Compute what is pending, after the first results; return the dataset and the failures."""
     try:
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
         for works, result in first:
             _take(writer, progress, works, result)
-        results = run(pending.take)
-        if accumulator.survey.pending.blocks:
+        results = run(writer.pending.take)
+        if writer.accumulator.survey.pending.blocks:
             writer.write()  # so that there is a labelled, if empty, dataset from the start
         with writer:
             for given, result in results:
-                _take(writer, progress, pending.settle(given, result.seconds), result)
+                _take(writer, progress, writer.pending.settle(given, result.seconds), result)
         dataset = writer.write(final=True)
         progress.written()
         return dataset, writer.failures()
@@ -188,12 +162,19 @@ def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: Tas
     progress.advance(works, result, writer.take(works, result))
 
 
-def _as_stored(plan: Plan, found: OpenStore | None) -> Plan:
-    """Return the plan of a plain function with the layout of results that its store holds."""
-    study = plan.grid.study
-    if found is None or not study.experiment.undeclared:
-        return plan
-    return plan.of(as_recorded(study, found.attributes))
+def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple[Plan, Store | None]:
+    """Return a plan, that of a plain function with the layout of results that its store holds, and the open store.
+
+    Raises SweepError for a store that other code made unless ``accept_code``.
+    """
+    if found is None:
+        return plan, None
+    if plan.grid.study.experiment.undeclared:
+        plan = plan.of(as_recorded(plan.grid.study, found.attributes))
+    opened = Store(found, plan.grid.study)
+    if not accept_code:
+        check_code(opened, plan.grid.study)
+    return plan, opened
 
 
 def _opened(place: Where, store: Store | None, plan: Plan) -> Store:

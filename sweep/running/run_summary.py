@@ -52,7 +52,6 @@ class RunSummary:
     """Adds up a run from its results."""
 
     def __init__(self, study: Study) -> None:
-        """Start with nothing done."""
         self.done = PlanSize(0, 0, 0, 0.0)
         self.busy = 0.0
         self._study = study
@@ -67,15 +66,12 @@ class RunSummary:
         points = [point for work in works for point in work.points]
         self.busy += float(result.seconds.sum())
         for point, seconds in zip(points, result.seconds.tolist(), strict=True):
-            self._count(point, seconds)
-
-    def _count(self, point: GridPoint, seconds: float) -> None:
-        if point.index >= len(self._seconds):
-            self._seconds.extend([0.0] * (point.index + 1 - len(self._seconds)))
-        self._seconds[point.index] += seconds
-        self._slowest[point.index] = point
-        if len(self._slowest) > 40 * SLOWEST:
-            self._slowest = {index: self._slowest[index] for index in self._slowest_indices()}
+            if point.index >= len(self._seconds):
+                self._seconds.extend([0.0] * (point.index + 1 - len(self._seconds)))
+            self._seconds[point.index] += seconds
+            self._slowest[point.index] = point
+            if len(self._slowest) > 40 * SLOWEST:
+                self._slowest = {index: self._slowest[index] for index in self._slowest_indices()}
 
     def _slowest_indices(self) -> list[int]:
         return heapq.nlargest(SLOWEST, self._slowest, key=self._seconds.__getitem__)

@@ -17,7 +17,7 @@ from sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_facto
 from sweep.executing.choose import Resources
 from sweep.executing.execute import available_cores
 from sweep.executing.pools import DEFAULT_POOL, PoolName
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Survey
 from sweep.running.run import Silent, run_study
 from sweep.studies.provenance import now, provenance
 from sweep.studies.study import Study
@@ -37,11 +37,9 @@ class _Clock(Silent):
     ended: float = 0.0
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
-        """Note the moment."""
         self.started = time.perf_counter()
 
     def written(self) -> None:
-        """Note the moment."""
         self.ended = time.perf_counter()
 
 
@@ -152,12 +150,9 @@ def _dataset(kinds: Sequence[str], workers: NDArray[np.int64], timed: Array) -> 
     }
     variables = {}
     for name, (array, unit, meaning) in values.items():
-        attributes = described(unit, meaning)
-        variables[name] = (("kind", "workers"), np.median(array, axis=2), attributes)
-        if array.shape[2] >= FEWEST_SAMPLES:
-            count = array.shape[2]
+        variables[name] = (("kind", "workers"), np.median(array, axis=2), described(unit, meaning))
+        if (count := array.shape[2]) >= FEWEST_SAMPLES:
             of_mean = array.var(axis=2, ddof=1) * small_sample_factor(count) / count
             error = np.sqrt(MEDIAN_OVER_MEAN * of_mean)
             variables[f"{name}_error"] = (("kind", "workers"), error, described(unit, f"error of {name}"))
-    coordinates = {"kind": np.array(kinds, dtype=object), "workers": workers}
-    return xr.Dataset(variables, coords=coordinates)
+    return xr.Dataset(variables, coords={"kind": np.array(kinds, dtype=object), "workers": workers})

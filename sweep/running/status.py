@@ -81,11 +81,8 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -
     study = recorded_study(opened.attributes, str(opened.location))
     grid = Grid(study)
     axes = {
-        dimension: [
-            dict(zip(names, map(_plain, values), strict=True))
-            for values in zip(*(study.axes[name] for name in names), strict=True)
-        ]
-        for dimension, names in grid.dimensions.items()
+        dimension: [dict(zip(grid.dimensions[dimension], map(_plain, row), strict=True)) for row in rows]
+        for dimension, rows in grid.rows.items()
     }
     units = {name: study.experiment.parameter(name).unit for name in study.axes}
     if same is not None:
@@ -101,7 +98,6 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -
 
 
 def _points_of(dataset: xr.Dataset) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-    """Return the status and the realisations of each point of a dataset."""
     status = dataset["status"].values
     return status, dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int)
 

@@ -62,10 +62,8 @@ def _places(dataset: "xr.Dataset", dimension: str, axes: tuple[str, ...], grid: 
     """Return where along a dimension of the dataset the values of a study's axes stand, or None where one does not."""
     if any(name not in dataset.coords or dataset[name].dims != (dimension,) for name in axes):
         return None
-    rows = zip(*(dataset[name].values.tolist() for name in axes), strict=True)
-    stored: dict[tuple[Value, ...], int] = {}
-    for place, values in enumerate(rows):
-        stored.setdefault(values, place)
+    rows = list(zip(*(dataset[name].values.tolist() for name in axes), strict=True))
+    stored = {values: place for place, values in reversed(list(enumerate(rows)))}  # of equal ones the first
     wanted = zip(*([_as_stored(dataset, name, v) for v in grid.study.axes[name]] for name in axes), strict=True)
     try:
         return [stored[values] for values in wanted]

@@ -1,6 +1,4 @@
-"""The one writer of a run: results into the ledger as they come, on disk every second, as labelled dataset now and
-then.
-"""
+"""The one writer of a run: results into the ledger as they come, on disk every second, as a dataset now and then."""
 
 import json
 import time
@@ -8,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from threading import Event, RLock, Thread
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +15,7 @@ from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.failing import failing
 from sweep.planning.grid import AT_ONCE, GridPoint, describe
-from sweep.planning.plan import Block, Plan, PlanSize, Work
+from sweep.planning.plan import Block, PlanSize, Work, ledger_key
 from sweep.planning.point_status import Status
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
@@ -32,15 +30,13 @@ if TYPE_CHECKING:
 
 MAX_FAILURES_NAMED = 1000
 
-KEPT = ("merged",)
+KEPT = ("merged", "started")
 """Attributes of a store that stay whatever goes on with it."""
 
 
 @dataclass(frozen=True)
 class Taken:
-    """How much a task did, how much more its results made known, the points that it finished or failed, and why these
-    failed, by their index.
-    """
+    """What a task did, what more its results made known, which points it ended, and why some failed, by their index."""
 
     done: PlanSize
     more: PlanSize
@@ -49,7 +45,7 @@ class Taken:
 
 
 class Writer:
-    """Takes the results of tasks in whatever order they arrive, and puts what they make known into ``pending``.
+    """Takes the results of tasks, in whatever order they arrive, and puts what they make known into ``pending``.
 
     ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
     manager it makes results durable also while this thread waits for the next ones, or computes them.
@@ -57,21 +53,20 @@ class Writer:
 
     def __init__(
         self,
-        plan: Plan,
         accumulator: Accumulator,
-        pending: Pending,
         store: Store,
         held: Callable[[], AbstractContextManager[None]] = nullcontext,
         further: Mapping[str, Any] = MappingProxyType({}),
         tuning: Tuning = TUNED,
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
+        plan = accumulator.plan
         self.plan, self.accumulator, self.store = plan, accumulator, store
-        self._pending, self._held, self._tuning = pending, held, tuning
-        self._provenance = provenance(plan.grid.study) | {RECORD: recorded(plan.grid.study, plan.costs())}
+        self.pending = Pending(plan, accumulator, tuning)
+        self._held, self._tuning = held, tuning
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
-        self._provenance |= {**kept, **further}
-        self._provenance["started"] = store.attributes.get("started", self._provenance["started"])
+        record = {RECORD: recorded(plan.grid.study, plan.costs())}
+        self._provenance = provenance(plan.grid.study) | record | kept | dict(further)
         self._flushed = self._written = time.monotonic()
         self._write_took = 0.0
         self._long_write = False
@@ -87,21 +82,19 @@ class Writer:
         Thread(target=self._flush_late, name="flush", daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._ended.set()
 
     def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
         """Add a task's results."""
         points = [(point, work.block) for work in works for point in work.points]
-        keys = [key for work in works for key in work.ledger_keys()]
+        keys = [ledger_key(point.digest, block) for point, block in points]
         clock = time.monotonic()
         with self._held(), self._lock:
             good, ended, added = self._add(works, points, result)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
-            self._pending.add(added)
+            self.pending.add(added)
             samples = [result.samples[row] for row in good if result.samples]
             self.store.append([keys[row] for row in good], result.sums[good], samples, result.texts)
             self._unflushed = True
@@ -123,7 +116,9 @@ class Writer:
         added: list[Work] = []
         for row, (point, block) in enumerate(points):
             if (failure := result.failures.get(row)) is not None:
-                ends = self._fail(point, failure)
+                ends = self.accumulator.is_missing(point.index)  # else it was given up already
+                if ends:
+                    self._fail(point, failure)
             else:
                 good.append(row)
                 more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
@@ -201,33 +196,21 @@ class Writer:
     def failures(self) -> dict[str, str]:
         """Return the points of this study that failed, by their place on the axes, and why."""
         grid, records = self.plan.grid, self.store.failures
-        failed = (
-            grid.point(int(index))
-            for index in np.flatnonzero(self.accumulator.status == Status.FAILED)[:MAX_FAILURES_NAMED]
-        )
-        return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in failed}
+        failed = np.flatnonzero(self.accumulator.status == Status.FAILED)[:MAX_FAILURES_NAMED]
+        return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
     def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
         """Let those of some finished points fail whose results are not what the experiment declares; return why."""
         found = failing(self.accumulator, indices) if indices else {}
         failures = {index: failure_of(error) for index, error in found.items()}
         for index, failure in failures.items():
-            self.accumulator.fail(index)
-            self._record(self.plan.grid.point(index), failure)
+            self._fail(self.plan.grid.point(index), failure)
         return failures
 
-    def _fail(self, point: GridPoint, failure: Failure) -> bool:
-        """Record why a point cannot be computed; return whether it was not given up already."""
-        if not self.accumulator.is_missing(point.index):
-            return False
+    def _fail(self, point: GridPoint, failure: Failure) -> None:
         self.accumulator.fail(point.index)
-        self._record(point, failure)
-        return True
-
-    def _record(self, point: GridPoint, failure: Failure) -> None:
-        record = {"kind": failure.kind, "message": failure.message, "traceback": failure.traceback}
         place = describe(self.plan.grid.study, point.parameters)
-        self.store.fail(point.digest, {"place": place, **record, "host": host(), "when": now()})
+        self.store.fail(point.digest, {"place": place, **vars(failure), "host": host(), "when": now()})
 
 
 def _size(works: Sequence[Work], points: int) -> PlanSize:

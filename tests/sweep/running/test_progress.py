@@ -13,8 +13,7 @@ from sweep.cli import main
 from sweep.executing.task import TaskResult
 from sweep.formatting import per_second
 from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Block, PlanSize, Work
-from sweep.planning.survey import Survey
+from sweep.planning.plan import Block, PlanSize, Survey, Work
 from sweep.running.eta import in_words
 from sweep.running.progress import SENTENCES, TerminalProgress
 from sweep.running.run_summary import RunSummary, failed_points
