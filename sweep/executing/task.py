@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sweep.contract import NotFiniteError, ResultError
 from sweep.executing.captured import Captured
 from sweep.functions.results import Flat
-from sweep.planning.plan import Block
+from sweep.planning.block import Block
 
 MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
 """Characters that are kept of what an experiment says when it fails."""

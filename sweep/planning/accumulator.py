@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Array, Value
+from sweep.planning.block import Block, ledger_key
 from sweep.planning.block_rows import BlockRows
 from sweep.planning.grid import AT_ONCE, GridPoint
-from sweep.planning.plan import Block, Plan, PlanSize, Survey, Work, cost_together, ledger_key
+from sweep.planning.plan import Plan, PlanSize, Survey, Work, cost_together
 from sweep.planning.point_status import Status
 from sweep.planning.precision import wanted_parts
 

@@ -1,13 +1,13 @@
 """The plan of a study: points cut into blocks, each with its own random stream."""
 
 import math
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
 from sweep.contract import SweepError, Value
+from sweep.planning.block import Block
 from sweep.planning.grid import Grid, GridPoint
 from sweep.planning.point_cache import PointCache
 from sweep.studies.study import Study
@@ -40,27 +40,6 @@ MAX_CATALOGUES = 16
 LARGEST_BLOCK = 2**28
 """Random numbers in a block of one catalogue at most: setting up a catalogue costs some tens of realisations of it, so
 a block has more than that, but a few seconds of work are all that an interruption may cost."""
-
-
-class Block(NamedTuple):
-    """A point's realisations ``part`` of the catalogues of one ``group``: the unit of work, ledger and resuming.
-
-    Catalogues are numbered from ``first_catalogue``; each gets ``n_sim`` realisations from a stream of its own.
-
-    >>> Block(group=0, part=1, first_catalogue=0, n_cat=16, n_sim=512).realisations
-    8192
-    """
-
-    group: int
-    part: int
-    first_catalogue: int
-    n_cat: int
-    n_sim: int
-
-    @property
-    def realisations(self) -> int:
-        """Realisations in this block."""
-        return self.n_cat * self.n_sim
 
 
 class Work(NamedTuple):
@@ -230,14 +209,6 @@ def cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanS
             for k, (cost, left) in enumerate(piece):
                 total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
     return total
-
-
-def ledger_key(digest: bytes, block: Block) -> bytes:
-    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues, realisations of each.
-
-    Two runs agree on a key if and only if the block's sums are the same numbers.
-    """
-    return digest + struct.pack("<4I", block.group, block.part, block.n_cat, block.n_sim)
 
 
 def _doublings(sims: int) -> int:

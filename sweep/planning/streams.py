@@ -17,7 +17,7 @@ from numpy.random.bit_generator import ISpawnableSeedSequence
 from numpy.typing import NDArray
 
 from sweep.contract import GeneratorPair
-from sweep.planning.plan import Block
+from sweep.planning.block import Block
 
 Words = NDArray[np.uint32]
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from sweep.contract import Array
 from sweep.planning.accumulator import Accumulator
+from sweep.planning.block import Block
 from sweep.planning.grid import GridPoint
-from sweep.planning.plan import MOST_SHARING, TARGET, Block, Plan, Work
+from sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work
 from sweep.planning.tuning import TUNED, Tuning
 
 TASK_S = 1.0

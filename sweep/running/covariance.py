@@ -10,7 +10,8 @@ import numpy as np
 from sweep.attributes import described
 from sweep.contract import FEWEST_SAMPLES, Array, Output
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.plan import Block, Plan, ledger_key
+from sweep.planning.block import Block, ledger_key
+from sweep.planning.plan import Plan
 from sweep.planning.point_status import Status
 
 LARGEST = 10**7

@@ -14,8 +14,9 @@ from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.layout import EXACT_INT
 from sweep.planning.accumulator import Accumulator
+from sweep.planning.block import ledger_key
 from sweep.planning.grid import Grid
-from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.plan import Plan
 from sweep.planning.point_status import Status
 from sweep.studies.form import printed_rounding
 from sweep.studies.study import POINT

@@ -13,9 +13,10 @@ import numpy as np
 
 from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.planning.accumulator import Accumulator
+from sweep.planning.block import Block, ledger_key
 from sweep.planning.failing import failing
 from sweep.planning.grid import AT_ONCE, GridPoint, describe
-from sweep.planning.plan import Block, PlanSize, Work, ledger_key
+from sweep.planning.plan import PlanSize, Work
 from sweep.planning.point_status import Status
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from sweep.code_identity import code_differences, code_of
 from sweep.contract import SweepError
 from sweep.planning.accumulator import Accumulator
-from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.block import ledger_key
+from sweep.planning.plan import Plan
 from sweep.planning.point_status import Status
 from sweep.stores.store import CODE, Store
 from sweep.studies.study import Study

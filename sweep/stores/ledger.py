@@ -1,4 +1,4 @@
-"""The ledger of finished blocks: ``index`` says who a row is (32 bytes as `plan.ledger_key`) and at which row of
+"""The ledger of finished blocks: ``index`` says who a row is (32 bytes as `ledger_key`) and at which row of
 ``samples`` its realisations begin (8 bytes), ``sums`` are the block's sums, ``samples`` the realisations themselves,
 where a study keeps them.  ``digests`` bind them: the digest of a row of the index with its sums (16 bytes), and of the
 same with its samples, so that a chunk that stands where another belongs is found.

@@ -5,8 +5,9 @@ import xarray as xr
 
 from sweep.executing.worker import run_block
 from sweep.planning.accumulator import Accumulator
+from sweep.planning.block import ledger_key
 from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan, ledger_key
+from sweep.planning.plan import Plan
 from sweep.planning.streams import generators_of
 from sweep.running.covariance import covariances
 from sweep.running.results import assemble

@@ -8,7 +8,7 @@ import pytest
 from sweep.executing.task import PointBlock, Task
 from sweep.executing.together import MOST_CATALOGUES, alike
 from sweep.executing.worker import run_task
-from sweep.planning.plan import Block
+from sweep.planning.block import Block
 from sweep.session import keep
 from tests.sweep.coins import experiment, toss
 

@@ -11,8 +11,9 @@ import pytest
 
 from sweep.contract import Experiment, Output, Parameter
 from sweep.planning.accumulator import Accumulator
+from sweep.planning.block import Block, ledger_key
 from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Block, Plan, ledger_key
+from sweep.planning.plan import Plan
 from sweep.planning.point_status import Status
 from sweep.planning.work_queue import Pending
 from sweep.studies.reader import study_from_dict

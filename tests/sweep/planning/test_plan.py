@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from sweep.contract import SweepError
 from sweep.planning.accumulator import Accumulator
+from sweep.planning.block import ledger_key
 from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan, ledger_key
+from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan
 from sweep.planning.tuning import TUNED
 from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
 from sweep.studies.reader import load_study, study_from_dict

@@ -12,8 +12,9 @@ from click.testing import CliRunner
 from sweep.cli import main
 from sweep.executing.task import TaskResult
 from sweep.formatting import per_second
+from sweep.planning.block import Block
 from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Block, PlanSize, Survey, Work
+from sweep.planning.plan import PlanSize, Survey, Work
 from sweep.running.eta import in_words
 from sweep.running.progress import SENTENCES, TerminalProgress
 from sweep.running.run_summary import RunSummary, failed_points

@@ -21,7 +21,7 @@ chance = {{ start = 0.2, stop = 0.8, num = {chances} }}
 n_sim = 1
 """
 
-MEASURED = """
+MEASURED = r"""
 import re, resource, runpy, sys
 sys.argv = ["sweep", *sys.argv[1:]]
 try:
