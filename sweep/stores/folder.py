@@ -14,7 +14,7 @@ UNFINISHED = ".partial"
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder of this machine."""
+    """A folder of this machine; `get` and the like take the names of files in it, as ``a/b/c``."""
 
     path: Path
 
@@ -57,12 +57,12 @@ class Folder:
             os.close(folder)
 
     def put_all(self, files: Mapping[str, bytes]) -> None:
-        """Write files one by one."""
+        """Write files one by one, each in one step too, but without waiting for the disk."""
         for key, content in files.items():
             self._write(key, content, durable=False)
 
     def create(self, key: str, content: bytes) -> bool:
-        """Write a file unless there is one, by linking a finished one to its name."""
+        """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self.path / key
         path.parent.mkdir(parents=True, exist_ok=True)
         with _finished(path, content, durable=True) as temporary:
@@ -75,8 +75,9 @@ class Folder:
         return True
 
     def swap(self, key: str, old: bytes, new: bytes) -> bool:
-        """Replace a file that still holds ``old``: who has the system's lock on the very file that is to go may do
-        so.
+        """Replace a file that still holds ``old``: who has the system's lock on the very file that is to go may do so.
+
+        Return whether it did; of two who try only one does.
         """
         path = self.path / key
         try:
@@ -99,7 +100,7 @@ class Folder:
         (self.path / key).unlink(missing_ok=True)
 
     def keys(self, under: str = "") -> list[str]:
-        """Return the names of all finished files below a folder of it."""
+        """Return the names of all finished files that begin with ``under``, a name with a slash at its end or empty."""
         found: list[str] = []
         for folder, _, names in os.walk(self.path / under, onerror=_raise_unless_missing):
             relative = Path(folder).relative_to(self.path)
@@ -115,7 +116,7 @@ class Folder:
         return self.path.is_dir() and all(p.name.endswith(UNFINISHED) and p.is_file() for p in self.path.iterdir())
 
     def obstacle(self) -> str | None:
-        """Say whether there is a file in the way, or a folder around it that cannot be written."""
+        """Say what keeps a store from being made here: a file in the way, or a folder that cannot be written."""
         if self.path.exists():
             return None if self.path.is_dir() else "is a file, not a Zarr store"
         parent = next(p for p in self.path.absolute().parents if p.exists())
