@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from sweep.contract import Array
 from sweep.planning.block_rows import KEY_BYTES, BlockRows
-from sweep.stores.chunked_rows import Column, DamagedError
+from sweep.stores.checksums import DamagedError, noting
+from sweep.stores.chunked_rows import Column
 from sweep.stores.ledger_arrays import DIGEST_BYTES, KINDS, START_BYTES
 
 AT_ONCE = 2**16
@@ -37,10 +38,8 @@ class Ledger:
         damaged: dict[str, str] = {}
         read: dict[str, NDArray[Any]] = {}
         for name in columns.keys() - {"samples"}:
-            try:
+            with noting(damaged):
                 read[name] = columns[name].read()
-            except DamagedError as error:
-                damaged |= error.files
         if damaged:
             raise DamagedError(damaged)
         index = read["index"]
@@ -73,7 +72,7 @@ class Ledger:
         same = (_digests(index, self._sums) == digests[:, :DIGEST_BYTES]).all(axis=1)
         there = index.any(axis=1) & digests.any(axis=1) & ~np.isnan(self._sums).all(axis=1)
         if len(wrong := np.flatnonzero(there & ~same)):
-            numbers = sorted(set((wrong // self._columns["sums"].layout.rows).tolist()))
+            numbers = sorted(set((wrong // self._columns["sums"].chunk_rows).tolist()))
             raise DamagedError({self._columns["sums"].key(number): ELSEWHERE for number in numbers})
         return np.asarray(same)
 
@@ -100,9 +99,7 @@ class Ledger:
         if "digests" in self._columns:
             digest = self._columns["digests"].part(row, row + 1)[0, DIGEST_BYTES:]
             if not np.array_equal(digest, _digests(_index_rows([key], [start]), [samples])[0]):
-                size = column.layout.rows
-                numbers = range(start // size, -(-(start + count) // size))
-                raise DamagedError({column.key(number): ELSEWHERE for number in numbers})
+                raise DamagedError({column.key(n): ELSEWHERE for n in column.numbers(start, start + count)})
         return samples
 
     def verify(self) -> None:
@@ -112,10 +109,8 @@ class Ledger:
         self._columns["samples"].verify()
         damaged: dict[str, str] = {}
         for key in sorted(self.rows, key=self.rows.__getitem__):  # in the order of the samples
-            try:
+            with noting(damaged):
                 self.samples(key)
-            except DamagedError as error:
-                damaged |= error.files
         if damaged:
             raise DamagedError(damaged)
 
@@ -141,7 +136,7 @@ class Ledger:
         """Write all digests, durably, into an array of them, which the ledgers of format 2 do not have."""
         self.flush()
         index, sums = self._columns["index"].read(), self.sums()
-        rows = np.zeros((self._next, digests.layout.width), dtype=np.uint8)
+        rows = np.zeros((self._next, digests.width), dtype=np.uint8)
         for key, row in sorted(self.rows.items(), key=lambda item: item[1]):
             rows[row, :DIGEST_BYTES] = _digests(index[row : row + 1], sums[row : row + 1])
             if "samples" in self._columns:
@@ -163,10 +158,10 @@ class Ledger:
             return np.ones(len(starts), dtype=bool)
         column = self._columns["samples"]
         ends = starts + counts
-        there = np.zeros(-(-max(len(column), int(ends.max())) // column.layout.rows) + 1, dtype=np.int64)
+        there = np.zeros(-(-max(len(column), int(ends.max())) // column.chunk_rows) + 1, dtype=np.int64)
         there[sorted(column.chunks)] = 1
         before = np.concatenate([[0], np.cumsum(there)])
-        first, last = starts // column.layout.rows, -(-ends // column.layout.rows)
+        first, last = starts // column.chunk_rows, -(-ends // column.chunk_rows)
         return np.asarray(before[last] - before[first] == last - first)
 
 

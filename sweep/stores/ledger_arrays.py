@@ -6,7 +6,8 @@ import numpy as np
 
 from sweep.contract import Experiment
 from sweep.planning.block_rows import KEY_BYTES
-from sweep.stores.chunked_rows import Column, Layout
+from sweep.stores.checksums import noting
+from sweep.stores.chunked_rows import Column
 from sweep.stores.location import Location
 
 START_BYTES = 8
@@ -15,13 +16,8 @@ FEWEST_ROWS = 64
 CHUNK_BYTES = {"index": 2**20, "digests": 2**20, "sums": 2**21, "samples": 2**22}
 """Few files for many blocks, against what each flush writes again."""
 
-KINDS: dict[str, tuple[str, float]] = {
-    "samples": ("float64", np.nan),
-    "sums": ("float64", np.nan),
-    "digests": ("uint8", 0),
-    "index": ("uint8", 0),
-}
-"""Kind and fill value of each array, in the order of writing."""
+KINDS = {"samples": "float64", "sums": "float64", "digests": "uint8", "index": "uint8"}
+"""What each array is of, in the order of writing."""
 
 
 def shapes_of(experiment: Experiment, *, keep_samples: bool) -> dict[str, list[int]]:
@@ -34,19 +30,15 @@ def shapes_of(experiment: Experiment, *, keep_samples: bool) -> dict[str, list[i
 
 
 def _rows(name: str, width: int) -> int:
-    row = width if KINDS[name][0] == "uint8" else 8 * max(width, 1)
+    row = width if KINDS[name] == "uint8" else 8 * max(width, 1)
     return int(max(FEWEST_ROWS, 2 ** int(np.log2(max(1.0, CHUNK_BYTES[name] / row)))))
 
 
 def columns_of(location: Location, shapes: Mapping[str, Sequence[int]], keys: Collection[str]) -> dict[str, Column]:
     """Return the arrays of a ledger, in the order of writing, with their chunks among the names of all files."""
     return {
-        name: Column(
-            location,
-            Layout(f"blocks/{name}", shapes[name][1], shapes[name][0], *kind),
-            [key for key in keys if key.startswith(f"blocks/{name}/")],
-        )
-        for name, kind in KINDS.items()
+        name: Column(location, f"blocks/{name}", shapes[name], dtype, keys)
+        for name, dtype in KINDS.items()
         if name in shapes
     }
 
@@ -57,9 +49,7 @@ def damaged_descriptions(columns: Iterable[Column], documents: Mapping[str, byte
     """
     damaged: dict[str, str] = {}
     for column in columns:
-        try:
+        with noting(damaged, column.description):
             if documents[column.description] is not None or column.chunks:
                 column.check_description(documents[column.description])
-        except ValueError as error:
-            damaged[column.description] = str(error)
     return damaged

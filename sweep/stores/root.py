@@ -90,16 +90,6 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
     return dict(attributes) if attributes.get("linksweep_format") in (FORMAT, UNBOUND) else None
 
 
-def damaged_copy(content: bytes | None) -> dict[str, str]:
-    """Return what is wrong with the ledger's copy, nothing where it was not written yet."""
-    try:
-        if content is not None:
-            unsealed(content, COPY)
-        return {}
-    except ValueError as error:
-        return {COPY: str(error)}
-
-
 def _refuse_other_formats(content: bytes, where: str) -> None:
     """Raise SweepError for a document of another format, which may have its checksum elsewhere."""
     try:

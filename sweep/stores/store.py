@@ -183,7 +183,7 @@ class Store:
             self._ledger.bind(columns["digests"])
             for column in columns.values():
                 if column.chunks:
-                    self.location.put(column.description, column.described(len(column) // column.layout.rows))
+                    self.location.put(column.description, column.described(column.end))
             self._failures_changed = bool(self.failures)
             self.flush()
             self._is_bound = True

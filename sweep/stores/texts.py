@@ -4,7 +4,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 
 from sweep.functions.values import text_digest
-from sweep.stores.checksums import group_document, sealed, unsealed
+from sweep.stores.checksums import group_document, noting, sealed, unsealed
 from sweep.stores.location import Location
 
 FOLDER = "blocks/texts"
@@ -27,10 +27,8 @@ class Texts(Mapping[bytes, str]):
         self.damaged: dict[str, str] = {}
         found = files(keys)
         for file, content in location.get_all(found).items():
-            try:
+            with noting(self.damaged, file):
                 self._known |= read(content, file)
-            except ValueError as error:
-                self.damaged[file] = str(error)
         self._number = 1 + max((int(match[1]) for key in found if (match := _FILE.fullmatch(key))), default=-1)
 
     def __getitem__(self, digest: bytes) -> str:
