@@ -14,7 +14,7 @@ BYTES_UNBOUND = 8
 """Of the checksums of store format 2, which knew nothing of the name of the file."""
 
 
-class DamagedError(Exception):
+class DamagedError(ValueError):
     """Files that are not what was written; ``files`` maps their names to what is wrong."""
 
     def __init__(self, files: dict[str, str]) -> None:

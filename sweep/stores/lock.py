@@ -62,7 +62,7 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     ``break_lock`` takes it from a holder that cannot be judged, never from another process that runs on this host.
     """
     location = located(where)
-    mine = _me()
+    mine = Holder(*_this_host(), os.getpid(), _start_of(os.getpid()), now(), command_line(), uuid4().hex)
     with location.parent.tidied():
         with writing(location):
             _take(location, mine, break_lock)
@@ -83,7 +83,7 @@ def holder(where: Where) -> Holder | None:
 
 
 def _take(location: Location, mine: Holder, break_lock: bool) -> None:
-    key, content = _key(location), _as_bytes(mine)
+    key, content = _key(location), json.dumps(asdict(mine), indent=1).encode()
     for _ in range(ATTEMPTS):
         if location.parent.create(key, content):
             return
@@ -130,15 +130,6 @@ def _parsed(content: bytes) -> Holder | None:
         return Holder(**json.loads(content))
     except (ValueError, TypeError):
         return None
-
-
-def _as_bytes(mine: Holder) -> bytes:
-    return json.dumps(asdict(mine), indent=1).encode()
-
-
-def _me() -> Holder:
-    host, boot = _this_host()
-    return Holder(host, boot, os.getpid(), _start_of(os.getpid()), now(), command_line(), uuid4().hex)
 
 
 def _this_host() -> tuple[str, str]:

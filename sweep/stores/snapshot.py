@@ -15,7 +15,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
 from sweep.executing.upstream import dask_arrays_only_where_imported
-from sweep.stores.checksums import SEAL, content_checksum, unsealed
+from sweep.stores.checksums import SEAL, DamagedError, content_checksum, unsealed
 from sweep.stores.chunk_names import ENCODINGS, chunk_key, chunk_places
 from sweep.stores.root import is_bound
 
@@ -95,7 +95,7 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     dask_arrays_only_where_imported()
     checksums = chunk_checksums(root)
     if any(not _is_meant(content, checksums.get(key)) for key, content in contents.items()):
-        raise ValueError(_in_words(damaged_chunks(root, contents)))
+        raise DamagedError(damaged_chunks(root, contents))
     files: dict[str, Any] = {
         key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
     }
@@ -106,13 +106,10 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
     except Exception as error:  # each codec of Zarr has its own
-        raise ValueError(_in_words(damaged_chunks(root, contents)) or str(error)) from error
+        damaged = damaged_chunks(root, contents)
+        raise (DamagedError(damaged) if damaged else ValueError(str(error))) from error
     dataset.attrs.pop(CHECKSUMS, None)
     return dataset
-
-
-def _in_words(damaged: Mapping[str, str]) -> str:
-    return "; ".join(f"{key}: {problem}" for key, problem in damaged.items())
 
 
 def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:

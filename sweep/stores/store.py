@@ -34,13 +34,13 @@ MOST_UNWRITTEN = 2**26
 """Bytes of sums and samples that may wait for the next flush."""
 
 
-class Store:
-    """An open store of one study: what is done, appending to it, and writing the dataset."""
+class Store(OpenStore):
+    """The open store of one study: what is done, appending to it, and writing the dataset."""
 
     def __init__(self, opened: OpenStore, study: Study) -> None:
         """Open the ledger; raises SweepError where files of it are damaged, or it is of another version's shape."""
-        self.location, self.study = opened.location, study
-        self.root = opened.root
+        super().__init__(opened.location, opened.root)
+        self.study = study
         widths, expected = (
             {name: width for name, (_, width) in json.loads(told["ledger"]).items() if name != "digests"}
             for told in (self.attributes, identity(study))
@@ -52,7 +52,7 @@ class Store:
                 str(self.location),
             )
         self._is_bound = is_bound(self.root)
-        ledger = opened.ledger()
+        ledger = self.ledger()
         self._ledger, self.failures, self._copied, keys = ledger.ledger, ledger.failures, ledger.copy, ledger.keys
         self.rows = self._ledger.rows
         self.texts = Texts(self.location, keys)
@@ -65,12 +65,6 @@ class Store:
             raise SweepError(str(error), str(self.location)) from error
         self._digests: dict[str, bytes] = {}
         self._files = chunk_names.leftovers(keys, self._documents)
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """What the root document says."""
-        attributes: dict[str, Any] = self.root["attributes"]
-        return attributes
 
     def _leave_out_rows_without_texts(self) -> None:
         """Count rows as missing whose texts are, so that these points are computed again."""
@@ -160,7 +154,7 @@ class Store:
         )
         with writing(self.location):
             self._bind(json.loads(attributes["ledger"]))
-            self._keep_copy(attributes)
+            self.keep_copy(attributes)
             self._delete(self._files - in_use - described - gone)
             self._write_arrays(
                 {name: array for name, array in named.items() if self._digests.get(name) != digests[name]}
@@ -218,21 +212,20 @@ class Store:
         self.root = {**self.root, "attributes": {**self.attributes, CODE: code}}
         with writing(self.location):
             self.location.put(ROOT, sealed(self.root, ROOT))
-            self._copied = None
-            self._keep_copy(self.attributes)
+        self._copied = None
+        self.keep_copy()
 
-    def keep_copy(self) -> None:
-        """Keep a copy of what the store means in the ledger; raises SweepError where it cannot be written."""
-        with writing(self.location):
-            self._keep_copy(self.attributes)
-
-    def _keep_copy(self, attributes: Mapping[str, Any]) -> None:
-        """Keep a copy if the study has changed since the last one."""
+    def keep_copy(self, attributes: Mapping[str, Any] | None = None) -> None:
+        """Keep a copy of what the store means, by new attributes or its own, in the ledger if the study has changed;
+        raises SweepError where it cannot be written.
+        """
+        attributes = self.attributes if attributes is None else attributes
         decisive = ("study_digest", "linksweep_format", "ledger")
         if self._copied is None or any(self._copied.get(key) != attributes.get(key) for key in decisive):
             left_out = ("failures", "generation", BLOCKS, snapshot.CHECKSUMS)
             copied = {key: value for key, value in attributes.items() if key not in left_out}
-            self.location.put(COPY, sealed(group_document(copied), COPY))
+            with writing(self.location):
+                self.location.put(COPY, sealed(group_document(copied), COPY))
             self._copied = copied
 
 

@@ -25,11 +25,11 @@ class Texts(Mapping[bytes, str]):
         self._bytes = 0
         self._new = False
         self.damaged: dict[str, str] = {}
-        found = files(keys)
-        for file, content in location.get_all(found).items():
+        numbers = {key: int(match[1]) for key in sorted(keys) if (match := _FILE.fullmatch(key))}
+        for file, content in location.get_all(numbers).items():
             with noting(self.damaged, file):
                 self._known |= read(content, file)
-        self._number = 1 + max((int(match[1]) for key in found if (match := _FILE.fullmatch(key))), default=-1)
+        self._number = 1 + max(numbers.values(), default=-1)
 
     def __getitem__(self, digest: bytes) -> str:
         return self._known[digest]
@@ -58,11 +58,6 @@ class Texts(Mapping[bytes, str]):
             file = f"{FOLDER}/{self._number}/zarr.json"
             self._location.put(file, sealed(group_document({"texts": self._last}), file))
             self._new = False
-
-
-def files(keys: Collection[str]) -> list[str]:
-    """Return the names of the documents among those of all files of a store."""
-    return sorted(key for key in keys if _FILE.fullmatch(key))
 
 
 def read(content: bytes | None, file: str) -> dict[bytes, str]:
