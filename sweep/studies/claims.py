@@ -1,14 +1,30 @@
-"""Checks the claims of a study, and the numbers of its conclusion, against its grid and its experiment."""
+"""Checks what a study says of its results: its claims and its conclusion, against its grid and its experiment."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from string import Formatter
+from typing import Any, TypeVar
 
 from sweep.contract import Experiment, Named, Output, Value, shown, suggest
 from sweep.formatting import first_of
-from sweep.studies.form import Claim, Derived, Ratio, Reading, Slope, printed_rounding
+from sweep.studies.form import (
+    Claim,
+    Conclusion,
+    ConclusionValue,
+    Derived,
+    Ratio,
+    Reading,
+    Slope,
+    printed_rounding,
+)
 from sweep.studies.problems import Problems
+
+FORMATS = ("", "error", "%")
+"""What may follow a name: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent."""
+
+KEYS = {Slope: "slope", Ratio: "ratio", Reading: "value"}
+"""The key of each kind of quantity."""
 
 D = TypeVar("D", bound=Derived)
 
@@ -30,35 +46,98 @@ class ClaimContext:
 def checked_claim(claim: Claim, context: ClaimContext, problems: Problems) -> Claim:
     """Return the claim with the values of its axes parsed; ``problems`` takes what is wrong inside the claim."""
     _check_number(claim, problems)
-    return checked_quantity(claim, context, problems)
+    return _checked_quantity(claim, context, problems)
 
 
-def checked_quantity(claim: D, context: ClaimContext, problems: Problems) -> D:
-    """Return what is derived from the grid with the values of its axes parsed, as `checked_claim`."""
-    where = _selection(claim.where, ("where",), context, problems)
-    try:
-        quantity = claim.quantity()
-    except ValueError as error:
-        problems.add((), str(error))
-        return claim
+def checked_conclusion(conclusion: Conclusion, context: ClaimContext, problems: Problems) -> Conclusion:
+    """Return the conclusion with the values of its axes parsed; ``problems`` takes what is wrong in it."""
+    used: set[str] = set()
+    for number, sentence in enumerate(conclusion.sentences):
+        where = ("sentences", number)
+        try:
+            fields = _fields_of(sentence)
+        except ValueError as error:
+            problems.add(where, f"{shown(sentence)}: {error}; {{name}} stands for a value, and {{{{ for a brace")
+            continue
+        for name, form in fields:
+            used.add(name)
+            if name not in conclusion.values:
+                problems.add(where, f"unknown value {shown(name)}{suggest(name, list(conclusion.values))}")
+            if form not in FORMATS:
+                problems.add(where, f"{shown(f'{{{name}:{form}}}')}: after the colon can be error or %")
+    values = {}
+    for name, value in conclusion.values.items():
+        own = problems.inside("values", name)
+        if name not in used:
+            own.add((), f"{shown(name)} is in no sentence")
+        values[name] = _checked_value(value, context, own)
+    return conclusion.model_copy(update={"values": values})
+
+
+def _fields_of(sentence: str) -> list[tuple[str, str]]:
+    """Return the names of the values in a sentence, and how each is written; raises ValueError for stray braces."""
+    found = []
+    for _, name, form, conversion in Formatter().parse(sentence):
+        if name is None:
+            continue
+        if conversion or not name.isidentifier():
+            raise ValueError(f"{shown(name)} is not the name of a value")
+        found.append((name, form or ""))
+    return found
+
+
+def _checked_value(value: ConclusionValue, context: ClaimContext, problems: Problems) -> ConclusionValue:
+    before = len(problems.found)
+    checked = _checked_quantity(value, context, problems)
+    of_quantity = len(problems.found) > before
+    if value.above is not None and value.below is not None and not value.above < value.below:
+        problems.add(("above",), f"{value.above:g} is not less than below = {value.below:g}")
+    if not of_quantity and value.choose is None and (free := _not_fixed(checked, context)):
+        problems.add((), f"{free[0]} has several values; fix it with 'where', or choose the least or largest number")
+    return checked
+
+
+def _not_fixed(value: ConclusionValue, context: ClaimContext) -> list[str]:
+    """Return the axes with several values that nothing fixes, one of each group of zipped axes."""
+    quantity = value.quantity()
+    fixed = {*value.where, *(name for places in _places(quantity).values() for name in places)}
     if isinstance(quantity, Slope):
-        _check_variable(quantity, "slope", context, problems)
-        _check_over(quantity.over, where, context, problems)
-        return claim.model_copy(update={"where": where})
-    if isinstance(quantity, Ratio):
-        _check_variable(quantity, "ratio", context, problems)
-        of, to = (
-            _selection(places, ("ratio", key), context, problems, beside=where)
-            for key, places in (("of", quantity.of), ("to", quantity.to))
-        )
-        if set(quantity.of) != set(quantity.to):
-            problems.add(("ratio",), "'of' and 'to' must give values of the same axes")
-        elif of == to:
-            problems.add(("ratio",), "'of' and 'to' are the same place")
-        return claim.model_copy(update={"where": where, "ratio": quantity.model_copy(update={"of": of, "to": to})})
-    _check_variable(quantity, "value", context, problems)
-    at = _selection(quantity.at, ("value", "at"), context, problems, beside=where)
-    return claim.model_copy(update={"where": where, "value": quantity.model_copy(update={"at": at})})
+        fixed.add(quantity.over)
+    for group in context.zipped:
+        if fixed & set(group):
+            fixed |= set(group)
+    return [
+        name
+        for name, values in context.axes.items()
+        if name not in fixed | context.overridden and values is not None and len(values) > 1
+    ]
+
+
+def _checked_quantity(claim: D, context: ClaimContext, problems: Problems) -> D:
+    """Return what is derived from the grid with the values of its axes parsed."""
+    where = _selection(claim.where, ("where",), context, problems)
+    with problems.at(()):
+        quantity = claim.quantity()
+        key = KEYS[type(quantity)]
+        _check_variable(quantity, key, context, problems)
+        if isinstance(quantity, Slope):
+            _check_over(quantity.over, where, context, problems)
+        found = {
+            name: _selection(places, (key, name), context, problems, beside=where)
+            for name, places in _places(quantity).items()
+        }
+        if isinstance(quantity, Ratio):
+            if set(quantity.of) != set(quantity.to):
+                problems.add((key,), "'of' and 'to' must give values of the same axes")
+            elif found["of"] == found["to"]:
+                problems.add((key,), "'of' and 'to' are the same place")
+        return claim.model_copy(update={"where": where, key: quantity.model_copy(update=found)})
+    return claim
+
+
+def _places(quantity: Slope | Ratio | Reading) -> dict[str, dict[str, Any]]:
+    """Return the places of the grid that a quantity names, by their keys."""
+    return {key: places for key, places in quantity if isinstance(places, dict)}
 
 
 def _check_number(claim: Claim, problems: Problems) -> None:
@@ -136,16 +215,13 @@ def _selection(
         if name not in context.axes and name not in context.overridden:
             problems.add(where, f"{shown(name)} is not an axis{_known_axes(name, context)}")
             continue
-        try:
+        with problems.at(where):
             value = context.experiment.parameter(name).parse(raw)
-        except ValueError as error:
-            problems.add(where, str(error))
-            continue
-        values = context.axes.get(name)
-        if values is not None and name not in context.overridden and value not in values:
-            listed = first_of([shown(value) for value in values], 20)
-            problems.add(where, f"{shown(value)} is not on the axis, which has {listed}")
-        found[name] = value.name if isinstance(value, Named) else value
+            values = context.axes.get(name)
+            if values is not None and name not in context.overridden and value not in values:
+                listed = first_of([shown(value) for value in values], 20)
+                problems.add(where, f"{shown(value)} is not on the axis, which has {listed}")
+            found[name] = value.name if isinstance(value, Named) else value
     return found
 
 

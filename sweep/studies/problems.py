@@ -1,7 +1,8 @@
 """The problems of one study, gathered so that all are told at once, each with its key and its line."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy
 from functools import cache
 
@@ -45,6 +46,17 @@ class Problems:
             source = f"line {line}" if line else None
         key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in whole)
         self.found.append(f"{key}{f' ({source})' if source else ''}: {message}")
+
+    @contextmanager
+    def at(self, place: Place, before: str = "") -> Iterator[None]:
+        """Take what a ValueError or SweepError says as problems of a place, ``before`` which a text may stand."""
+        try:
+            yield
+        except ValueError as error:
+            self.add(place, f"{before}{error}")
+        except SweepError as error:
+            for problem in error.problems:
+                self.add(place, f"{before}{problem}")
 
     def raise_if_any(self) -> None:
         """Raise SweepError with all problems."""

@@ -8,17 +8,15 @@ from typing import Any
 
 from sweep.contract import Experiment, SweepError, Value
 from sweep.load import absolute_reference, read_experiment
-from sweep.studies.claims import ClaimContext, checked_claim
-from sweep.studies.conclusion import checked_conclusion
+from sweep.studies.claims import ClaimContext, checked_claim, checked_conclusion
 from sweep.studies.definitions import defined_values
-from sweep.studies.exclusions import exclusion
 from sweep.studies.form import Form, Sampling
 from sweep.studies.form_reader import read_form
 from sweep.studies.overrides import Overrides, override
 from sweep.studies.points import read_points
 from sweep.studies.problems import Problems
 from sweep.studies.published import read_published
-from sweep.studies.rules import check_sampling, zipped_axes
+from sweep.studies.rules import check_sampling, exclusion, zipped_axes
 from sweep.studies.source import find_study, parsed, read_text, reference_in
 from sweep.studies.study import POINT, PointTable, Study
 from sweep.studies.values import Values
@@ -219,13 +217,10 @@ class _Reader:
             if name in {**form.axes, **form.fixed}:
                 what = "an axis" if name in form.axes else "fixed"
                 self.problems.add(where, f"is {what} too; leave out one of the two")
-            try:
+            with self.problems.at(where):
                 if not (parameter := experiment.parameter(name)).may_be_axis:
                     raise ValueError(f"a {parameter.kind} cannot differ from point to point")
-            except ValueError as error:
-                self.problems.add(where, str(error))
-                continue
-            found[name] = values.several(where, name, raw_values, rows=True)
+                found[name] = values.several(where, name, raw_values, rows=True)
         return found, origin, columns
 
     def _check_required(self, experiment: Experiment, form: Form, points: Mapping[str, object]) -> None:

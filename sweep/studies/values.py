@@ -38,22 +38,19 @@ class Values:
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
         """Return the values of an axis, a list or a range of them; None if any is wrong."""
         place = ("axes", name)
-        try:
+        with self.problems.at(place):
             parameter = self.experiment.parameter(name)
             if not parameter.may_be_axis:
                 raise ValueError(f"a {parameter.kind} cannot be an axis")
             raw_values = axis_values(spec, whole=parameter.kind == "int")
-        except ValueError as error:
-            self.problems.add(place, str(error))
-            return None
-        if not raw_values:
-            self.problems.add(place, "an axis needs at least one value")
-        if (values := self.several(place, name, raw_values)) is None:
-            return None
-        repeated = [shown(value) for value, n in Counter(values).items() if n > 1]
-        if repeated:
-            self.problems.add(place, f"duplicate value{'s' if len(repeated) > 1 else ''} {first_of(repeated, 10)}")
-        return values
+            if not raw_values:
+                self.problems.add(place, "an axis needs at least one value")
+            values = self.several(place, name, raw_values)
+            repeated = [shown(value) for value, n in Counter(values or ()).items() if n > 1]
+            if repeated:
+                self.problems.add(place, f"duplicate value{'s' if len(repeated) > 1 else ''} {first_of(repeated, 10)}")
+            return values
+        return None
 
     def several(
         self, place: Place, name: str, raw_values: Sequence[object], rows: bool = False
