@@ -100,8 +100,7 @@ class Bucket:
     def put_all(self, files: Mapping[str, bytes]) -> None:
         """Write objects, some at a time."""
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            for _ in pool.map(self.put, files.keys(), files.values()):
-                pass
+            list(pool.map(self.put, files.keys(), files.values()))
 
     def create(self, key: str, content: bytes) -> bool:
         """Write an object unless there is one: a put that the server refuses in that case."""

@@ -46,13 +46,9 @@ class Holder:
             return "cannot be judged"
         if self.started:
             return "runs" if _start_of(self.pid) == self.started else "has ended"
-        try:
-            os.kill(self.pid, 0)
-        except ProcessLookupError:
-            return "has ended"
-        except PermissionError:
-            pass  # there is such a process, of another user
-        return "runs"
+        import psutil
+
+        return "runs" if psutil.pid_exists(self.pid) else "has ended"
 
 
 @contextmanager

@@ -48,12 +48,10 @@ def live_study(document: Mapping[str, Any]) -> Study:
     say the same.
     """
     plain: dict[str, Any] = {
-        str(key): value if key == "points" else _plain(value, str(key))
+        str(key): _points(value) if key == "points" else _plain(value, str(key))
         for key, value in document.items()
         if key != "experiment"
     }
-    if "points" in plain:
-        plain["points"] = _points(document["points"])
     given = document.get("experiment", "core.experiment:link")
     plain["experiment"] = given if isinstance(given, str) else reference_of(given)
     name = plain["experiment"].rpartition(":")[2] if isinstance(given, str) else _name_of(given)

@@ -193,12 +193,12 @@ class _Reader:
         if not moved:
             return form
         rest = {key: value for key, value in self.document["sampling"].items() if key not in moved}
-        fixed = {**self.document.get("fixed", {}), **moved}
-        axes = {key: value for key, value in self.document.get("axes", {}).items() if key not in moved}
-        self.document = {**self.document, "sampling": rest, "fixed": fixed, "axes": axes}
+        axes = {key: value for key, value in form.axes.items() if key not in moved}
+        changed = {"sampling": rest, "fixed": form.fixed | moved, "axes": axes}
+        self.document = {**self.document, **changed}
         if not rest:
             del self.document["sampling"]
-        return Form.model_validate(self.document)
+        return form.model_copy(update={**changed, "sampling": Sampling(**rest)})
 
     def _points(
         self, values: Values, form: Form
