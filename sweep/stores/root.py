@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from sweep.contract import SweepError
@@ -92,9 +93,7 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
 
 def _refuse_other_formats(content: bytes, where: str) -> None:
     """Raise SweepError for a document of another format, which may have its checksum elsewhere."""
-    try:
+    with suppress(ValueError, KeyError, TypeError):
         attributes = json.loads(content)["attributes"]
         if isinstance(attributes["linksweep_format"], int):
             check_format(attributes, where)
-    except (ValueError, KeyError, TypeError):
-        return

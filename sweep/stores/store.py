@@ -139,9 +139,12 @@ class Store(OpenStore):
         attributes, arrays = snapshot.encode(dataset)
         digests = {name: array.digest() for name, array in arrays.items()}
         named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
-        attributes |= identity(self.study) | {
+        meaning = identity(self.study)
+        new_shapes, shapes = (json.loads(told["ledger"]) for told in (meaning, self.attributes))
+        shapes = {"digests": new_shapes["digests"]} | shapes  # in format 2 there are none
+        attributes |= meaning | {
             ORIGIN: origin(self.location),
-            "ledger": self._bound_shapes(),
+            "ledger": json.dumps(shapes),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
             "generation": self.attributes.get("generation", 0) + 1,
             BLOCKS: len(self.rows),
@@ -153,7 +156,7 @@ class Store(OpenStore):
             {f"{n}/zarr.json" for n in names} for names in (documents, set(self._documents) - set(documents))
         )
         with writing(self.location):
-            self._bind(json.loads(attributes["ledger"]))
+            self._bind(shapes)
             self.keep_copy(attributes)
             self._delete(self._files - in_use - described - gone)
             self._write_arrays(
@@ -164,11 +167,6 @@ class Store(OpenStore):
             self._delete(gone)
         self._files = in_use | described
         self._documents, self._digests, self.root = documents, digests, root
-
-    def _bound_shapes(self) -> str:
-        """Return the shapes of the ledger's arrays as a store remembers them, with those digests that it may lack."""
-        shapes = json.loads(self.attributes["ledger"])
-        return json.dumps({"digests": json.loads(identity(self.study)["ledger"])["digests"]} | shapes)
 
     def _bind(self, shapes: Mapping[str, Sequence[int]]) -> None:
         """Add what a store of format 2 lacks, before its root document becomes one of today's."""

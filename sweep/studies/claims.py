@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Any, TypeVar
 
-from sweep.contract import Experiment, Named, Output, Value, shown, suggest
+from sweep.contract import Experiment, Named, Value, shown, suggest
 from sweep.formatting import first_of
 from sweep.studies.form import (
     Claim,
@@ -115,22 +115,23 @@ def _not_fixed(value: ConclusionValue, context: ClaimContext) -> list[str]:
 
 def _checked_quantity(claim: D, context: ClaimContext, problems: Problems) -> D:
     """Return what is derived from the grid with the values of its axes parsed."""
-    where = _selection(claim.where, ("where",), context, problems)
+    where = _selection(claim.where, context, problems.inside("where"))
     with problems.at(()):
         quantity = claim.quantity()
         key = KEYS[type(quantity)]
-        _check_variable(quantity, key, context, problems)
+        own = problems.inside(key)
+        _check_variable(quantity, context, own)
         if isinstance(quantity, Slope):
-            _check_over(quantity.over, where, context, problems)
+            _check_over(quantity.over, where, context, own)
         found = {
-            name: _selection(places, (key, name), context, problems, beside=where)
+            name: _selection(places, context, own.inside(name), beside=where)
             for name, places in _places(quantity).items()
         }
         if isinstance(quantity, Ratio):
             if set(quantity.of) != set(quantity.to):
-                problems.add((key,), "'of' and 'to' must give values of the same axes")
+                own.add((), "'of' and 'to' must give values of the same axes")
             elif found["of"] == found["to"]:
-                problems.add((key,), "'of' and 'to' are the same place")
+                own.add((), "'of' and 'to' are the same place")
         return claim.model_copy(update={"where": where, key: quantity.model_copy(update=found)})
     return claim
 
@@ -151,38 +152,30 @@ def _check_number(claim: Claim, problems: Problems) -> None:
         problems.add(("null",), f"{shown(claim.null)}: must be a finite number that is not the published one")
 
 
-def _check_variable(quantity: Slope | Ratio | Reading, kind: str, context: ClaimContext, problems: Problems) -> None:
-    experiment, where = context.experiment, (kind, "variable")
-    outputs = {o.name: o for o in experiment.outputs}
+def _check_variable(quantity: Slope | Ratio | Reading, context: ClaimContext, problems: Problems) -> None:
+    where = ("variable",)
+    outputs = {o.name: o for o in context.experiment.outputs}
     output = outputs.get(quantity.variable)
     if output is None:
         problems.add(where, f"unknown output {shown(quantity.variable)}{suggest(quantity.variable, list(outputs))}")
     elif output.name in context.axes:
         problems.add(where, f"{shown(output.name)} is an axis here, not a result")
-    else:
-        _check_component(output, quantity.component, kind, context, problems)
-
-
-def _check_component(
-    output: Output, component: str | None, kind: str, context: ClaimContext, problems: Problems
-) -> None:
-    if not output.dims:
-        if component is not None:
-            problems.add((kind, "component"), f"{output.name} is one number and has no components")
     elif len(output.dims) > 1:
-        problems.add(
-            (kind, "variable"), f"{output.name} has the dimensions {', '.join(output.dims)}; at most one is allowed"
-        )
+        problems.add(where, f"{output.name} has the dimensions {', '.join(output.dims)}; at most one is allowed")
+    elif not output.dims:
+        if quantity.component is not None:
+            problems.add(("component",), f"{output.name} is one number and has no components")
     else:
         labels = context.experiment.coordinates[output.dims[0]]
-        if component is None:
-            problems.add((kind, "variable"), f"{output.name} needs a component: one of {', '.join(labels)}")
-        elif component not in labels:
-            problems.add((kind, "component"), f"unknown component {shown(component)}{suggest(component, labels)}")
+        if quantity.component is None:
+            problems.add(where, f"{output.name} needs a component: one of {', '.join(labels)}")
+        elif quantity.component not in labels:
+            hint = suggest(quantity.component, labels)
+            problems.add(("component",), f"unknown component {shown(quantity.component)}{hint}")
 
 
 def _check_over(over: str, where: Mapping[str, Value], context: ClaimContext, problems: Problems) -> None:
-    place = ("slope", "over")
+    place = ("over",)
     if over not in context.axes:
         if over not in context.overridden:
             problems.add(place, f"{shown(over)} is not an axis{_known_axes(over, context)}")
@@ -200,16 +193,12 @@ def _check_over(over: str, where: Mapping[str, Value], context: ClaimContext, pr
 
 
 def _selection(
-    places: Mapping[str, object],
-    table: tuple[str, ...],
-    context: ClaimContext,
-    problems: Problems,
-    beside: Collection[str] = (),
+    places: Mapping[str, object], context: ClaimContext, problems: Problems, beside: Collection[str] = ()
 ) -> dict[str, Value]:
     """Return values of axes as the grid has them; ``beside`` are axes of which the claim gives values elsewhere."""
     found: dict[str, Value] = dict.fromkeys(places)  # None where it is wrong
     for name, raw in places.items():
-        where = (*table, name)
+        where = (name,)
         if name in beside:
             problems.add(where, "is given by 'where' too; leave out one of the two")
         if name not in context.axes and name not in context.overridden:

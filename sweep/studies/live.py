@@ -33,11 +33,9 @@ def study_of_function(
     points: Any = None,
 ) -> Study:
     """Return the study of a function, named after it; raises SweepError as `load_study`."""
-    document: dict[str, Any] = {"experiment": function}
-    document |= {} if title is None else {"title": title}
-    document |= {} if points is None else {"points": points}
-    tables = {"axes": axes, "fixed": fixed, "sampling": sampling}
-    return live_study(document | {name: table for name, table in tables.items() if table})
+    tables = {"axes": axes or None, "fixed": fixed or None, "sampling": sampling or None}
+    document = {"experiment": function, "title": title, "points": points, **tables}
+    return live_study({key: value for key, value in document.items() if value is not None})
 
 
 def live_study(document: Mapping[str, Any]) -> Study:

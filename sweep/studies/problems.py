@@ -56,8 +56,3 @@ class Problems:
         except SweepError as error:
             for problem in error.problems:
                 self.add(place, f"{before}{problem}")
-
-    def raise_if_any(self) -> None:
-        """Raise SweepError with all problems."""
-        if self.found:
-            raise SweepError(self.found, self._where)

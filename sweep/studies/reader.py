@@ -143,7 +143,8 @@ class _Reader:
         conclusion = None
         if form.conclusion is not None:
             conclusion = checked_conclusion(form.conclusion, context, self.problems.inside("conclusion"))
-        self.problems.raise_if_any()
+        if self.problems.found:
+            raise SweepError(self.problems.found, self.where)
         return Study(
             name=self.path.stem,
             title=form.title,
