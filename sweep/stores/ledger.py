@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from sweep.contract import Array
 from sweep.planning.block_rows import KEY_BYTES, BlockRows
 from sweep.stores.checksums import DamagedError, noting
-from sweep.stores.chunked_rows import Column
-from sweep.stores.ledger_arrays import DIGEST_BYTES, KINDS, START_BYTES
+from sweep.stores.ledger_arrays import DIGEST_BYTES, KINDS, START_BYTES, Column
 
 ROW = np.dtype([("key", f"V{KEY_BYTES - 8}"), ("n_cat", "<u4"), ("n_sim", "<u4"), ("start", "<u8")])
 """A row of the index: the key ends with how many catalogues there are and with the realisations of each."""

@@ -13,7 +13,7 @@ from sweep.contract import SweepError
 from sweep.stores import chunk_names, failures, snapshot
 from sweep.stores.checksums import DamagedError, noting, unsealed
 from sweep.stores.ledger import Ledger
-from sweep.stores.ledger_arrays import columns_of, damaged_descriptions
+from sweep.stores.ledger_arrays import columns_of
 from sweep.stores.location import Location, Where, located, reading
 from sweep.stores.root import COPY, REPAIR, is_bound, is_new, read_root
 
@@ -87,13 +87,16 @@ class OpenStore:
 
         Raises SweepError that names the files of it which are damaged.
         """
+        damaged: dict[str, str] = {}
         copy: dict[str, Any] | None = None
         with reading(self.location):
             keys = self.location.keys()
             columns = columns_of(self.location, json.loads(self.attributes["ledger"]), keys)
             files = [COPY, failures.FILE, *(column.description for column in columns.values())]
             documents = self.location.get_all(files)
-            damaged = damaged_descriptions(columns.values(), documents)
+            for column in columns.values():
+                with noting(damaged, column.description):
+                    column.check_description(documents[column.description])
             with noting(damaged, COPY):
                 if documents[COPY] is not None:
                     copy = unsealed(documents[COPY], COPY)["attributes"]

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from sweep.contract import SweepError
 from sweep.stores import chunk_names, failures, snapshot
 from sweep.stores.checksums import DamagedError, group_document, noting, sealed, unsealed
-from sweep.stores.chunked_rows import Column
 from sweep.stores.ledger import Ledger, rows_of
-from sweep.stores.ledger_arrays import columns_of, damaged_descriptions
+from sweep.stores.ledger_arrays import Column, columns_of
 from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.stores.lock import holder, locked
 from sweep.stores.opened import UNFINISHED
@@ -108,7 +107,9 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], dict[str, Column
     columns = columns_of(location, json.loads(attributes["ledger"]), keys)
     documents = location.get_all([COPY, failures.FILE, *(column.description for column in columns.values())])
     report.ledger.update(Texts(location, keys).damaged)
-    report.ledger.update(damaged_descriptions(columns.values(), documents))
+    for column in columns.values():
+        with noting(report.ledger, column.description):
+            column.check_description(documents[column.description])
     has_begun = root is None or not is_new(root) or any(column.chunks for column in columns.values())
     if documents[COPY] is None:
         report.identity.update({COPY: "it is missing"} if has_begun else {})
