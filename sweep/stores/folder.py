@@ -80,20 +80,12 @@ class Folder:
         Return whether it did; of two who try only one does.
         """
         path = self.path / key
-        try:
-            descriptor = os.open(path, os.O_RDONLY)
-        except FileNotFoundError:
-            return False
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            if self.get(key) != old or not os.path.samestat(os.fstat(descriptor), path.stat()):
-                return False
-            self._write(key, new, durable=True)
-            return True
-        except FileNotFoundError:
-            return False
-        finally:
-            os.close(descriptor)
+        with suppress(FileNotFoundError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if self.get(key) == old and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                self._write(key, new, durable=True)
+                return True
+        return False
 
     def delete(self, key: str) -> None:
         """Remove a file if there is one."""
@@ -160,12 +152,10 @@ def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
 
 
 def _create_directly(path: Path, content: bytes) -> bool:
-    try:
-        with path.open("xb") as file:
-            file.write(content)
-    except FileExistsError:
-        return False
-    return True
+    with suppress(FileExistsError), path.open("xb") as file:
+        file.write(content)
+        return True
+    return False
 
 
 def _raise_unless_missing(error: OSError) -> None:

@@ -1,4 +1,4 @@
-"""The arrays of a ledger: append-only Zarr arrays of rows, in chunks that are whole files, each replaced in one step."""
+"""The arrays of a ledger: append-only Zarr arrays of rows, whose chunks are whole files, each replaced in one step."""
 
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence

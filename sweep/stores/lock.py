@@ -122,10 +122,9 @@ def _read(location: Location) -> Holder | None:
 
 
 def _parsed(content: bytes) -> Holder | None:
-    try:
+    with suppress(ValueError, TypeError):
         return Holder(**json.loads(content))
-    except (ValueError, TypeError):
-        return None
+    return None
 
 
 def _this_host() -> tuple[str, str]:

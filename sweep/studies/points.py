@@ -126,31 +126,24 @@ def _derived(
     reference: str, columns: Columns, settings: Mapping[str, Any], folder: Path, problems: Problems
 ) -> Columns:
     """Return the columns that a function of the user's gives for each row of a table."""
-    where = ("points", "derive")
-    try:
-        function = load_function(reference, folder)
-    except SweepError as error:
-        for problem in error.problems:
-            problems.add(where, problem)
-        return {}
     found: dict[str, list[Any]] = {}
     names = list(columns)
-    for number, values in enumerate(zip(*columns.values(), strict=True), start=1):
-        try:
-            given = function({**settings, **dict(zip(names, values, strict=True))})
-        except Exception as error:  # whatever a user's function raises
-            problems.add(where, f"row {number}: {reference} raises {type(error).__name__}: {error}")
-            return {}
-        if not isinstance(given, Mapping) or (found and given.keys() != found.keys()):
-            expected = f"a mapping of {', '.join(found)}" if found else "a mapping of parameters to their values"
-            problems.add(where, f"row {number}: {reference} returns {shown(given)}, not {expected}")
-            return {}
-        for name, value in given.items():
-            found.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
-    if twice := sorted(found.keys() & columns.keys()):
-        problems.add(where, f"{', '.join(twice)} is a column already")
-        return {}
-    return found
+    with problems.at(("points", "derive")):
+        function = load_function(reference, folder)
+        for number, values in enumerate(zip(*columns.values(), strict=True), start=1):
+            try:
+                given = function({**settings, **dict(zip(names, values, strict=True))})
+            except Exception as error:  # whatever a user's function raises
+                raise ValueError(f"row {number}: {reference} raises {type(error).__name__}: {error}") from error
+            if not isinstance(given, Mapping) or (found and given.keys() != found.keys()):
+                expected = f"a mapping of {', '.join(found)}" if found else "a mapping of parameters to their values"
+                raise ValueError(f"row {number}: {reference} returns {shown(given)}, not {expected}")
+            for name, value in given.items():
+                found.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
+        if twice := sorted(found.keys() & columns.keys()):
+            raise ValueError(f"{', '.join(twice)} is a column already")
+        return found
+    return {}
 
 
 def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:
