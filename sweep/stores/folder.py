@@ -65,14 +65,16 @@ class Folder:
         """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self.path / key
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _finished(path, content, durable=True) as temporary:
+        with suppress(FileExistsError), _finished(path, content, durable=True) as temporary:
             try:
                 os.link(temporary, path)
             except FileExistsError:
-                return False
+                raise
             except OSError:  # a file system without links
-                return _create_directly(path, content)
-        return True
+                with path.open("xb") as file:
+                    file.write(content)
+            return True
+        return False
 
     def swap(self, key: str, old: bytes, new: bytes) -> bool:
         """Replace a file that still holds ``old``: who has the system's lock on the very file that is to go may do so.
@@ -149,13 +151,6 @@ def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _create_directly(path: Path, content: bytes) -> bool:
-    with suppress(FileExistsError), path.open("xb") as file:
-        file.write(content)
-        return True
-    return False
 
 
 def _raise_unless_missing(error: OSError) -> None:

@@ -42,7 +42,16 @@ class Column:
         self.chunk_rows, self.width = shape
         self._location, self._folder, self._dtype = location, folder, dtype
         self._fill = np.nan if dtype == "float64" else 0
-        self._codec = _Codec((self.chunk_rows, self.width), dtype, self._fill)
+        self._files: dict[str, Any] = {}
+        self._zarr = zarr.create_array(  # in memory: turns a chunk into the content of its file and back
+            MemoryStore(self._files),
+            shape=tuple(shape),
+            chunks=tuple(shape),
+            dtype=dtype,
+            fill_value=self._fill,
+            compressors=[ZstdCodec(level=1), Crc32cCodec()],
+            config={"write_empty_chunks": True},
+        )
         self.chunks = {n for key in keys if key.startswith(folder) and (n := self.number(key)) is not None}
         self._described = self.end if self.description in keys else 0
         self._recent: dict[int, NDArray[Any]] = {}
@@ -125,15 +134,15 @@ class Column:
 
     def write(self, number: int, rows: NDArray[Any]) -> None:
         """Replace a chunk; fewer rows than it has are followed by fill values."""
-        padded = np.concatenate([rows, self.empty(self.chunk_rows - len(rows))])
-        self._location.put(self.key(number), self._codec.encode(padded))
+        self._zarr[...] = np.concatenate([rows, self.empty(self.chunk_rows - len(rows))])
+        self._location.put(self.key(number), bytes(self._files["c/0/0"].to_bytes()))
         self.chunks.add(number)
         self._recent.pop(number, None)
 
     def described(self, chunks: int) -> bytes:
         """Return the description of the array with so many chunks."""
-        document = {**self._codec.document, "shape": [chunks * self.chunk_rows, self.width]}
-        return sealed(document, self.description)
+        document = json.loads(self._files["zarr.json"].to_bytes())
+        return sealed({**document, "shape": [chunks * self.chunk_rows, self.width]}, self.description)
 
     def check_description(self, content: bytes | None) -> None:
         """Raise ValueError unless this describes the array with all its chunks, or was not written yet as they were."""
@@ -171,37 +180,13 @@ class Column:
             try:
                 if content is None:
                     raise ValueError("it has just been removed")
-                found[number] = self._codec.decode(content)
+                self._files["c/0/0"] = cpu.Buffer.from_bytes(content)
+                found[number] = np.asarray(self._zarr[...])
             except Exception as error:  # each codec of Zarr has its own
                 damaged[self.key(number)] = " ".join(str(error).split()) or type(error).__name__
         if damaged:
             raise DamagedError(damaged)
         return found
-
-
-class _Codec:
-    """Turns a chunk into the content of its file and back, by way of a Zarr array in memory: Zstandard, CRC-32C."""
-
-    def __init__(self, shape: tuple[int, int], dtype: str, fill: float) -> None:
-        self._files: dict[str, Any] = {}
-        self._array = zarr.create_array(
-            MemoryStore(self._files),
-            shape=shape,
-            chunks=shape,
-            dtype=dtype,
-            fill_value=fill,
-            compressors=[ZstdCodec(level=1), Crc32cCodec()],
-            config={"write_empty_chunks": True},
-        )
-        self.document = json.loads(self._files["zarr.json"].to_bytes())
-
-    def encode(self, values: NDArray[Any]) -> bytes:
-        self._array[...] = values
-        return bytes(self._files["c/0/0"].to_bytes())
-
-    def decode(self, content: bytes) -> NDArray[Any]:
-        self._files["c/0/0"] = cpu.Buffer.from_bytes(content)
-        return np.asarray(self._array[...])
 
 
 def shapes_of(experiment: Experiment, *, keep_samples: bool) -> dict[str, list[int]]:

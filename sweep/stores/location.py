@@ -33,9 +33,8 @@ def located(where: Where) -> Location:
         try:
             from sweep.stores.bucket import bucket_at
         except ImportError as error:
-            raise SweepError(
-                f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})", address
-            ) from error
+            missing = f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})"
+            raise SweepError(missing, address) from error
         return bucket_at(address)
     scheme, separator, _ = address.partition("://")
     if separator:

@@ -5,7 +5,6 @@ The ledger is the truth.  Only the client writes, under the lock of `sweep.store
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from sweep.contract import Array, SweepError
@@ -95,13 +94,7 @@ class Store(OpenStore):
         with reading_ledger(self.location):
             self._ledger.verify()
 
-    def append(
-        self,
-        keys: Sequence[bytes],
-        sums: Array,
-        samples: Sequence[Array] = (),
-        texts: Mapping[bytes, str] = MappingProxyType({}),
-    ) -> None:
+    def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array], texts: Mapping[bytes, str]) -> None:
         """Add finished blocks, with their samples if the study keeps them, and the texts in them by their digests; they
         are durable after the next `flush`.
         """
@@ -159,9 +152,7 @@ class Store(OpenStore):
             self._bind(shapes)
             self.keep_copy(attributes)
             self._delete(self._files - in_use - described - gone)
-            self._write_arrays(
-                {name: array for name, array in named.items() if self._digests.get(name) != digests[name]}
-            )
+            self._write_arrays({name: named[name] for name in named if self._digests.get(name) != digests[name]})
             root = snapshot.root_document(attributes, documents)
             self.location.put(ROOT, sealed(root, ROOT))
             self._delete(gone)

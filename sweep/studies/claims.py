@@ -8,25 +8,17 @@ from typing import Any, TypeVar
 
 from sweep.contract import Experiment, Named, Value, shown, suggest
 from sweep.formatting import first_of
-from sweep.studies.form import (
-    Claim,
-    Conclusion,
-    ConclusionValue,
-    Derived,
-    Ratio,
-    Reading,
-    Slope,
-    printed_rounding,
-)
+from sweep.studies import form
 from sweep.studies.problems import Problems
 
 FORMATS = ("", "error", "%")
 """What may follow a name: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent."""
 
-KEYS = {Slope: "slope", Ratio: "ratio", Reading: "value"}
+Quantity = form.Slope | form.Ratio | form.Reading
+KEYS = {form.Slope: "slope", form.Ratio: "ratio", form.Reading: "value"}
 """The key of each kind of quantity."""
 
-D = TypeVar("D", bound=Derived)
+D = TypeVar("D", bound=form.Derived)
 
 
 @dataclass(frozen=True)
@@ -43,13 +35,13 @@ class ClaimContext:
     overridden: frozenset[str]
 
 
-def checked_claim(claim: Claim, context: ClaimContext, problems: Problems) -> Claim:
+def checked_claim(claim: form.Claim, context: ClaimContext, problems: Problems) -> form.Claim:
     """Return the claim with the values of its axes parsed; ``problems`` takes what is wrong inside the claim."""
     _check_number(claim, problems)
     return _checked_quantity(claim, context, problems)
 
 
-def checked_conclusion(conclusion: Conclusion, context: ClaimContext, problems: Problems) -> Conclusion:
+def checked_conclusion(conclusion: form.Conclusion, context: ClaimContext, problems: Problems) -> form.Conclusion:
     """Return the conclusion with the values of its axes parsed; ``problems`` takes what is wrong in it."""
     used: set[str] = set()
     for number, sentence in enumerate(conclusion.sentences):
@@ -59,12 +51,12 @@ def checked_conclusion(conclusion: Conclusion, context: ClaimContext, problems: 
         except ValueError as error:
             problems.add(where, f"{shown(sentence)}: {error}; {{name}} stands for a value, and {{{{ for a brace")
             continue
-        for name, form in fields:
+        for name, written in fields:
             used.add(name)
             if name not in conclusion.values:
                 problems.add(where, f"unknown value {shown(name)}{suggest(name, list(conclusion.values))}")
-            if form not in FORMATS:
-                problems.add(where, f"{shown(f'{{{name}:{form}}}')}: after the colon can be error or %")
+            if written not in FORMATS:
+                problems.add(where, f"{shown(f'{{{name}:{written}}}')}: after the colon can be error or %")
     values = {}
     for name, value in conclusion.values.items():
         own = problems.inside("values", name)
@@ -77,16 +69,16 @@ def checked_conclusion(conclusion: Conclusion, context: ClaimContext, problems: 
 def _fields_of(sentence: str) -> list[tuple[str, str]]:
     """Return the names of the values in a sentence, and how each is written; raises ValueError for stray braces."""
     found = []
-    for _, name, form, conversion in Formatter().parse(sentence):
+    for _, name, written, conversion in Formatter().parse(sentence):
         if name is None:
             continue
         if conversion or not name.isidentifier():
             raise ValueError(f"{shown(name)} is not the name of a value")
-        found.append((name, form or ""))
+        found.append((name, written or ""))
     return found
 
 
-def _checked_value(value: ConclusionValue, context: ClaimContext, problems: Problems) -> ConclusionValue:
+def _checked_value(value: form.ConclusionValue, context: ClaimContext, problems: Problems) -> form.ConclusionValue:
     before = len(problems.found)
     checked = _checked_quantity(value, context, problems)
     of_quantity = len(problems.found) > before
@@ -97,11 +89,11 @@ def _checked_value(value: ConclusionValue, context: ClaimContext, problems: Prob
     return checked
 
 
-def _not_fixed(value: ConclusionValue, context: ClaimContext) -> list[str]:
+def _not_fixed(value: form.ConclusionValue, context: ClaimContext) -> list[str]:
     """Return the axes with several values that nothing fixes, one of each group of zipped axes."""
     quantity = value.quantity()
     fixed = {*value.where, *(name for places in _places(quantity).values() for name in places)}
-    if isinstance(quantity, Slope):
+    if isinstance(quantity, form.Slope):
         fixed.add(quantity.over)
     for group in context.zipped:
         if fixed & set(group):
@@ -121,13 +113,13 @@ def _checked_quantity(claim: D, context: ClaimContext, problems: Problems) -> D:
         key = KEYS[type(quantity)]
         own = problems.inside(key)
         _check_variable(quantity, context, own)
-        if isinstance(quantity, Slope):
+        if isinstance(quantity, form.Slope):
             _check_over(quantity.over, where, context, own)
         found = {
             name: _selection(places, context, own.inside(name), beside=where)
             for name, places in _places(quantity).items()
         }
-        if isinstance(quantity, Ratio):
+        if isinstance(quantity, form.Ratio):
             if set(quantity.of) != set(quantity.to):
                 own.add((), "'of' and 'to' must give values of the same axes")
             elif found["of"] == found["to"]:
@@ -136,13 +128,13 @@ def _checked_quantity(claim: D, context: ClaimContext, problems: Problems) -> D:
     return claim
 
 
-def _places(quantity: Slope | Ratio | Reading) -> dict[str, dict[str, Any]]:
+def _places(quantity: Quantity) -> dict[str, dict[str, Any]]:
     """Return the places of the grid that a quantity names, by their keys."""
     return {key: places for key, places in quantity if isinstance(places, dict)}
 
 
-def _check_number(claim: Claim, problems: Problems) -> None:
-    if not math.isfinite(printed_rounding(claim.published)) or not math.isfinite(float(claim.published)):
+def _check_number(claim: form.Claim, problems: Problems) -> None:
+    if not math.isfinite(form.printed_rounding(claim.published)) or not math.isfinite(float(claim.published)):
         problems.add(("published",), f"{shown(claim.published)}: must be a number as printed, in quotes, like '0.60'")
     if (claim.tolerance is None) != (claim.tolerance_reason is None):
         problems.add(("tolerance",), "a tolerance needs a tolerance_reason, and the other way round")
@@ -152,7 +144,7 @@ def _check_number(claim: Claim, problems: Problems) -> None:
         problems.add(("null",), f"{shown(claim.null)}: must be a finite number that is not the published one")
 
 
-def _check_variable(quantity: Slope | Ratio | Reading, context: ClaimContext, problems: Problems) -> None:
+def _check_variable(quantity: Quantity, context: ClaimContext, problems: Problems) -> None:
     where = ("variable",)
     outputs = {o.name: o for o in context.experiment.outputs}
     output = outputs.get(quantity.variable)

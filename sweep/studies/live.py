@@ -121,15 +121,16 @@ def _points(given: Any) -> dict[str, Any]:
             return _plain_table(given, "points")
         quantities, units = columns_of({name: column for name, column in given.items() if is_quantity(column)})
         columns = _plain_table({name: quantities.get(name, column) for name, column in given.items()}, "points")
-        return {"columns": columns, **({"units": units} if units else {})}
-    if hasattr(given, "colnames"):
+    elif hasattr(given, "colnames"):
         columns, units = columns_of({name: given[name] for name in given.colnames})
-        return {"columns": columns, **({"units": units} if units else {})}
-    if hasattr(given, "columns") and hasattr(given, "to_dict"):
+    elif hasattr(given, "columns") and hasattr(given, "to_dict"):
         if twice := given.columns[given.columns.duplicated()].tolist():
             raise SweepError(f"points: two columns are called {shown(twice[0])}")
-        return {"columns": {str(name): _with_gaps(given[name]) for name in given.columns}}
-    raise SweepError(f"points = {shown(given)}: must be a DataFrame, a Table, a mapping of columns, a file or a design")
+        columns, units = {str(name): _with_gaps(given[name]) for name in given.columns}, {}
+    else:
+        wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
+        raise SweepError(f"points = {shown(given)}: {wanted}")
+    return {"columns": columns, **({"units": units} if units else {})}
 
 
 def _with_gaps(series: Any) -> list[Any]:

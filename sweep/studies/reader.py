@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,7 @@ from sweep.studies.form_reader import read_form
 from sweep.studies.overrides import Overrides, override
 from sweep.studies.points import read_points
 from sweep.studies.problems import Problems
-from sweep.studies.published import read_published
-from sweep.studies.rules import check_sampling, exclusion, zipped_axes
+from sweep.studies.rules import check_sampling, exclusion, read_published, zipped_axes
 from sweep.studies.source import find_study, parsed, read_text, reference_in
 from sweep.studies.study import POINT, PointTable, Study
 from sweep.studies.values import Values
@@ -64,14 +63,15 @@ def load_study(
         text = read_text(path)
         document = parsed(text, path)
     overrides = override(document, settings, axes, points, design, ranges)
-    return _Reader(document, text, path, overrides, where=function).study()
+    return _Reader(document, text, path, function or str(path), overrides).study()
 
 
 def study_from_dict(document: Mapping[str, Any], name: str = "study", where: str | None = None) -> Study:
     """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError, which says
     ``where``, as `load_study`.
     """
-    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", Overrides(), where=where).study()
+    path = Path.cwd() / f"{name}.toml"
+    return _Reader(dict(document), "", path, where or str(path), Overrides()).study()
 
 
 def study_of_attributes(
@@ -93,26 +93,22 @@ def study_of_attributes(
     laid = Overrides()
     if overrides:
         laid = Overrides((overrides,), {(table, k): "" for table in ("axes", "fixed") for k in document.get(table, {})})
-    return replace(_Reader(document, text, Path(where), laid, experiment).study(), name=name)
+    return replace(_Reader(document, text, Path(where), where, laid, experiment).study(), name=name)
 
 
+@dataclass
 class _Reader:
     """Reads one document into a Study, gathering every problem on the way."""
 
-    def __init__(
-        self,
-        document: dict[str, Any],
-        text: str,
-        path: Path,
-        overrides: Overrides,
-        experiment: Callable[[str], Experiment] | None = None,
-        where: str | None = None,
-    ) -> None:
-        self.find_experiment = experiment
-        self.document, self.text, self.path = document, text, path
-        self.where = where or str(path)
-        self.problems = Problems(self.where, text, overrides.problems, overrides.by_place)
-        self.overrides = overrides.written
+    document: dict[str, Any]
+    text: str
+    path: Path
+    where: str
+    overrides: Overrides
+    find_experiment: Callable[[str], Experiment] | None = None
+
+    def __post_init__(self) -> None:
+        self.problems = Problems(self.where, self.text, self.overrides.problems, self.overrides.by_place)
 
     def study(self) -> Study:
         form = read_form(self.document, self.problems)
@@ -134,12 +130,10 @@ class _Reader:
         published = None
         if form.published is not None:
             published = read_published(form.published, self.path.parent, experiment, axes, self.problems)
-        check_sampling(form.sampling, experiment, self.problems)
+        check_sampling(form.sampling, experiment, self.problems.inside("sampling"))
         changed = frozenset(str(place[1]) for place in self.problems.overridden if place[:1] in (("axes",), ("fixed",)))
         context = ClaimContext(experiment, crossed, form.grid.zip, changed)
-        claims = tuple(
-            checked_claim(claim, context, self.problems.inside("claim", i)) for i, claim in enumerate(form.claim)
-        )
+        claims = tuple(checked_claim(c, context, self.problems.inside("claim", i)) for i, c in enumerate(form.claim))
         conclusion = None
         if form.conclusion is not None:
             conclusion = checked_conclusion(form.conclusion, context, self.problems.inside("conclusion"))
@@ -162,7 +156,7 @@ class _Reader:
             claims=claims,
             conclusion=conclusion,
             text=self.text,
-            overrides=self.overrides,
+            overrides=self.overrides.written,
             document=self._portable(form, fixed, columns, origin) | ({"define": definitions} if definitions else {}),
         )
 
