@@ -121,7 +121,11 @@ class _Reader:
         values = Values(experiment, self.path.parent, self.problems)
         points, origin, columns = self._points(values, form)
         axes = points | {name: values.axis(name, spec) for name, spec in form.axes.items()}
-        fixed = {name: self._fixed(values, form, name, raw) for name, raw in form.fixed.items()}
+        fixed = {}
+        for name, raw in form.fixed.items():
+            if name in form.axes:
+                self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
+            fixed[name] = values.one(("fixed", name), name, raw)
         self._check_required(experiment, form, points)
         crossed = {name: axes[name] for name in form.axes}
         zipped = zipped_axes(form.grid.zip, crossed, self.problems)
@@ -235,8 +239,3 @@ class _Reader:
             for problem in error.problems:
                 self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)
             return None
-
-    def _fixed(self, values: Values, form: Form, name: str, raw: object) -> Value:
-        if name in form.axes:
-            self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
-        return values.one(("fixed", name), name, raw)

@@ -111,8 +111,7 @@ def read_published(
     wrong.
     """
     if (form.tolerance is None) != (form.tolerance_reason is None):
-        message = "a tolerance needs a tolerance_reason, and the other way round"
-        problems.add(("published", "tolerance"), message)
+        problems.add(("published", "tolerance"), "a tolerance needs a tolerance_reason, and the other way round")
     where = ("published", "file")
     file = shown(form.file)
     try:

@@ -42,7 +42,7 @@ def test_what_was_flushed_is_there_again(tmp_path, study):
     store.append(keys[3:], sums[3:], [], {})  # never flushed: a killed process
     again = open_store(tmp_path / "s.zarr", study)
     assert set(again.rows) == set(keys[:3])
-    again.append(keys[3:], sums[3:])
+    again.append(keys[3:], sums[3:], [], {})
     again.flush()
     assert np.array_equal(open_store(tmp_path / "s.zarr", study).sums(), sums)
 
