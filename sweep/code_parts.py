@@ -16,12 +16,10 @@ from typing import Any
 
 from sweep.sources import INSTALLED, read_sources
 
-CHANGING = frozenset(
-    [
-        *("append", "add", "extend", "update", "insert", "setdefault", "pop", "popitem"),
-        *("clear", "discard", "remove", "write", "put", "acquire", "__setitem__"),
-    ]
-)
+CHANGING = {
+    *("append", "add", "extend", "update", "insert", "setdefault", "pop", "popitem"),
+    *("clear", "discard", "remove", "write", "put", "acquire", "__setitem__"),
+}
 """Methods that change their object."""
 
 
@@ -82,8 +80,7 @@ class CodeParts:
         if known or not self._is_local(module.__name__) or file is None:
             return
         self.modules.append(module)
-        for name, digest in read_sources(Path(file).resolve()).digests.items():
-            self.parts[f"file {name}"] = digest
+        self.parts |= read_sources(Path(file).resolve()).parts
 
     def _is_local(self, module: str | None) -> bool:
         """Return whether code is neither of Python, nor of an installed distribution, nor of linksweep."""

@@ -200,8 +200,8 @@ def provide(sources: Sources | SessionFunction) -> None:
     """Let this process load an experiment from what another one has sent."""
     if isinstance(sources, SessionFunction):
         provide_function(sources)
-        return
-    _provided[sources.path, sources.digest] = sources
+    else:
+        _provided[sources.path, sources.digest] = sources
 
 
 def forget(reference: str) -> None:

@@ -114,8 +114,7 @@ def make_module(sources: Sources, key: str) -> ModuleType:
     An import statement in it, or in a local module, finds the local modules of these sources first, as a script's does;
     they are known to nobody else.
     """
-    with _lock:
-        return _Modules(sources, key).load(sources.name)
+    return _Modules(sources, key).load(sources.name)
 
 
 def forget_module(key: str) -> None:

@@ -5,7 +5,7 @@ import re
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import cached_property
@@ -100,31 +100,24 @@ class Bucket:
     def put_all(self, files: Mapping[str, bytes]) -> None:
         """Write objects, some at a time."""
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            for _ in pool.map(self.put, files.keys(), files.values()):
-                pass
+            list(pool.map(self.put, files.keys(), files.values()))
 
     def create(self, key: str, content: bytes) -> bool:
         """Write an object unless there is one: a put that the server refuses in that case."""
-        try:
-            with self._errors():
-                obstore.put(self.objects, key, content, mode="create")
-        except (AlreadyExistsError, PreconditionError):
-            return False
-        return True
+        with suppress(AlreadyExistsError, PreconditionError), self._errors():
+            obstore.put(self.objects, key, content, mode="create")
+            return True
+        return False
 
     def swap(self, key: str, old: bytes, new: bytes) -> bool:
         """Replace an object that still holds ``old``: a put that the server refuses if it has changed since it was
         read.
         """
-        try:
-            with self._errors(missing_is_none=True):
-                answer = obstore.get(self.objects, key)
-                if bytes(answer.bytes()) != old:
-                    return False
+        with suppress(PreconditionError), self._errors(missing_is_none=True):
+            answer = obstore.get(self.objects, key)
+            if bytes(answer.bytes()) == old:
                 obstore.put(self.objects, key, new, mode={"e_tag": answer.meta["e_tag"]})
                 return True
-        except PreconditionError:
-            pass
         return False
 
     def delete(self, key: str) -> None:
@@ -139,10 +132,8 @@ class Bucket:
                 with self._errors(missing_is_none=True):
                     obstore.delete(self.objects, key)
                 return
-            except FileNotFoundError:  # no such bucket
-                raise
-            except OSError:
-                if time.monotonic() > until:
+            except OSError as error:
+                if isinstance(error, FileNotFoundError) or time.monotonic() > until:  # the first: no such bucket
                     raise
                 time.sleep(0.2)
 

@@ -3,7 +3,8 @@ flipped bit nor an exchange of files must change what a store means.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from hashlib import blake2b
 from typing import Any
 
@@ -13,11 +14,32 @@ BYTES_UNBOUND = 8
 """Of the checksums of store format 2, which knew nothing of the name of the file."""
 
 
+class DamagedError(ValueError):
+    """Files that are not what was written; ``files`` maps their names to what is wrong."""
+
+    def __init__(self, files: dict[str, str]) -> None:
+        super().__init__("; ".join(f"{file}: {problem}" for file, problem in files.items()))
+        self.files = files
+
+
+@contextmanager
+def noting(damaged: dict[str, str], file: str | None = None) -> Iterator[None]:
+    """Go on after a DamagedError, whose files are added to ``damaged``, and after a ValueError about ``file``."""
+    try:
+        yield
+    except DamagedError as error:
+        damaged.update(error.files)
+    except ValueError as error:
+        if file is None:
+            raise
+        damaged[file] = str(error)
+
+
 def sealed(document: Mapping[str, Any], file: str) -> bytes:
     """Return a document, with its checksum, as it is stored in a file of this name."""
     plain = json.loads(json.dumps(document))
     plain["attributes"].pop(SEAL, None)
-    plain["attributes"][SEAL] = _digest(plain, file)
+    plain["attributes"][SEAL] = _digest(f"{file}\n", plain)
     return json.dumps(plain).encode()
 
 
@@ -32,7 +54,7 @@ def unsealed(content: bytes | None, file: str) -> dict[str, Any]:
         seal = document["attributes"].pop(SEAL)
     except (TypeError, KeyError, AttributeError) as error:
         raise ValueError("it has no checksum") from error
-    if seal not in (_digest(document, file), _unbound_digest(document)):
+    if seal not in (_digest(f"{file}\n", document), _digest("", document, BYTES_UNBOUND)):
         raise ValueError("its checksum does not match its content and name")
     document["attributes"][SEAL] = seal
     return dict(document)
@@ -48,13 +70,5 @@ def content_checksum(content: bytes) -> str:
     return blake2b(content, digest_size=BYTES).hexdigest()
 
 
-def _digest(document: Mapping[str, Any], file: str) -> str:
-    return blake2b(f"{file}\n{_as_text(document)}".encode(), digest_size=BYTES).hexdigest()
-
-
-def _unbound_digest(document: Mapping[str, Any]) -> str:
-    return blake2b(_as_text(document).encode(), digest_size=BYTES_UNBOUND).hexdigest()
-
-
-def _as_text(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, sort_keys=True)
+def _digest(before: str, document: Mapping[str, Any], size: int = BYTES) -> str:
+    return blake2b(f"{before}{json.dumps(document, sort_keys=True)}".encode(), digest_size=size).hexdigest()

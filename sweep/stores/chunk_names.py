@@ -11,17 +11,12 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-ENCODINGS = (
-    {"name": "default", "configuration": {"separator": "."}},
-    {"name": "v2", "configuration": {"separator": "."}},
-)
+ENCODINGS = [{"name": name, "configuration": {"separator": "."}} for name in ("default", "v2")]
 
 
 def chunk_keys(documents: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Return the names of all files of chunks of arrays, by their documents."""
-    return [
-        chunk_key(name, document, place) for name, document in documents.items() for place in chunk_places(document)
-    ]
+    return [chunk_key(name, array, place) for name, array in documents.items() for place in chunk_places(array)]
 
 
 def chunk_key(name: str, document: Mapping[str, Any], place: tuple[int, ...]) -> str:

@@ -20,7 +20,8 @@ def as_json(failures: Mapping[bytes, Record]) -> dict[str, Record]:
     for digest, record in failures.items():
         text = record.get("traceback", "")
         tracebacks += bool(text)
-        kept[digest.hex()] = record | ({"traceback": _end(text) if tracebacks <= MAX_TRACEBACKS else ""})
+        end = text.encode()[-TRACEBACK_BYTES:].decode(errors="ignore")  # says what was raised and where
+        kept[digest.hex()] = record | {"traceback": end if tracebacks <= MAX_TRACEBACKS else ""}
     return kept
 
 
@@ -40,8 +41,3 @@ def read(content: bytes | None) -> dict[bytes, Record]:
     if any(len(digest) != DIGEST_BYTES for digest in failures):
         raise ValueError("it is no record of failed points: a digest of another length")
     return failures
-
-
-def _end(text: str) -> str:
-    """Cut a traceback to its last bytes, which say what was raised and where."""
-    return text.encode()[-TRACEBACK_BYTES:].decode(errors="ignore")

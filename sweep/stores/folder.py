@@ -14,7 +14,7 @@ UNFINISHED = ".partial"
 
 @dataclass(frozen=True)
 class Folder:
-    """A folder of this machine."""
+    """A folder of this machine; `get` and the like take the names of files in it, as ``a/b/c``."""
 
     path: Path
 
@@ -57,49 +57,44 @@ class Folder:
             os.close(folder)
 
     def put_all(self, files: Mapping[str, bytes]) -> None:
-        """Write files one by one."""
+        """Write files one by one, each in one step too, but without waiting for the disk."""
         for key, content in files.items():
             self._write(key, content, durable=False)
 
     def create(self, key: str, content: bytes) -> bool:
-        """Write a file unless there is one, by linking a finished one to its name."""
+        """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self.path / key
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _finished(path, content, durable=True) as temporary:
+        with suppress(FileExistsError), _finished(path, content, durable=True) as temporary:
             try:
                 os.link(temporary, path)
             except FileExistsError:
-                return False
+                raise
             except OSError:  # a file system without links
-                return _create_directly(path, content)
-        return True
+                with path.open("xb") as file:
+                    file.write(content)
+            return True
+        return False
 
     def swap(self, key: str, old: bytes, new: bytes) -> bool:
-        """Replace a file that still holds ``old``: who has the system's lock on the very file that is to go may do
-        so.
+        """Replace a file that still holds ``old``: who has the system's lock on the very file that is to go may do so.
+
+        Return whether it did; of two who try only one does.
         """
         path = self.path / key
-        try:
-            descriptor = os.open(path, os.O_RDONLY)
-        except FileNotFoundError:
-            return False
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-            if self.get(key) != old or not os.path.samestat(os.fstat(descriptor), path.stat()):
-                return False
-            self._write(key, new, durable=True)
-            return True
-        except FileNotFoundError:
-            return False
-        finally:
-            os.close(descriptor)
+        with suppress(FileNotFoundError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if self.get(key) == old and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                self._write(key, new, durable=True)
+                return True
+        return False
 
     def delete(self, key: str) -> None:
         """Remove a file if there is one."""
         (self.path / key).unlink(missing_ok=True)
 
     def keys(self, under: str = "") -> list[str]:
-        """Return the names of all finished files below a folder of it."""
+        """Return the names of all finished files that begin with ``under``, a name with a slash at its end or empty."""
         found: list[str] = []
         for folder, _, names in os.walk(self.path / under, onerror=_raise_unless_missing):
             relative = Path(folder).relative_to(self.path)
@@ -115,7 +110,7 @@ class Folder:
         return self.path.is_dir() and all(p.name.endswith(UNFINISHED) and p.is_file() for p in self.path.iterdir())
 
     def obstacle(self) -> str | None:
-        """Say whether there is a file in the way, or a folder around it that cannot be written."""
+        """Say what keeps a store from being made here: a file in the way, or a folder that cannot be written."""
         if self.path.exists():
             return None if self.path.is_dir() else "is a file, not a Zarr store"
         parent = next(p for p in self.path.absolute().parents if p.exists())
@@ -156,15 +151,6 @@ def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _create_directly(path: Path, content: bytes) -> bool:
-    try:
-        with path.open("xb") as file:
-            file.write(content)
-    except FileExistsError:
-        return False
-    return True
 
 
 def _raise_unless_missing(error: OSError) -> None:

@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 
 from sweep.contract import Array
 from sweep.planning.block_rows import KEY_BYTES, BlockRows
-from sweep.stores.chunked_rows import Column, DamagedError
-from sweep.stores.ledger_arrays import DIGEST_BYTES, KINDS, START_BYTES
+from sweep.stores.checksums import DamagedError, noting
+from sweep.stores.ledger_arrays import DIGEST_BYTES, KINDS, START_BYTES, Column
+
+ROW = np.dtype([("key", f"V{KEY_BYTES - 8}"), ("n_cat", "<u4"), ("n_sim", "<u4"), ("start", "<u8")])
+"""A row of the index: the key ends with how many catalogues there are and with the realisations of each."""
 
 AT_ONCE = 2**16
 """Rows that are compared with their digests at a time."""
@@ -37,56 +40,50 @@ class Ledger:
         damaged: dict[str, str] = {}
         read: dict[str, NDArray[Any]] = {}
         for name in columns.keys() - {"samples"}:
-            try:
+            with noting(damaged):
                 read[name] = columns[name].read()
-            except DamagedError as error:
-                damaged |= error.files
         if damaged:
             raise DamagedError(damaged)
         index = read["index"]
         written = np.flatnonzero(index.any(axis=1))
-        self._next = int(written[-1]) + 1 if len(written) else 0
-        index = index[: self._next]
-        self._sums: Array | None = _as_long_as(read["sums"], self._next)
+        self.next_row = int(written[-1]) + 1 if len(written) else 0  # that of the next block
+        index = index[: self.next_row]
+        sums = _as_long_as(read["sums"], self.next_row)
+        self._sums: Array | None = sums
         keys, starts, counts = rows_of(index)
         self._starts = array("q", starts.tobytes())
         whole = index.any(axis=1) & self._sampled(starts, counts)
+        known = ~np.isnan(sums).all(axis=1)
         if "digests" in columns:
-            digests = _as_long_as(read["digests"], self._next)
-            columns["digests"].resume(self._next, digests)
-            whole &= self._bound(index, digests) if compared else ~np.isnan(self._sums).all(axis=1)
-        else:
-            whole &= ~np.isnan(self._sums).all(axis=1)
-        self.rows = BlockRows(keys, whole)
-        self._samples_end = int((starts + counts).max(initial=0)) if "samples" in columns else 0
-        columns["index"].resume(self._next, index)
-        columns["sums"].resume(self._next, self._sums)
+            digests = _as_long_as(read["digests"], self.next_row)
+            columns["digests"].resume(self.next_row, digests)
+            if compared:
+                known = self._bound(index, sums, digests)
+        self.rows = BlockRows(keys, whole & known)
+        columns["index"].resume(self.next_row, index)
+        columns["sums"].resume(self.next_row, sums)
+        self._samples_end = 0
         if "samples" in columns:
+            self._samples_end = int((starts + counts).max(initial=0))
             columns["samples"].resume(self._samples_end)
 
-    def _bound(self, index: NDArray[np.uint8], digests: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def _bound(self, index: NDArray[np.uint8], sums: Array, digests: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Return which rows have their own sums; raises DamagedError where there are those of others.
 
         A row whose sums or digest were not written, or lost, merely does not count.
         """
-        assert self._sums is not None, "read before"
-        same = (_digests(index, self._sums) == digests[:, :DIGEST_BYTES]).all(axis=1)
-        there = index.any(axis=1) & digests.any(axis=1) & ~np.isnan(self._sums).all(axis=1)
+        same = (_digests(index, sums) == digests[:, :DIGEST_BYTES]).all(axis=1)
+        there = index.any(axis=1) & digests.any(axis=1) & ~np.isnan(sums).all(axis=1)
         if len(wrong := np.flatnonzero(there & ~same)):
-            numbers = sorted(set((wrong // self._columns["sums"].layout.rows).tolist()))
+            numbers = sorted(set((wrong // self._columns["sums"].chunk_rows).tolist()))
             raise DamagedError({self._columns["sums"].key(number): ELSEWHERE for number in numbers})
         return np.asarray(same)
-
-    @property
-    def next_row(self) -> int:
-        """The row that the next block gets."""
-        return self._next
 
     def sums(self) -> Array:
         """Return all rows, (rows, width); `rows` says which is whose."""
         self.flush()
         if self._sums is None:
-            self._sums = _as_long_as(self._columns["sums"].read(), self._next)
+            self._sums = _as_long_as(self._columns["sums"].read(), self.next_row)
         return self._sums
 
     def samples(self, key: bytes) -> Array:
@@ -95,14 +92,13 @@ class Ledger:
         """
         row = self.rows[key]
         column, start = self._columns["samples"], self._starts[row]
-        count = int(_realisations(np.frombuffer(key, dtype=np.uint8))[0])
+        index = _index_rows([key], [start])
+        count = int(rows_of(index)[2][0])
         samples = np.asarray(column.part(start, start + count))
         if "digests" in self._columns:
             digest = self._columns["digests"].part(row, row + 1)[0, DIGEST_BYTES:]
-            if not np.array_equal(digest, _digests(_index_rows([key], [start]), [samples])[0]):
-                size = column.layout.rows
-                numbers = range(start // size, -(-(start + count) // size))
-                raise DamagedError({column.key(number): ELSEWHERE for number in numbers})
+            if not np.array_equal(digest, _digests(index, [samples])[0]):
+                raise DamagedError({column.key(n): ELSEWHERE for n in column.numbers(start, start + count)})
         return samples
 
     def verify(self) -> None:
@@ -112,10 +108,8 @@ class Ledger:
         self._columns["samples"].verify()
         damaged: dict[str, str] = {}
         for key in sorted(self.rows, key=self.rows.__getitem__):  # in the order of the samples
-            try:
+            with noting(damaged):
                 self.samples(key)
-            except DamagedError as error:
-                damaged |= error.files
         if damaged:
             raise DamagedError(damaged)
 
@@ -135,13 +129,13 @@ class Ledger:
         self._columns["index"].append(index)
         self._starts.extend(starts)
         self.rows.extend(keys)
-        self._next += len(keys)
+        self.next_row += len(keys)
 
     def bind(self, digests: Column) -> None:
         """Write all digests, durably, into an array of them, which the ledgers of format 2 do not have."""
         self.flush()
         index, sums = self._columns["index"].read(), self.sums()
-        rows = np.zeros((self._next, digests.layout.width), dtype=np.uint8)
+        rows = np.zeros((self.next_row, digests.width), dtype=np.uint8)
         for key, row in sorted(self.rows.items(), key=lambda item: item[1]):
             rows[row, :DIGEST_BYTES] = _digests(index[row : row + 1], sums[row : row + 1])
             if "samples" in self._columns:
@@ -163,23 +157,17 @@ class Ledger:
             return np.ones(len(starts), dtype=bool)
         column = self._columns["samples"]
         ends = starts + counts
-        there = np.zeros(-(-max(len(column), int(ends.max())) // column.layout.rows) + 1, dtype=np.int64)
+        there = np.zeros(-(-max(len(column), int(ends.max())) // column.chunk_rows) + 1, dtype=np.int64)
         there[sorted(column.chunks)] = 1
         before = np.concatenate([[0], np.cumsum(there)])
-        first, last = starts // column.layout.rows, -(-ends // column.layout.rows)
+        first, last = starts // column.chunk_rows, -(-ends // column.chunk_rows)
         return np.asarray(before[last] - before[first] == last - first)
 
 
 def rows_of(index: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
     """Return the keys of rows of the index, where their samples begin and how many these are."""
-    keys, starts = index[:, :KEY_BYTES], index[:, KEY_BYTES:].copy().view("<u8")[:, 0].astype(np.int64)
-    return keys, starts, _realisations(keys)
-
-
-def _realisations(keys: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return how many realisations each block of the index has."""
-    numbers = np.frombuffer(keys.tobytes(), dtype="<u4").reshape(-1, KEY_BYTES // 4)
-    return np.asarray(numbers[:, -2].astype(np.int64) * numbers[:, -1])
+    rows = index.view(ROW)[:, 0]
+    return index[:, :KEY_BYTES], rows["start"].astype(np.int64), rows["n_cat"].astype(np.int64) * rows["n_sim"]
 
 
 def _index_rows(keys: Sequence[bytes], starts: Sequence[int]) -> NDArray[np.uint8]:

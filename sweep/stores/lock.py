@@ -46,13 +46,9 @@ class Holder:
             return "cannot be judged"
         if self.started:
             return "runs" if _start_of(self.pid) == self.started else "has ended"
-        try:
-            os.kill(self.pid, 0)
-        except ProcessLookupError:
-            return "has ended"
-        except PermissionError:
-            pass  # there is such a process, of another user
-        return "runs"
+        import psutil
+
+        return "runs" if psutil.pid_exists(self.pid) else "has ended"
 
 
 @contextmanager
@@ -62,7 +58,7 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     ``break_lock`` takes it from a holder that cannot be judged, never from another process that runs on this host.
     """
     location = located(where)
-    mine = _me()
+    mine = Holder(*_this_host(), os.getpid(), _start_of(os.getpid()), now(), command_line(), uuid4().hex)
     with location.parent.tidied():
         with writing(location):
             _take(location, mine, break_lock)
@@ -83,7 +79,7 @@ def holder(where: Where) -> Holder | None:
 
 
 def _take(location: Location, mine: Holder, break_lock: bool) -> None:
-    key, content = _key(location), _as_bytes(mine)
+    key, content = _key(location), json.dumps(asdict(mine), indent=1).encode()
     for _ in range(ATTEMPTS):
         if location.parent.create(key, content):
             return
@@ -126,19 +122,9 @@ def _read(location: Location) -> Holder | None:
 
 
 def _parsed(content: bytes) -> Holder | None:
-    try:
+    with suppress(ValueError, TypeError):
         return Holder(**json.loads(content))
-    except (ValueError, TypeError):
-        return None
-
-
-def _as_bytes(mine: Holder) -> bytes:
-    return json.dumps(asdict(mine), indent=1).encode()
-
-
-def _me() -> Holder:
-    host, boot = _this_host()
-    return Holder(host, boot, os.getpid(), _start_of(os.getpid()), now(), command_line(), uuid4().hex)
+    return None
 
 
 def _this_host() -> tuple[str, str]:

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from sweep.contract import SweepError
 from sweep.stores import chunk_names, failures, snapshot
-from sweep.stores.checksums import unsealed
-from sweep.stores.chunked_rows import DamagedError
+from sweep.stores.checksums import DamagedError, noting, unsealed
 from sweep.stores.ledger import Ledger
-from sweep.stores.ledger_arrays import columns_of, damaged_descriptions
+from sweep.stores.ledger_arrays import columns_of
 from sweep.stores.location import Location, Where, located, reading
-from sweep.stores.root import COPY, REPAIR, damaged_copy, is_bound, is_new, read_root
+from sweep.stores.root import COPY, REPAIR, is_bound, is_new, read_root
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -89,26 +88,24 @@ class OpenStore:
         Raises SweepError that names the files of it which are damaged.
         """
         damaged: dict[str, str] = {}
-        ledger: Ledger | None = None
-        found: dict[bytes, failures.Record] = {}
+        copy: dict[str, Any] | None = None
         with reading(self.location):
             keys = self.location.keys()
             columns = columns_of(self.location, json.loads(self.attributes["ledger"]), keys)
             files = [COPY, failures.FILE, *(column.description for column in columns.values())]
             documents = self.location.get_all(files)
-            damaged |= damaged_descriptions(columns.values(), documents)
-            damaged |= damaged_copy(documents[COPY])
-            try:
+            for column in columns.values():
+                with noting(damaged, column.description):
+                    column.check_description(documents[column.description])
+            with noting(damaged, COPY):
+                if documents[COPY] is not None:
+                    copy = unsealed(documents[COPY], COPY)["attributes"]
+            with noting(damaged, failures.FILE):
                 found = failures.read(documents[failures.FILE])
-            except ValueError as error:
-                damaged[failures.FILE] = str(error)
-            try:
+            with noting(damaged):
                 ledger = Ledger(columns, compared)
-            except DamagedError as error:
-                damaged |= error.files
-        if damaged or ledger is None:
+        if damaged:
             raise damaged_ledger(self.location, damaged)
-        copy = None if documents[COPY] is None else unsealed(documents[COPY], COPY)["attributes"]
         return OpenLedger(ledger, found, copy, keys)
 
 

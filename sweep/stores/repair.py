@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from sweep.contract import SweepError
 from sweep.stores import chunk_names, failures, snapshot
-from sweep.stores.checksums import group_document, sealed, unsealed
-from sweep.stores.chunked_rows import Column, DamagedError
+from sweep.stores.checksums import DamagedError, group_document, noting, sealed, unsealed
 from sweep.stores.ledger import Ledger, rows_of
-from sweep.stores.ledger_arrays import columns_of, damaged_descriptions
+from sweep.stores.ledger_arrays import Column, columns_of
 from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.stores.lock import holder, locked
 from sweep.stores.opened import UNFINISHED
-from sweep.stores.root import COPY, FORMAT, ROOT, UNBOUND, damaged_copy, find_root, is_bound, is_new, readable_copy
+from sweep.stores.root import COPY, FORMAT, ROOT, UNBOUND, find_root, is_bound, is_new, readable_copy
 from sweep.stores.texts import Texts
 
 NOT_BOUND = (
@@ -101,29 +100,31 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], dict[str, Column
         if copy is None:
             raise
         attributes = copy
-        report.identity[ROOT] = _problem(location.get(ROOT))
+        report.identity[ROOT] = "it is of another store"
+        with noting(report.identity, ROOT):
+            unsealed(location.get(ROOT), ROOT)
     keys = location.keys()
     columns = columns_of(location, json.loads(attributes["ledger"]), keys)
     documents = location.get_all([COPY, failures.FILE, *(column.description for column in columns.values())])
     report.ledger.update(Texts(location, keys).damaged)
-    report.ledger.update(damaged_descriptions(columns.values(), documents))
+    for column in columns.values():
+        with noting(report.ledger, column.description):
+            column.check_description(documents[column.description])
     has_begun = root is None or not is_new(root) or any(column.chunks for column in columns.values())
     if documents[COPY] is None:
         report.identity.update({COPY: "it is missing"} if has_begun else {})
     else:
-        report.identity.update(damaged_copy(documents[COPY]))
-    try:
+        with noting(report.identity, COPY):
+            unsealed(documents[COPY], COPY)
+    with noting(report.ledger, failures.FILE):
         failures.read(documents[failures.FILE])
-    except ValueError as error:
-        report.ledger[failures.FILE] = str(error)
     for column in columns.values():
-        try:
+        with noting(report.ledger):
             column.verify()
-        except DamagedError as error:
-            report.ledger.update(error.files)
     report.ledger.update(_missing_chunks(columns))
     if not report.ledger:  # else its rows are read in vain
-        report.ledger.update(_wrong_rows(columns))
+        with noting(report.ledger):  # chunks, each whole, that hold other rows than the ledger speaks of
+            Ledger(columns).verify()
     if root is not None:
         _check_results(location, root, report)
         if not report and not attributes.get("complete"):
@@ -140,42 +141,25 @@ def _unfinished(root: dict[str, Any]) -> str:
     return f"is incomplete: {done} of {points} points were done when the results were last written"
 
 
-def _wrong_rows(columns: dict[str, Column]) -> dict[str, str]:
-    """Return the chunks, each whole, that hold other rows than the ledger speaks of."""
-    try:
-        Ledger(columns).verify()
-    except DamagedError as error:
-        return error.files
-    return {}
-
-
-def _problem(content: bytes | None) -> str:
-    try:
-        unsealed(content, ROOT)
-    except ValueError as error:
-        return str(error)
-    return "it is of another store"
-
-
 def _missing_chunks(columns: dict[str, Column]) -> dict[str, str]:
     """Return the chunks that are missing: below those that are there, or with what a row of the index speaks of."""
-    needed = {name: set(range(len(column) // column.layout.rows)) for name, column in columns.items()}
+    needed = {name: set(range(column.end)) for name, column in columns.items()}
     with suppress(DamagedError):  # a damaged index is in the report, and must be repaired first
         index = columns["index"].read()
         for name in columns.keys() - {"index", "samples"}:
-            needed[name] |= set((np.flatnonzero(index.any(axis=1)) // columns[name].layout.rows).tolist())
+            needed[name] |= set((np.flatnonzero(index.any(axis=1)) // columns[name].chunk_rows).tolist())
         if "samples" in columns:
-            needed["samples"] |= _chunks_of_samples(index, columns["samples"].layout.rows)
+            needed["samples"] |= _chunks_of_samples(index, columns["samples"])
     files = (columns[name].key(number) for name in needed for number in sorted(needed[name] - columns[name].chunks))
     return dict.fromkeys(files, "it is missing")
 
 
-def _chunks_of_samples(index: NDArray[np.uint8], size: int) -> set[int]:
+def _chunks_of_samples(index: NDArray[np.uint8], samples: Column) -> set[int]:
     """Return the chunks of samples that rows of the index speak of, the last row of each block."""
     keys, starts, counts = rows_of(index)
     last = {keys[row].tobytes(): int(row) for row in np.flatnonzero(index.any(axis=1))}
-    spans = ((int(starts[row]), int(starts[row] + counts[row])) for row in last.values())
-    return {number for start, stop in spans for number in range(start // size, -(-stop // size))}
+    spans = (samples.numbers(int(starts[row]), int(starts[row] + counts[row])) for row in last.values())
+    return set().union(*spans)
 
 
 def _check_results(location: Location, root: dict[str, Any], report: Report) -> None:
@@ -203,21 +187,21 @@ def _remake(location: Location, file: str, columns: dict[str, Column]) -> str:
     _set_aside(location, file)
     for name, column in columns.items():
         if file == column.description:
-            location.put(file, column.described(len(column) // column.layout.rows))
+            location.put(file, column.described(column.end))
             return f"{file} was made anew"
         if (number := column.number(file)) is not None:
             if name == "samples":
                 _strike_out(number, column, columns["index"])
-            column.write(number, column.none)
+            column.write(number, column.empty())
     return f"{file}: the next `sweep run` computes again what was in it"
 
 
 def _strike_out(lost: int, samples: Column, index: Column) -> None:
     """Remove the rows from the index whose samples are, if only in part, in a chunk that is lost."""
-    size = index.layout.rows
+    size = index.chunk_rows
     rows = index.read()
     _, starts, counts = rows_of(rows)
-    begin, end = lost * samples.layout.rows, (lost + 1) * samples.layout.rows
+    begin, end = lost * samples.chunk_rows, (lost + 1) * samples.chunk_rows
     struck = rows.any(axis=1) & (starts < end) & (starts + counts > begin)
     rows[struck] = 0
     for number in sorted({int(row) // size for row in np.flatnonzero(struck)}):

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from sweep.contract import SweepError
@@ -90,21 +91,9 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
     return dict(attributes) if attributes.get("linksweep_format") in (FORMAT, UNBOUND) else None
 
 
-def damaged_copy(content: bytes | None) -> dict[str, str]:
-    """Return what is wrong with the ledger's copy, nothing where it was not written yet."""
-    try:
-        if content is not None:
-            unsealed(content, COPY)
-        return {}
-    except ValueError as error:
-        return {COPY: str(error)}
-
-
 def _refuse_other_formats(content: bytes, where: str) -> None:
     """Raise SweepError for a document of another format, which may have its checksum elsewhere."""
-    try:
+    with suppress(ValueError, KeyError, TypeError):
         attributes = json.loads(content)["attributes"]
         if isinstance(attributes["linksweep_format"], int):
             check_format(attributes, where)
-    except (ValueError, KeyError, TypeError):
-        return

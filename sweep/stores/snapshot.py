@@ -15,7 +15,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
 from sweep.executing.upstream import dask_arrays_only_where_imported
-from sweep.stores.checksums import SEAL, content_checksum, unsealed
+from sweep.stores.checksums import SEAL, DamagedError, content_checksum, unsealed
 from sweep.stores.chunk_names import ENCODINGS, chunk_key, chunk_places
 from sweep.stores.root import is_bound
 
@@ -26,6 +26,9 @@ CHECKSUMS = "chunk_checksums"
 """The attribute of the root document by which it means certain chunks and no others."""
 
 CHUNK_BYTES = 2**22
+TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
+"""The encoding of times, to the last nanosecond."""
+
 CODECS = {"bytes", "vlen-utf8", "zstd", "crc32c"}
 """All that is ever written, and so all that is ever decoded."""
 
@@ -62,17 +65,11 @@ def encode(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Encoded]]:
     empty, so that one that is missing was lost.
     """
     files: dict[str, Any] = {}
-    encoding: dict[Any, dict[str, Any]] = {
-        name: {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "chunks": chunk_shape(variable)}
-        for name, variable in dataset.variables.items()
-    }
+    encoding: dict[Any, dict[str, Any]] = {}
     for name, variable in dataset.variables.items():
-        if variable.dtype.kind == "M":  # to the last nanosecond
-            encoding[name] |= {
-                "units": "nanoseconds since 1970-01-01",
-                "calendar": "proleptic_gregorian",
-                "dtype": "int64",
-            }
+        encoding[name] = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "chunks": chunk_shape(variable)}
+        if variable.dtype.kind == "M":
+            encoding[name] |= TIMES
     dataset.drop_encoding().to_zarr(
         MemoryStore(files), mode="w", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
     )
@@ -95,7 +92,7 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     dask_arrays_only_where_imported()
     checksums = chunk_checksums(root)
     if any(not _is_meant(content, checksums.get(key)) for key, content in contents.items()):
-        raise ValueError(_in_words(damaged_chunks(root, contents)))
+        raise DamagedError(damaged_chunks(root, contents))
     files: dict[str, Any] = {
         key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
     }
@@ -106,13 +103,10 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
     except Exception as error:  # each codec of Zarr has its own
-        raise ValueError(_in_words(damaged_chunks(root, contents)) or str(error)) from error
+        damaged = damaged_chunks(root, contents)
+        raise (DamagedError(damaged) if damaged else ValueError(str(error))) from error
     dataset.attrs.pop(CHECKSUMS, None)
     return dataset
-
-
-def _in_words(damaged: Mapping[str, str]) -> str:
-    return "; ".join(f"{key}: {problem}" for key, problem in damaged.items())
 
 
 def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
@@ -120,16 +114,14 @@ def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]
     damaged: dict[str, str] = {}
     checksums = chunk_checksums(root)
     for name, document in arrays_of(root).items():
-        places = {chunk_key(name, document, place): place for place in chunk_places(document)}
-        if places.keys().isdisjoint(contents):
+        every = {chunk_key(name, document, place): place for place in chunk_places(document)}
+        places = {key: place for key, place in every.items() if key in contents}
+        if not places:
             continue
         files: dict[str, Any] = {"zarr.json": cpu.Buffer.from_bytes(json.dumps(document).encode())}
         array = zarr.open_array(MemoryStore(files), mode="r")
         for key, place in places.items():
-            if key not in contents:
-                continue
-            content = contents[key]
-            if content is None:
+            if (content := contents[key]) is None:
                 damaged[key] = "it is missing"
                 continue
             files[key.removeprefix(f"{name}/")] = cpu.Buffer.from_bytes(content)

@@ -5,7 +5,6 @@ The ledger is the truth.  Only the client writes, under the lock of `sweep.store
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from sweep.contract import Array, SweepError
@@ -34,13 +33,13 @@ MOST_UNWRITTEN = 2**26
 """Bytes of sums and samples that may wait for the next flush."""
 
 
-class Store:
-    """An open store of one study: what is done, appending to it, and writing the dataset."""
+class Store(OpenStore):
+    """The open store of one study: what is done, appending to it, and writing the dataset."""
 
     def __init__(self, opened: OpenStore, study: Study) -> None:
         """Open the ledger; raises SweepError where files of it are damaged, or it is of another version's shape."""
-        self.location, self.study = opened.location, study
-        self.root = opened.root
+        super().__init__(opened.location, opened.root)
+        self.study = study
         widths, expected = (
             {name: width for name, (_, width) in json.loads(told["ledger"]).items() if name != "digests"}
             for told in (self.attributes, identity(study))
@@ -52,7 +51,7 @@ class Store:
                 str(self.location),
             )
         self._is_bound = is_bound(self.root)
-        ledger = opened.ledger()
+        ledger = self.ledger()
         self._ledger, self.failures, self._copied, keys = ledger.ledger, ledger.failures, ledger.copy, ledger.keys
         self.rows = self._ledger.rows
         self.texts = Texts(self.location, keys)
@@ -65,12 +64,6 @@ class Store:
             raise SweepError(str(error), str(self.location)) from error
         self._digests: dict[str, bytes] = {}
         self._files = chunk_names.leftovers(keys, self._documents)
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """What the root document says."""
-        attributes: dict[str, Any] = self.root["attributes"]
-        return attributes
 
     def _leave_out_rows_without_texts(self) -> None:
         """Count rows as missing whose texts are, so that these points are computed again."""
@@ -101,13 +94,7 @@ class Store:
         with reading_ledger(self.location):
             self._ledger.verify()
 
-    def append(
-        self,
-        keys: Sequence[bytes],
-        sums: Array,
-        samples: Sequence[Array] = (),
-        texts: Mapping[bytes, str] = MappingProxyType({}),
-    ) -> None:
+    def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array], texts: Mapping[bytes, str]) -> None:
         """Add finished blocks, with their samples if the study keeps them, and the texts in them by their digests; they
         are durable after the next `flush`.
         """
@@ -145,9 +132,12 @@ class Store:
         attributes, arrays = snapshot.encode(dataset)
         digests = {name: array.digest() for name, array in arrays.items()}
         named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
-        attributes |= identity(self.study) | {
+        meaning = identity(self.study)
+        new_shapes, shapes = (json.loads(told["ledger"]) for told in (meaning, self.attributes))
+        shapes = {"digests": new_shapes["digests"]} | shapes  # in format 2 there are none
+        attributes |= meaning | {
             ORIGIN: origin(self.location),
-            "ledger": self._bound_shapes(),
+            "ledger": json.dumps(shapes),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
             "generation": self.attributes.get("generation", 0) + 1,
             BLOCKS: len(self.rows),
@@ -159,22 +149,15 @@ class Store:
             {f"{n}/zarr.json" for n in names} for names in (documents, set(self._documents) - set(documents))
         )
         with writing(self.location):
-            self._bind(json.loads(attributes["ledger"]))
-            self._keep_copy(attributes)
+            self._bind(shapes)
+            self.keep_copy(attributes)
             self._delete(self._files - in_use - described - gone)
-            self._write_arrays(
-                {name: array for name, array in named.items() if self._digests.get(name) != digests[name]}
-            )
+            self._write_arrays({name: named[name] for name in named if self._digests.get(name) != digests[name]})
             root = snapshot.root_document(attributes, documents)
             self.location.put(ROOT, sealed(root, ROOT))
             self._delete(gone)
         self._files = in_use | described
         self._documents, self._digests, self.root = documents, digests, root
-
-    def _bound_shapes(self) -> str:
-        """Return the shapes of the ledger's arrays as a store remembers them, with those digests that it may lack."""
-        shapes = json.loads(self.attributes["ledger"])
-        return json.dumps({"digests": json.loads(identity(self.study)["ledger"])["digests"]} | shapes)
 
     def _bind(self, shapes: Mapping[str, Sequence[int]]) -> None:
         """Add what a store of format 2 lacks, before its root document becomes one of today's."""
@@ -183,7 +166,7 @@ class Store:
             self._ledger.bind(columns["digests"])
             for column in columns.values():
                 if column.chunks:
-                    self.location.put(column.description, column.described(len(column) // column.layout.rows))
+                    self.location.put(column.description, column.described(column.end))
             self._failures_changed = bool(self.failures)
             self.flush()
             self._is_bound = True
@@ -218,21 +201,20 @@ class Store:
         self.root = {**self.root, "attributes": {**self.attributes, CODE: code}}
         with writing(self.location):
             self.location.put(ROOT, sealed(self.root, ROOT))
-            self._copied = None
-            self._keep_copy(self.attributes)
+        self._copied = None
+        self.keep_copy()
 
-    def keep_copy(self) -> None:
-        """Keep a copy of what the store means in the ledger; raises SweepError where it cannot be written."""
-        with writing(self.location):
-            self._keep_copy(self.attributes)
-
-    def _keep_copy(self, attributes: Mapping[str, Any]) -> None:
-        """Keep a copy if the study has changed since the last one."""
+    def keep_copy(self, attributes: Mapping[str, Any] | None = None) -> None:
+        """Keep a copy of what the store means, by new attributes or its own, in the ledger if the study has changed;
+        raises SweepError where it cannot be written.
+        """
+        attributes = self.attributes if attributes is None else attributes
         decisive = ("study_digest", "linksweep_format", "ledger")
         if self._copied is None or any(self._copied.get(key) != attributes.get(key) for key in decisive):
             left_out = ("failures", "generation", BLOCKS, snapshot.CHECKSUMS)
             copied = {key: value for key, value in attributes.items() if key not in left_out}
-            self.location.put(COPY, sealed(group_document(copied), COPY))
+            with writing(self.location):
+                self.location.put(COPY, sealed(group_document(copied), COPY))
             self._copied = copied
 
 

@@ -1,10 +1,10 @@
 """The texts in results, by the digests that stand for them in the ledger's rows: documents of bounded size."""
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 
 from sweep.functions.values import text_digest
-from sweep.stores.checksums import group_document, sealed, unsealed
+from sweep.stores.checksums import group_document, noting, sealed, unsealed
 from sweep.stores.location import Location
 
 FOLDER = "blocks/texts"
@@ -14,43 +14,32 @@ MOST_BYTES = 2**20
 _FILE = re.compile(rf"{FOLDER}/(\d+)/zarr\.json")
 
 
-class Texts(Mapping[bytes, str]):
-    """The texts of a store.  New ones are durable after `flush`."""
+class Texts(dict[bytes, str]):
+    """The texts of a store, by digest.  Those that `add` takes are durable after `flush`."""
 
     def __init__(self, location: Location, keys: Collection[str]) -> None:
         """Read the documents among the names of all files of the store; a damaged one counts as missing."""
+        super().__init__()
         self._location = location
-        self._known: dict[bytes, str] = {}
         self._last: dict[str, str] = {}
         self._bytes = 0
         self._new = False
         self.damaged: dict[str, str] = {}
-        found = files(keys)
-        for file, content in location.get_all(found).items():
-            try:
-                self._known |= read(content, file)
-            except ValueError as error:
-                self.damaged[file] = str(error)
-        self._number = 1 + max((int(match[1]) for key in found if (match := _FILE.fullmatch(key))), default=-1)
-
-    def __getitem__(self, digest: bytes) -> str:
-        return self._known[digest]
-
-    def __iter__(self) -> Iterator[bytes]:
-        return iter(self._known)
-
-    def __len__(self) -> int:
-        return len(self._known)
+        numbers = {key: int(match[1]) for key in sorted(keys) if (match := _FILE.fullmatch(key))}
+        for file, content in location.get_all(numbers).items():
+            with noting(self.damaged, file):
+                self.update(read(content, file))
+        self._number = 1 + max(numbers.values(), default=-1)
 
     def add(self, texts: Mapping[bytes, str]) -> None:
         """Add texts that are not known."""
         for digest, text in texts.items():
-            if digest not in self._known:
+            if digest not in self:
                 if self._bytes > MOST_BYTES:
                     self.flush()
                     self._number += 1
                     self._last, self._bytes = {}, 0
-                self._known[digest] = self._last[digest.hex()] = text
+                self[digest] = self._last[digest.hex()] = text
                 self._bytes += 4 * len(text) + 40
                 self._new = True
 
@@ -60,11 +49,6 @@ class Texts(Mapping[bytes, str]):
             file = f"{FOLDER}/{self._number}/zarr.json"
             self._location.put(file, sealed(group_document({"texts": self._last}), file))
             self._new = False
-
-
-def files(keys: Collection[str]) -> list[str]:
-    """Return the names of the documents among those of all files of a store."""
-    return sorted(key for key in keys if _FILE.fullmatch(key))
 
 
 def read(content: bytes | None, file: str) -> dict[bytes, str]:

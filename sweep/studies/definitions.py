@@ -28,39 +28,29 @@ def defined_values(
     known: dict[str, Parameter] = {}
     portable: dict[str, dict[str, dict[str, Any]]] = {}
     for name, by_name in tables.items():
-        try:
+        with problems.at(("define", name, *list(by_name)[:1])):
             parameter = experiment.parameter(name)
-        except ValueError as error:
-            problems.add(("define", name, *list(by_name)[:1]), str(error))
-            continue
-        if parameter.define is None:
-            sentence = f"{name} takes no values that a study defines, but {parameter.allowed()}"
-            problems.add(("define", name, *list(by_name)[:1]), sentence)
-            continue
-        found: list[Named] = []
-        for own_name, table in by_name.items():
-            where = ("define", name, own_name)
-            if not GOOD_NAME.fullmatch(own_name):
-                problems.add(where, "a name begins with a letter and has at most 60 letters, digits and any of _ . + -")
-            if own_name in parameter.choices:
-                problems.add(where, f"{shown(own_name)} is there already; take another name")
-            loaded: dict[str, str] = {}
-            found.append(_named(parameter, own_name, table, partial(_load, folder, loaded), where, problems))
-            portable.setdefault(name, {})[own_name] = {
-                key: loaded.get(text, text) if isinstance(text, str) else text for key, text in table.items()
-            }
-        known[name] = replace(parameter, defined=tuple(found))
+            if parameter.define is None:
+                raise ValueError(f"{name} takes no values that a study defines, but {parameter.allowed()}")
+            found: list[Named] = []
+            for own_name, table in by_name.items():
+                own = problems.inside("define", name, own_name)
+                if not GOOD_NAME.fullmatch(own_name):
+                    own.add((), "a name begins with a letter and has at most 60 letters, digits and any of _ . + -")
+                if own_name in parameter.choices:
+                    own.add((), f"{shown(own_name)} is there already; take another name")
+                loaded: dict[str, str] = {}
+                found.append(_named(parameter, own_name, table, partial(_load, folder, loaded), own))
+                portable.setdefault(name, {})[own_name] = {
+                    key: loaded.get(text, text) if isinstance(text, str) else text for key, text in table.items()
+                }
+            known[name] = replace(parameter, defined=tuple(found))
     parameters = tuple(known.get(parameter.name, parameter) for parameter in experiment.parameters)
     return replace(experiment, parameters=parameters), portable
 
 
 def _named(
-    parameter: Parameter,
-    name: str,
-    table: Mapping[str, Any],
-    load: Callable[[str], Function],
-    where: tuple[str, ...],
-    problems: Problems,
+    parameter: Parameter, name: str, table: Mapping[str, Any], load: Callable[[str], Function], problems: Problems
 ) -> Named:
     assert parameter.define is not None, "asked for before"
     try:
@@ -68,9 +58,9 @@ def _named(
         return Named(name, json.dumps(identity, sort_keys=True), value)
     except DefinitionError as error:
         for key, sentence in error.problems:
-            problems.add((*where, key) if key else where, sentence)
+            problems.add((key,) if key else (), sentence)
     except Exception as error:  # whatever a user's experiment raises
-        problems.add(where, f"the experiment cannot make anything of it: {type(error).__name__}: {error}")
+        problems.add((), f"the experiment cannot make anything of it: {type(error).__name__}: {error}")
     return Named(name, name, None)  # so that its name is known where it is used
 
 

@@ -16,12 +16,12 @@ SENSITIVITY = "needs SALib, which is not installed: pip install 'linksweep[sensi
 
 
 class Design(NamedTuple):
-    """How a design is made of ``n``, the number of parameters and a seed, as (points, parameters) in the unit cube;
-    whether a larger n begins with the same points; what n counts; how many points each of that has beside one for each
-    parameter, None where it is a point; and whether it is of Sobol's sequence, which is even for powers of two.
+    """How a design is drawn of ``n`` and the number of parameters; whether a larger n begins with the same points; what
+    n counts; how many points each of that has beside one for each parameter, None where it is a point; and whether it
+    is of Sobol's sequence, which is even for powers of two.
     """
 
-    make: Callable[[int, int, int], Array]
+    draw: Callable[[int, int, np.random.Generator], Any]
     grows: bool
     counts: str = "points"
     beside: int | None = None
@@ -31,35 +31,35 @@ class Design(NamedTuple):
         """Return how many points it has."""
         return n if self.beside is None else n * (dimensions + self.beside)
 
+    def make(self, n: int, dimensions: int, seed: int) -> Array:
+        """Return its points, (points, parameters), in the unit cube."""
+        with warnings.catch_warnings():  # `remarks` says it in our words
+            warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
+            return np.asarray(self.draw(n, dimensions, np.random.default_rng(seed)))
 
-def _of_scipy(name: str, n: int, dimensions: int, seed: int) -> Array:
+
+def _of_scipy(name: str, n: int, dimensions: int, rng: np.random.Generator) -> Any:
     from scipy.stats import qmc
 
-    with warnings.catch_warnings():  # `remarks` says it in our words
-        warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
-        return np.asarray(getattr(qmc, name)(dimensions, seed=np.random.default_rng(seed)).random(n))
+    return getattr(qmc, name)(dimensions, seed=rng).random(n)
 
 
-def _random(n: int, dimensions: int, seed: int) -> Array:
-    return np.random.default_rng(seed).random((n, dimensions))
+def _random(n: int, dimensions: int, rng: np.random.Generator) -> Any:
+    return rng.random((n, dimensions))
 
 
-def _saltelli(n: int, dimensions: int, seed: int) -> Array:
+def _saltelli(n: int, dimensions: int, rng: np.random.Generator) -> Any:
     salib()
     from SALib.sample import sobol
 
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
-        generator = np.random.default_rng(seed)
-        return np.asarray(sobol.sample(unit_cube(dimensions), n, calc_second_order=False, seed=generator))
+    return sobol.sample(unit_cube(dimensions), n, calc_second_order=False, seed=rng)
 
 
-def _morris(n: int, dimensions: int, seed: int) -> Array:
+def _morris(n: int, dimensions: int, rng: np.random.Generator) -> Any:
     salib()
     from SALib.sample import morris
 
-    generator = np.random.default_rng(seed)
-    return np.asarray(morris.sample(unit_cube(dimensions), n, num_levels=MORRIS_LEVELS, seed=generator))
+    return morris.sample(unit_cube(dimensions), n, num_levels=MORRIS_LEVELS, seed=rng)
 
 
 DESIGNS: Mapping[str, Design] = {

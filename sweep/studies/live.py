@@ -33,11 +33,9 @@ def study_of_function(
     points: Any = None,
 ) -> Study:
     """Return the study of a function, named after it; raises SweepError as `load_study`."""
-    document: dict[str, Any] = {"experiment": function}
-    document |= {} if title is None else {"title": title}
-    document |= {} if points is None else {"points": points}
-    tables = {"axes": axes, "fixed": fixed, "sampling": sampling}
-    return live_study(document | {name: table for name, table in tables.items() if table})
+    tables = {"axes": axes or None, "fixed": fixed or None, "sampling": sampling or None}
+    document = {"experiment": function, "title": title, "points": points, **tables}
+    return live_study({key: value for key, value in document.items() if value is not None})
 
 
 def live_study(document: Mapping[str, Any]) -> Study:
@@ -48,12 +46,10 @@ def live_study(document: Mapping[str, Any]) -> Study:
     say the same.
     """
     plain: dict[str, Any] = {
-        str(key): value if key == "points" else _plain(value, str(key))
+        str(key): _points(value) if key == "points" else _plain(value, str(key))
         for key, value in document.items()
         if key != "experiment"
     }
-    if "points" in plain:
-        plain["points"] = _points(document["points"])
     given = document.get("experiment", "core.experiment:link")
     plain["experiment"] = given if isinstance(given, str) else reference_of(given)
     name = plain["experiment"].rpartition(":")[2] if isinstance(given, str) else _name_of(given)
@@ -125,15 +121,16 @@ def _points(given: Any) -> dict[str, Any]:
             return _plain_table(given, "points")
         quantities, units = columns_of({name: column for name, column in given.items() if is_quantity(column)})
         columns = _plain_table({name: quantities.get(name, column) for name, column in given.items()}, "points")
-        return {"columns": columns, **({"units": units} if units else {})}
-    if hasattr(given, "colnames"):
+    elif hasattr(given, "colnames"):
         columns, units = columns_of({name: given[name] for name in given.colnames})
-        return {"columns": columns, **({"units": units} if units else {})}
-    if hasattr(given, "columns") and hasattr(given, "to_dict"):
+    elif hasattr(given, "columns") and hasattr(given, "to_dict"):
         if twice := given.columns[given.columns.duplicated()].tolist():
             raise SweepError(f"points: two columns are called {shown(twice[0])}")
-        return {"columns": {str(name): _with_gaps(given[name]) for name in given.columns}}
-    raise SweepError(f"points = {shown(given)}: must be a DataFrame, a Table, a mapping of columns, a file or a design")
+        columns, units = {str(name): _with_gaps(given[name]) for name in given.columns}, {}
+    else:
+        wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
+        raise SweepError(f"points = {shown(given)}: {wanted}")
+    return {"columns": columns, **({"units": units} if units else {})}
 
 
 def _with_gaps(series: Any) -> list[Any]:

@@ -31,15 +31,10 @@ def parse_axis(text: str) -> Any:
     """
     parts = text.split(":")
     if len(parts) == 3:
-        start, stop, last = parts
-        if last.startswith("log"):
-            return {
-                "start": parse_value(start),
-                "stop": parse_value(stop),
-                "num": parse_value(last[3:]),
-                "spacing": "log",
-            }
-        return {"start": parse_value(start), "stop": parse_value(stop), "step": parse_value(last)}
+        ends = {"start": parse_value(parts[0]), "stop": parse_value(parts[1])}
+        if parts[2].startswith("log"):
+            return {**ends, "num": parse_value(parts[2][3:]), "spacing": "log"}
+        return {**ends, "step": parse_value(parts[2])}
     listed = parse_value(text)
     return listed if isinstance(listed, list) else _split(text)
 

@@ -12,7 +12,7 @@ from sweep.load import load_function
 from sweep.studies.designs import DESIGNS, MORRIS_LEVELS
 from sweep.studies.form import PointsForm
 from sweep.studies.problems import Problems
-from sweep.studies.ranges import Range, read_range
+from sweep.studies.ranges import read_range
 from sweep.studies.source import Place
 from sweep.tables.columns import rows_listed
 from sweep.tables.reader import read_table
@@ -75,14 +75,11 @@ def _checked(columns: Columns, problems: Problems) -> Columns:
 
 
 def _of_file(form: PointsForm, experiment: Experiment, folder: Path, problems: Problems) -> Columns:
-    try:
+    with problems.at(("points", "file"), f"{shown(form.file)}: "):
         table = read_table(folder / str(form.file))
         columns, units = columns_of({name: table[name] for name in table.colnames})
-    except SweepError as error:
-        for problem in error.problems:
-            problems.add(("points", "file"), f"{shown(form.file)}: {problem}")
-        return {}
-    return _in_units(columns, units | form.units, experiment, ("points", "file"), problems)
+        return _in_units(columns, units | form.units, experiment, ("points", "file"), problems)
+    return {}
 
 
 def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:
@@ -104,13 +101,11 @@ def _in_units(
     """Return columns in the units of their parameters, none if anything is wrong."""
     found: dict[str, list[Any]] = {}
     for name in {**columns, **units}:
-        try:
+        with problems.at((*where, name)):
             parameter = experiment.parameter(name)
             if name not in columns:
                 raise ValueError("has a unit, but is no column")
             found[name] = _column(columns[name], units.get(name, ""), parameter.unit)
-        except ValueError as error:
-            problems.add((*where, name), str(error))
     return found if len(found) == len(columns) else {}
 
 
@@ -131,31 +126,24 @@ def _derived(
     reference: str, columns: Columns, settings: Mapping[str, Any], folder: Path, problems: Problems
 ) -> Columns:
     """Return the columns that a function of the user's gives for each row of a table."""
-    where = ("points", "derive")
-    try:
-        function = load_function(reference, folder)
-    except SweepError as error:
-        for problem in error.problems:
-            problems.add(where, problem)
-        return {}
     found: dict[str, list[Any]] = {}
     names = list(columns)
-    for number, values in enumerate(zip(*columns.values(), strict=True), start=1):
-        try:
-            given = function({**settings, **dict(zip(names, values, strict=True))})
-        except Exception as error:  # whatever a user's function raises
-            problems.add(where, f"row {number}: {reference} raises {type(error).__name__}: {error}")
-            return {}
-        if not isinstance(given, Mapping) or (found and given.keys() != found.keys()):
-            expected = f"a mapping of {', '.join(found)}" if found else "a mapping of parameters to their values"
-            problems.add(where, f"row {number}: {reference} returns {shown(given)}, not {expected}")
-            return {}
-        for name, value in given.items():
-            found.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
-    if twice := sorted(found.keys() & columns.keys()):
-        problems.add(where, f"{', '.join(twice)} is a column already")
-        return {}
-    return found
+    with problems.at(("points", "derive")):
+        function = load_function(reference, folder)
+        for number, values in enumerate(zip(*columns.values(), strict=True), start=1):
+            try:
+                given = function({**settings, **dict(zip(names, values, strict=True))})
+            except Exception as error:  # whatever a user's function raises
+                raise ValueError(f"row {number}: {reference} raises {type(error).__name__}: {error}") from error
+            if not isinstance(given, Mapping) or (found and given.keys() != found.keys()):
+                expected = f"a mapping of {', '.join(found)}" if found else "a mapping of parameters to their values"
+                raise ValueError(f"row {number}: {reference} returns {shown(given)}, not {expected}")
+            for name, value in given.items():
+                found.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
+        if twice := sorted(found.keys() & columns.keys()):
+            raise ValueError(f"{', '.join(twice)} is a column already")
+        return found
+    return {}
 
 
 def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:
@@ -168,7 +156,10 @@ def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> 
         problems.add(("points", "n"), f"is required: how many {what}")
     if not form.ranges:
         problems.add(("points", "ranges"), "is required: the range of each parameter that the design varies")
-    ranges = [found for key, spec in form.ranges.items() if (found := _range(key, spec, experiment, problems))]
+    ranges = []
+    for key, spec in form.ranges.items():
+        with problems.at(("points", "ranges", key)):
+            ranges.append(read_range(experiment.parameter(key), spec))
     if name == "morris":
         for one in ranges:
             if one.levels < MORRIS_LEVELS or any(isinstance(value, str | bool) for value in one.values):
@@ -186,11 +177,3 @@ def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> 
         return {}, {}
     columns = {one.name: one(unit[:, k]) for k, one in enumerate(ranges)}
     return columns, {"design": name, "n": form.n, "seed": form.seed, "ranges": dict(form.ranges)}
-
-
-def _range(name: str, spec: object, experiment: Experiment, problems: Problems) -> Range | None:
-    try:
-        return read_range(experiment.parameter(name), spec)
-    except ValueError as error:
-        problems.add(("points", "ranges", name), str(error))
-        return None

@@ -1,12 +1,13 @@
 """The problems of one study, gathered so that all are told at once, each with its key and its line."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy
 from functools import cache
 
 from sweep.contract import SweepError, shown
-from sweep.studies.source import Place, line_of, lines_of_keys
+from sweep.studies.source import Place, lines_of_keys
 
 MAX_PROBLEMS = 50
 """After so many problems of one study the rest is not looked for."""
@@ -38,15 +39,20 @@ class Problems:
         if len(self.found) >= MAX_PROBLEMS:
             raise SweepError([*self.found, "... and perhaps more problems like these"], self._where)
         whole = (*self._table, *place)
-        around = (self.overridden.get(whole[:n]) for n in range(len(whole), 0, -1))
-        source = next(filter(None, around), None)
+        around = [whole[:n] for n in range(len(whole), 0, -1)]  # the value, and the tables that it is in
+        source = next((self.overridden[table] for table in around if self.overridden.get(table)), None)
         if source is None:
-            line = line_of(self._lines(), whole)
-            source = f"line {line}" if line else None
+            source = next((f"line {self._lines()[table]}" for table in around if table in self._lines()), None)
         key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in whole)
         self.found.append(f"{key}{f' ({source})' if source else ''}: {message}")
 
-    def raise_if_any(self) -> None:
-        """Raise SweepError with all problems."""
-        if self.found:
-            raise SweepError(self.found, self._where)
+    @contextmanager
+    def at(self, place: Place, before: str = "") -> Iterator[None]:
+        """Take what a ValueError or SweepError says as problems of a place, ``before`` which a text may stand."""
+        try:
+            yield
+        except ValueError as error:
+            self.add(place, f"{before}{error}")
+        except SweepError as error:
+            for problem in error.problems:
+                self.add(place, f"{before}{problem}")

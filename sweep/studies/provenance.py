@@ -13,7 +13,7 @@ from typing import Any
 
 from sweep.distributions import version_of
 from sweep.functions.adapter import FunctionExperiment
-from sweep.studies.study import POINT_TABLE, PointTable, Study
+from sweep.studies.study import POINT_TABLE, Study
 from sweep.tables.file import content_digest
 
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
@@ -22,7 +22,6 @@ ERROR_CONVENTION = 2
 """How the errors in a dataset were made (docs/errors.md): 2 since catalogues are what is independent; no attribute
 before that.
 """
-
 
 OUTER_DRAW, CITATION = "outer_draw", "citation"
 """Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON."""
@@ -36,48 +35,46 @@ FUNCTION = "function"
 
 def provenance(study: Study) -> dict[str, Any]:
     """Return the attributes of a result that say how it was made; plain strings and numbers."""
+    experiment, sampling, points = study.experiment, study.sampling, study.points
+    common = sampling.common_random_numbers
+    own_words = not is_of_the_link({"experiment": study.experiment_reference})
+    defined = {
+        parameter.name: {named.name: content_digest(named) for named in parameter.defined}
+        for parameter in experiment.parameters
+        if parameter.defined
+    }
+    claims = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
+    conclusion = study.conclusion
     attributes: dict[str, Any] = {
         "title": study.title,
-        **({"question": study.question} if study.question else {}),
+        "question": study.question or None,
         "study_name": study.name,
         "study": study.text,
         "study_overrides": " ".join(study.overrides),
         "study_digest": study.digest(),
         "experiment": study.experiment_reference,
-        **({FUNCTION: study.experiment.name} if isinstance(study.experiment, FunctionExperiment) else {}),
-        **({} if study.experiment.deterministic else {"seed": study.sampling.seed}),
+        FUNCTION: experiment.name if isinstance(experiment, FunctionExperiment) else None,
+        "seed": None if experiment.deterministic else sampling.seed,
         **study.numbers(),
-        **({} if study.sampling.precision is None else {"precision": study.sampling.precision}),
+        "precision": sampling.precision,
         "error_convention": ERROR_CONVENTION,
-        **_point_table(study.points),
-        **(_common(study) if study.sampling.common_random_numbers else {}),
-        **_words(study),
+        POINT_TABLE: json.dumps({"parameters": list(points.names), **points.origin}) if points else None,
+        "common_random_numbers": 1 if common else None,
+        "shared_axes": json.dumps([axis for axis in study.axes if axis in experiment.shared]) if common else None,
+        OUTER_DRAW: experiment.outer_draw if own_words and experiment.outer_draw not in ("", "outer draw") else None,
+        CITATION: json.dumps(experiment.citation) if own_words and experiment.citation else None,
         "study_document": json.dumps(study.document),
         "versions": json.dumps({"python": platform.python_version()} | {p: version_of(p) for p in PACKAGES}),
         "host": host(),
         "machine": f"{platform.system()} {platform.machine()}",
         "command": command_line(),
         "started": now(),
+        "defined": json.dumps(defined) if defined else None,
+        "claims": json.dumps(claims) if claims else None,
+        "conclusion": conclusion.model_dump_json(exclude_none=True, exclude_defaults=True) if conclusion else None,
+        "git_commit": git_commit(),
     }
-    defined = {
-        parameter.name: {named.name: content_digest(named) for named in parameter.defined}
-        for parameter in study.experiment.parameters
-        if parameter.defined
-    }
-    if defined:
-        attributes["defined"] = json.dumps(defined)
-    if study.claims:
-        claims = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
-        attributes["claims"] = json.dumps(claims)
-    if study.conclusion is not None:
-        attributes["conclusion"] = study.conclusion.model_dump_json(exclude_none=True, exclude_defaults=True)
-    if commit := git_commit():
-        attributes["git_commit"] = commit
-    return attributes
-
-
-def _point_table(points: PointTable | None) -> dict[str, str]:
-    return {} if points is None else {POINT_TABLE: json.dumps({"parameters": list(points.names), **points.origin})}
+    return {name: value for name, value in attributes.items() if value is not None}
 
 
 def is_of_the_link(attributes: Mapping[Any, Any]) -> bool:
@@ -88,23 +85,6 @@ def is_of_the_link(attributes: Mapping[Any, Any]) -> bool:
 def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
     """Return what results with these attributes call draws that several realisations share."""
     return str(attributes.get(OUTER_DRAW, "catalogue" if is_of_the_link(attributes) else "outer draw"))
-
-
-def _words(study: Study) -> dict[str, str]:
-    """Return the words of an experiment of a user's that are not those of all."""
-    experiment = study.experiment
-    if is_of_the_link({"experiment": study.experiment_reference}):
-        return {}
-    own = {OUTER_DRAW: experiment.outer_draw} if experiment.outer_draw not in ("", "outer draw") else {}
-    return own | ({CITATION: json.dumps(experiment.citation)} if experiment.citation else {})
-
-
-def _common(study: Study) -> dict[str, Any]:
-    """Return the attributes of a study whose points share random numbers along some of its axes."""
-    return {
-        "common_random_numbers": 1,
-        "shared_axes": json.dumps([axis for axis in study.axes if axis in study.experiment.shared]),
-    }
 
 
 def host() -> str:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sweep.contract import Array, Parameter, shown
-from sweep.studies.axes import number_problem
+from sweep.studies.values import number_problem
 
 WAYS = 'write [low, high], { low, high, spacing = "log" } or { values = [...] }'
 

@@ -2,23 +2,20 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sweep.contract import Experiment, SweepError, Value
 from sweep.load import absolute_reference, read_experiment
-from sweep.studies.claims import ClaimContext, checked_claim
-from sweep.studies.conclusion import checked_conclusion
+from sweep.studies.claims import ClaimContext, checked_claim, checked_conclusion
 from sweep.studies.definitions import defined_values
-from sweep.studies.exclusions import exclusion
 from sweep.studies.form import Form, Sampling
 from sweep.studies.form_reader import read_form
 from sweep.studies.overrides import Overrides, override
 from sweep.studies.points import read_points
 from sweep.studies.problems import Problems
-from sweep.studies.published import read_published
-from sweep.studies.rules import check_sampling, zipped_axes
+from sweep.studies.rules import check_sampling, exclusion, read_published, zipped_axes
 from sweep.studies.source import find_study, parsed, read_text, reference_in
 from sweep.studies.study import POINT, PointTable, Study
 from sweep.studies.values import Values
@@ -66,14 +63,15 @@ def load_study(
         text = read_text(path)
         document = parsed(text, path)
     overrides = override(document, settings, axes, points, design, ranges)
-    return _Reader(document, text, path, overrides, where=function).study()
+    return _Reader(document, text, path, function or str(path), overrides).study()
 
 
 def study_from_dict(document: Mapping[str, Any], name: str = "study", where: str | None = None) -> Study:
     """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError, which says
     ``where``, as `load_study`.
     """
-    return _Reader(dict(document), "", Path.cwd() / f"{name}.toml", Overrides(), where=where).study()
+    path = Path.cwd() / f"{name}.toml"
+    return _Reader(dict(document), "", path, where or str(path), Overrides()).study()
 
 
 def study_of_attributes(
@@ -95,26 +93,22 @@ def study_of_attributes(
     laid = Overrides()
     if overrides:
         laid = Overrides((overrides,), {(table, k): "" for table in ("axes", "fixed") for k in document.get(table, {})})
-    return replace(_Reader(document, text, Path(where), laid, experiment).study(), name=name)
+    return replace(_Reader(document, text, Path(where), where, laid, experiment).study(), name=name)
 
 
+@dataclass
 class _Reader:
     """Reads one document into a Study, gathering every problem on the way."""
 
-    def __init__(
-        self,
-        document: dict[str, Any],
-        text: str,
-        path: Path,
-        overrides: Overrides,
-        experiment: Callable[[str], Experiment] | None = None,
-        where: str | None = None,
-    ) -> None:
-        self.find_experiment = experiment
-        self.document, self.text, self.path = document, text, path
-        self.where = where or str(path)
-        self.problems = Problems(self.where, text, overrides.problems, overrides.by_place)
-        self.overrides = overrides.written
+    document: dict[str, Any]
+    text: str
+    path: Path
+    where: str
+    overrides: Overrides
+    find_experiment: Callable[[str], Experiment] | None = None
+
+    def __post_init__(self) -> None:
+        self.problems = Problems(self.where, self.text, self.overrides.problems, self.overrides.by_place)
 
     def study(self) -> Study:
         form = read_form(self.document, self.problems)
@@ -127,7 +121,11 @@ class _Reader:
         values = Values(experiment, self.path.parent, self.problems)
         points, origin, columns = self._points(values, form)
         axes = points | {name: values.axis(name, spec) for name, spec in form.axes.items()}
-        fixed = {name: self._fixed(values, form, name, raw) for name, raw in form.fixed.items()}
+        fixed = {}
+        for name, raw in form.fixed.items():
+            if name in form.axes:
+                self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
+            fixed[name] = values.one(("fixed", name), name, raw)
         self._check_required(experiment, form, points)
         crossed = {name: axes[name] for name in form.axes}
         zipped = zipped_axes(form.grid.zip, crossed, self.problems)
@@ -136,16 +134,15 @@ class _Reader:
         published = None
         if form.published is not None:
             published = read_published(form.published, self.path.parent, experiment, axes, self.problems)
-        check_sampling(form.sampling, experiment, self.problems)
+        check_sampling(form.sampling, experiment, self.problems.inside("sampling"))
         changed = frozenset(str(place[1]) for place in self.problems.overridden if place[:1] in (("axes",), ("fixed",)))
         context = ClaimContext(experiment, crossed, form.grid.zip, changed)
-        claims = tuple(
-            checked_claim(claim, context, self.problems.inside("claim", i)) for i, claim in enumerate(form.claim)
-        )
+        claims = tuple(checked_claim(c, context, self.problems.inside("claim", i)) for i, c in enumerate(form.claim))
         conclusion = None
         if form.conclusion is not None:
             conclusion = checked_conclusion(form.conclusion, context, self.problems.inside("conclusion"))
-        self.problems.raise_if_any()
+        if self.problems.found:
+            raise SweepError(self.problems.found, self.where)
         return Study(
             name=self.path.stem,
             title=form.title,
@@ -163,7 +160,7 @@ class _Reader:
             claims=claims,
             conclusion=conclusion,
             text=self.text,
-            overrides=self.overrides,
+            overrides=self.overrides.written,
             document=self._portable(form, fixed, columns, origin) | ({"define": definitions} if definitions else {}),
         )
 
@@ -195,12 +192,12 @@ class _Reader:
         if not moved:
             return form
         rest = {key: value for key, value in self.document["sampling"].items() if key not in moved}
-        fixed = {**self.document.get("fixed", {}), **moved}
-        axes = {key: value for key, value in self.document.get("axes", {}).items() if key not in moved}
-        self.document = {**self.document, "sampling": rest, "fixed": fixed, "axes": axes}
+        axes = {key: value for key, value in form.axes.items() if key not in moved}
+        changed = {"sampling": rest, "fixed": form.fixed | moved, "axes": axes}
+        self.document = {**self.document, **changed}
         if not rest:
             del self.document["sampling"]
-        return Form.model_validate(self.document)
+        return form.model_copy(update={**changed, "sampling": Sampling(**rest)})
 
     def _points(
         self, values: Values, form: Form
@@ -219,13 +216,10 @@ class _Reader:
             if name in {**form.axes, **form.fixed}:
                 what = "an axis" if name in form.axes else "fixed"
                 self.problems.add(where, f"is {what} too; leave out one of the two")
-            try:
+            with self.problems.at(where):
                 if not (parameter := experiment.parameter(name)).may_be_axis:
                     raise ValueError(f"a {parameter.kind} cannot differ from point to point")
-            except ValueError as error:
-                self.problems.add(where, str(error))
-                continue
-            found[name] = values.several(where, name, raw_values, rows=True)
+                found[name] = values.several(where, name, raw_values, rows=True)
         return found, origin, columns
 
     def _check_required(self, experiment: Experiment, form: Form, points: Mapping[str, object]) -> None:
@@ -245,8 +239,3 @@ class _Reader:
             for problem in error.problems:
                 self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)
             return None
-
-    def _fixed(self, values: Values, form: Form, name: str, raw: object) -> Value:
-        if name in form.axes:
-            self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
-        return values.one(("fixed", name), name, raw)

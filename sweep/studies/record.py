@@ -1,11 +1,11 @@
 """What a store records of an experiment, so that whoever looks at the store need not import it."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError
+from sweep.contract import Experiment, Named, Output, Parameter, SweepError
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.record import experiment_of_record, layout_of_record
 from sweep.studies.reader import study_of_attributes
@@ -72,33 +72,28 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
     if "function" in record:
         return experiment_of_record(record, parameters)
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
-    cost = _cost(record)
-    experiment = Experiment(
-        name=record["name"],
-        version=record["version"],
+    same = ("name", "version", "sums", "coordinates", "component_units", "shared")
+    return Experiment(
+        **{key: _tuples(record[key]) for key in same},
         parameters=parameters,
-        sums={name: tuple(shape) for name, shape in record["sums"].items()},
         outputs=outputs,
         evaluate=_computes_nothing,
         summarise=_computes_nothing,
-        coordinates={name: tuple(labels) for name, labels in record["coordinates"].items()},
-        component_units={name: tuple(units) for name, units in record["component_units"].items()},
         samples=_computes_nothing if samples else None,
         sample_outputs=samples,
-        shared=tuple(record["shared"]),
         nan_sums=tuple(record.get("nan_sums", ())),
+        **_cost(record),
     )
-    return experiment if cost is None else replace(experiment, cost=cost)
 
 
-def _cost(record: Mapping[str, Any]) -> Callable[[Point], float] | None:
-    """Return the cost of a point, None where all points cost 1, as where an experiment says nothing."""
+def _cost(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the function for the cost of a point, none where all cost 1, as where an experiment says nothing."""
     if "costs" not in record:
-        return _computes_nothing
+        return {"cost": _computes_nothing}
     names, costs = record["cost_axes"], record["costs"]
     if costs == {_key(()): 1.0}:
-        return None
-    return lambda point: float(costs[_key(tuple(point[name] for name in names))])
+        return {}
+    return {"cost": lambda point: float(costs[_key(tuple(point[name] for name in names))])}
 
 
 def _key(values: tuple[Any, ...]) -> str:
@@ -130,4 +125,6 @@ def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
 
 
 def _tuples(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _tuples(one) for name, one in value.items()}
     return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,7 @@ Place = tuple[str | int, ...]
 
 def built_in_studies() -> dict[str, Path]:
     """Return the studies that ship with the package, by name."""
-    folder = resources.files("sweeps")
-    return {
-        p.name.removesuffix(".toml"): Path(str(p))
-        for p in sorted(folder.iterdir(), key=str)
-        if p.name.endswith(".toml")
-    }
+    return {path.stem: path for path in sorted(Path(str(resources.files("sweeps"))).glob("*.toml"))}
 
 
 def reference_in(name_or_path: str) -> str | None:
@@ -104,11 +98,6 @@ def lines_of_keys(text: str) -> dict[Place, int]:
         elif entry := re.match(r"\s*([\w.\"'-]+)\s*=", line):
             lines[*table, *entry[1].replace('"', "").replace("'", "").split(".")] = number
     return lines
-
-
-def line_of(lines: Mapping[Place, int], where: Place) -> int | None:
-    """Return the line of a place, or of the innermost table around it that has one."""
-    return next((lines[where[:n]] for n in range(len(where), 0, -1) if where[:n] in lines), None)
 
 
 def _has_deep_key(text: str) -> bool:

@@ -2,7 +2,7 @@
 
 import json
 
-from sweep.contract import Experiment, Output, Parameter
+from sweep.contract import Experiment, Parameter
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.designs import DESIGNS
 from sweep.studies.form import Sampling
@@ -36,8 +36,6 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         "# NAME = { start = 1.0, stop = 2.0, step = 0.5 }",
         '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
         *(f"{name} = {_toml(values)}" for name, values in axes.items()),
-    ]
-    lines += [
         "",
         "# [points]  # many parameters at once, crossed with the axes: a table, or a design in ranges",
         '# file = "runs.csv"  # a column for each parameter',
@@ -69,7 +67,8 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
 def _conclusion(experiment: Experiment) -> list[str]:
     """Return the lines of an answer that holds for any values of the axes; none where no result is one number."""
     numbers = [output for output in experiment.outputs if not output.dims and "," not in output.unit]
-    names = [output.name for output in sorted(numbers, key=lambda output: not _is_main(output, experiment))]
+    main = dict(experiment.errors_of_headline())  # what tables and figures begin with
+    names = sorted((output.name for output in numbers), key=lambda name: name not in main)
     if not names or isinstance(experiment, FunctionExperiment):
         return []
     value = f"{{ variable = {_toml(names[0])} }}"
@@ -82,11 +81,6 @@ def _conclusion(experiment: Experiment) -> list[str]:
         f'least = {{ value = {value}, choose = "least" }}',
         f'largest = {{ value = {value}, choose = "largest" }}',
     ]
-
-
-def _is_main(output: Output, experiment: Experiment) -> bool:
-    """Return whether an output is a headline with an error, which is what tables and figures begin with."""
-    return output.headline and f"{output.name}_mc_error" in {other.name for other in experiment.outputs}
 
 
 def _example(parameter: Parameter) -> object:

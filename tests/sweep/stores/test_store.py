@@ -37,12 +37,12 @@ def rows(number, start=0):
 def test_what_was_flushed_is_there_again(tmp_path, study):
     keys, sums = rows(5)
     store = open_store(tmp_path / "s.zarr", study)
-    store.append(keys[:3], sums[:3])
+    store.append(keys[:3], sums[:3], [], {})
     store.flush()
-    store.append(keys[3:], sums[3:])  # never flushed: a killed process
+    store.append(keys[3:], sums[3:], [], {})  # never flushed: a killed process
     again = open_store(tmp_path / "s.zarr", study)
     assert set(again.rows) == set(keys[:3])
-    again.append(keys[3:], sums[3:])
+    again.append(keys[3:], sums[3:], [], {})
     again.flush()
     assert np.array_equal(open_store(tmp_path / "s.zarr", study).sums(), sums)
 
@@ -53,7 +53,7 @@ def test_the_ledger_grows_over_chunks_in_few_files(tmp_path, study):
     chunk = json.loads(store.attributes["ledger"])["sums"][0]
     written = 0
     for size in (chunk - 1, 1, 5, chunk, 7):  # to the brim, over it, a whole one, a bit more
-        store.append(*rows(size, written))
+        store.append(*rows(size, written), [], {})
         store.flush()
         written += size
     again = open_store(tmp_path / "s.zarr", study)
@@ -66,7 +66,7 @@ def test_the_ledger_grows_over_chunks_in_few_files(tmp_path, study):
 
 def test_an_index_whose_sums_did_not_reach_the_disk_does_not_count(tmp_path, study):
     store = open_store(tmp_path / "s.zarr", study)
-    store.append(*rows(4))
+    store.append(*rows(4), [], {})
     store.flush()
     shutil.rmtree(tmp_path / "s.zarr" / "blocks" / "sums" / "c")
     assert open_store(tmp_path / "s.zarr", study).rows == {}
@@ -74,7 +74,7 @@ def test_an_index_whose_sums_did_not_reach_the_disk_does_not_count(tmp_path, stu
 
 def test_a_flipped_bit_is_noticed(tmp_path, study):
     store = open_store(tmp_path / "s.zarr", study)
-    store.append(*rows(4))
+    store.append(*rows(4), [], {})
     store.flush()
     chunk = tmp_path / "s.zarr" / "blocks" / "sums" / "c" / "0" / "0"
     damaged = bytearray(chunk.read_bytes())

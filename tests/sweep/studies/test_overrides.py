@@ -64,3 +64,13 @@ def test_a_setting_of_points_that_another_option_replaces_is_refused(options, to
 def test_a_setting_of_points_goes_with_a_design_that_leaves_it_open():
     study = load_study("quasars", ["points.seed=4"], design="sobol:8", ranges=["error_scale=1:2"])
     assert study.points.origin["seed"] == 4
+
+
+def test_a_parameter_called_seed_is_set_in_a_study_with_another_mistake(tmp_path):
+    (tmp_path / "law.py").write_text("def law(x=1.0, seed=2):\n    return x * seed\n")
+    study = 'title = "t"\nexperiment = "law.py:law"\n[axes]\nx = [1.0]\n'
+    (tmp_path / "good.toml").write_text(study)
+    assert load_study(str(tmp_path / "good.toml"), settings=["seed=3"]).fixed["seed"] == 3
+    (tmp_path / "wrong.toml").write_text(f"nonsense = 3\n{study}")
+    with pytest.raises(SweepError, match=r"nonsense \(line 1\): unknown key"):
+        load_study(str(tmp_path / "wrong.toml"), settings=["seed=3"])
