@@ -8,7 +8,7 @@ A parameter that the satellite lacks is free: it is eliminated from W as an unkn
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -74,14 +74,13 @@ class Eliminated:
     def scaled(self, factors: Array | NDArray[np.bool_]) -> "Eliminated":
         """Return the same with the weight of each source multiplied by a factor (S,)."""
         each = factors[:, None, None]
-        return Eliminated(
-            self.weight * each,
-            self.right * factors[:, None],
-            self.squares * factors,
-            self.count,
-            self.expected * factors,
-            self.spread * each**2,
-            self.parameters,
+        return replace(
+            self,
+            weight=self.weight * each,
+            right=self.right * factors[:, None],
+            squares=self.squares * factors,
+            expected=self.expected * factors,
+            spread=self.spread * each**2,
         )
 
 

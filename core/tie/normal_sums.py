@@ -1,6 +1,6 @@
 """Normal equations of the unknowns, kept for each source or for groups of sources."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -38,9 +38,8 @@ class NormalSums:
 
     def taken(self, part: NDArray[np.bool_] | Indices) -> "NormalSums":
         """Return the sums of some sources."""
-        spread = None if self.spread is None else self.spread[part]
-        normal, right, squares, count, expected = (sums[part] for sums in self._plain)
-        return NormalSums(normal, right, squares, count, expected, spread)
+        found: dict[str, Any] = {name: None if sums is None else sums[part] for name, sums in vars(self).items()}
+        return NormalSums(**found)
 
     def weighted(self, factors: Array | NDArray[np.bool_]) -> "NormalSums":
         """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
@@ -58,26 +57,18 @@ class NormalSums:
 
     def plus(self, other: "NormalSums") -> "NormalSums":
         """Return the sums of both, group by group."""
-        spread = None
-        if self.spread is not None or other.spread is not None:
-            spread = self.right_covariance + other.right_covariance
-        pairs = zip(self._plain, other._plain, strict=True)
-        normal, right, squares, count, expected = (one + two for one, two in pairs)
-        return NormalSums(normal, right, squares, count, expected, spread)
+        return self._with(other, np.add)
 
     def followed_by(self, other: "NormalSums") -> "NormalSums":
         """Return the groups of both, one after the other."""
-        spread = None
-        if self.spread is not None and other.spread is not None:
-            spread = np.concatenate([self.spread, other.spread])
-        pairs = zip(self._plain, other._plain, strict=True)
-        normal, right, squares, count, expected = (np.concatenate(pair) for pair in pairs)
-        return NormalSums(normal, right, squares, count, expected, spread)
+        return self._with(other, lambda one, two: np.concatenate([one, two]))
 
-    @property
-    def _plain(self) -> tuple[Array, Array, Array, Array, Array]:
-        """All but the covariance of b."""
-        return self.normal, self.right, self.squares, self.count, self.expected
+    def _with(self, other: "NormalSums", together: Callable[[Array, Array], Array]) -> "NormalSums":
+        mine, others = dict(vars(self)), dict(vars(other))
+        if self.spread is not None or other.spread is not None:
+            mine["spread"], others["spread"] = self.right_covariance, other.right_covariance
+        found: dict[str, Any] = {name: None if a is None else together(a, others[name]) for name, a in mine.items()}
+        return NormalSums(**found)
 
     @property
     def right_covariance(self) -> Array:
