@@ -15,13 +15,13 @@ from core.blocks import (
     Glide,
     Harmonics,
     Objects,
-    OfMission,
     Orientation,
     ParallaxZeroPoint,
     Rotation,
     SpinByBin,
+    of_mission,
 )
-from core.harmonics import Kind
+from core.harmonics import Kind, terms
 
 HIGHEST_DEGREE = 50
 
@@ -168,7 +168,7 @@ def parse_unknowns(
     own = [name for name in names if name.partition(":")[0] not in of]
     blocks = list(_blocks(own, bins, columns or {}, corrections))
     for number, (mission, some) in enumerate(of.items(), 1):
-        blocks += [OfMission(block, mission, number) for block in _blocks(some, None, {}, corrections)]
+        blocks += [of_mission(block, mission, number) for block in _blocks(some, None, {}, corrections)]
     if bins is not None and not any(isinstance(block, SpinByBin) for block in blocks):
         raise ValueError("bins divide the spin, which is not among the unknowns")
     return Unknowns(tuple(blocks))
@@ -223,7 +223,8 @@ def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -
     parts = tuple((k, d) for d in range(first, last + 1) for k in kinds if not covered.get((k, d)))
     if not parts:
         raise ValueError(f"unknowns {name!r}: {rotation} and {glide} are these already")
-    return Harmonics(asked.name, rows, rows == MOTION, parts)
+    labels = tuple(f"{asked.name}_{term.label}" for kind, degree in parts for term in terms(kind, degree))
+    return Harmonics(name=asked.name, labels=labels, rows=rows, rate=rows == MOTION, parts=parts)
 
 
 def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Array]) -> SpinByBin:
@@ -237,4 +238,4 @@ def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Arra
     if np.any(missing := ~np.isfinite(values)):
         raise ValueError(f"bins: {column} is missing in {np.count_nonzero(missing)} of {len(values)} matched sources")
     used = np.unique(np.searchsorted(edges, values, side="right"))
-    return SpinByBin(column, tuple(map(float, edges)), tuple(used.tolist()))
+    return SpinByBin(column=column, edges=tuple(map(float, edges)), used=tuple(used.tolist()))

@@ -7,12 +7,12 @@ import numpy as np
 
 from core.arrays import Array
 from core.catalogue import Catalogue
-from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, Uncorrelated
+from core.errors.model import ErrorKind, ErrorModel, Errors, Objects
 from sweep.contract import Point
 
 
 @dataclass(frozen=True)
-class NoErrors(Uncorrelated):
+class NoErrors(ErrorModel):
     """Error-free data."""
 
     def standard_errors(self, catalogue: Catalogue) -> Array:

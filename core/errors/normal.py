@@ -7,12 +7,12 @@ import numpy as np
 
 from core.arrays import Array
 from core.catalogue import Catalogue
-from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, Uncorrelated, four_rows, scale_of
+from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
 from sweep.contract import Point
 
 
 @dataclass(frozen=True)
-class NormalErrors(Uncorrelated):
+class NormalErrors(ErrorModel):
     """The same errors for every object: ``sigma_pos_mas`` per coordinate and ``sigma_pm_mas_yr``, times ``scale``."""
 
     sigma_pos_mas: float

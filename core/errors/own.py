@@ -12,7 +12,7 @@ from sweep.contract import Point
 
 
 @dataclass(frozen=True)
-class CatalogueErrors:
+class CatalogueErrors(ErrorModel):
     """The errors that the catalogue lists for each object of a side, with their correlations if any, times ``scale``.
 
     Raises ValueError for a catalogue without errors of its own.

@@ -1,19 +1,14 @@
 """The forms of accuracy curves: the standard error of one object against its magnitude."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from core.arrays import Array
 
-
-class Curve(Protocol):
-    """A standard error as a function of magnitude."""
-
-    def __call__(self, v_mag: Array) -> Array:
-        """Return the standard error at each magnitude, same shape."""
-        ...
+Curve = Callable[[Array], Array]
+"""A standard error as a function of magnitude: that at each magnitude, same shape."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,21 @@ def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array | Flag
     kept = factors > 0.0
     equal = np.all(factors[kept] == 1.0)
     return solve(sums.taken(kept), labels, None if equal else factors[kept])
+
+
+class Heaviest(NamedTuple):
+    """The sizes of the largest weights, the sources with them and their sums."""
+
+    sizes: Array
+    places: Indices
+    sums: NormalSums
+
+
+def heaviest(problem: Problem, number: int) -> Heaviest:
+    """Return so many sources with the largest weights; of equal ones the first."""
+    sizes = weight_sizes(problem)
+    found = np.argsort(-sizes, kind="stable")[:number]
+    return Heaviest(sizes[found], found, source_sums(problem.only(found)))
 
 
 @dataclass(frozen=True)
@@ -120,8 +136,8 @@ class SourceTable:
 
     def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
         """Return the sources with the largest weights, and their sums."""
-        found = np.argsort(-weight_sizes(self.problem), kind="stable")[:number]
-        return found, source_sums(self.problem.only(found))
+        _, places, sums = heaviest(self.problem, number)
+        return places, sums
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""

@@ -15,17 +15,7 @@ EPOCHS = (1700.0, 2300.0)
 Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
 
-NAMES = (
-    "name",
-    "star",
-    "source",
-    "source_id",
-    "designation",
-    "psr_name",
-    "hip",
-    "iers_name",
-    "icrf_name",
-)
+NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
 CORRELATIONS = tuple(f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr" for i, j in PAIRS)
 _AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
 _CORRELATIONS_AT_VIZIER = {

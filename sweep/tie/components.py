@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import chdtrc
 
 from core.arrays import Array
 from core.blocks import SpinByBin
@@ -34,17 +33,15 @@ def components(values: Array, labels: Sequence[str]) -> Array:
     return placed
 
 
-def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> tuple[Array, Array, Array]:
+def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
     """Return the power of each field and degree of an estimate in rad, what noise gives on average, and the
-    probability that noise is as significant; shape (fields, degrees), in mas2 and mas2/yr2, NaN if not solved for.
+    probability that noise is as significant; shape (3, fields, degrees), in mas2 and mas2/yr2, NaN if not solved for.
     """
-    power, noise, probability = np.full((3, *POWER_SHAPE), np.nan)
+    found = np.full((3, *POWER_SHAPE), np.nan)
     for one in spectrum(unknowns, estimate / MAS, covariance / MAS**2):
         if one.degree <= HIGHEST_STORED:
-            at = FIELDS.index(one.field), one.degree - 1
-            power[at], noise[at] = one.power, one.noise
-            probability[at] = chdtrc(2 * one.degree + 1, one.chi2)
-    return power, noise, probability
+            found[:, FIELDS.index(one.field), one.degree - 1] = one.power, one.noise, one.probability
+    return found
 
 
 def by_bins(unknowns: Unknowns, values: Array) -> Array:

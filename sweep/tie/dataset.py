@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from core.arrays import Array
 from core.blocks import PARAMETERS, SpinByBin
@@ -179,16 +178,13 @@ def _add_spectrum(link: Link, main: Array, variables: dict[str, Any], coordinate
     if not powers:
         return
     degrees = sorted({power.degree for power in powers})
-    fields_of = sorted({power.field for power in powers})
-    shape = len(fields_of), len(degrees)
-    table = {name: np.full(shape, np.nan) for name in ("power", "power_noise", "power_chi2", "power_probability")}
-    for one in powers:
-        at = fields_of.index(one.field), degrees.index(one.degree)
-        table["power"][at], table["power_noise"][at] = one.power, one.noise
-        table["power_chi2"][at] = one.chi2
-        table["power_probability"][at] = chdtrc(2 * one.degree + 1, one.chi2)
-    coordinates |= {"degree": degrees, "field": fields_of}
-    variables |= {name: (("field", "degree"), values) for name, values in table.items()}
+    fields = sorted({power.field for power in powers})
+    table = np.full((4, len(fields), len(degrees)), np.nan)
+    for field, degree, *numbers in powers:
+        table[:, fields.index(field), degrees.index(degree)] = numbers
+    coordinates |= {"degree": degrees, "field": fields}
+    names = ("power", "power_noise", "power_chi2", "power_probability")
+    variables |= {name: (("field", "degree"), values) for name, values in zip(names, table, strict=True)}
 
 
 def _add_bins(link: Link, errors: Array, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:

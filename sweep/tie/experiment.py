@@ -144,7 +144,7 @@ def _of_tables(design: Design) -> dict[str, Array]:
             variance = np.diag(solved.covariances[kind])
             found[f"error_{kind}"] = components(np.sqrt(variance) / MAS, labels)
         unknowns, scaled = design.problem.unknowns, np.sqrt(np.diag(solved.covariances["scaled"]))
-        power = np.array(powers(unknowns, solved.solution.estimate, solved.solution.covariance))
+        power = powers(unknowns, solved.solution.estimate, solved.solution.covariance)
         in_bins = np.array([by_bins(unknowns, one / MAS) for one in (solved.solution.estimate, scaled)])
         kept = float(np.sum((solved.found.factors > 0.0) & (solved.count > 0)))
         ratio = solved.solution.scale**2

@@ -53,5 +53,6 @@ def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float)
         ],
         axis=1,
     )
-    block = SpinByBin(column, tuple(low_edges[1:].tolist()), tuple(range(len(low_edges))))
+    edges, used = tuple(low_edges[1:].tolist()), tuple(range(len(low_edges)))
+    block = SpinByBin(column=column, edges=edges, used=used)
     return Unknowns((block,)), sign * vectors.ravel() * MAS

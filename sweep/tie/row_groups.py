@@ -17,8 +17,8 @@ import numpy as np
 from core.arrays import Array, Flags, Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
-from core.tie.clips import Sources
-from core.tie.normal_sums import NormalSums
+from core.tie.clips import Sources, separation
+from core.tie.normal_sums import NormalSums, source_counts, source_discrepancies
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
 from core.unknowns import Unknowns
@@ -90,12 +90,12 @@ class RowGroupTable:
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
-        counts = self._filled(row_group.counts, kind=np.float32)
-        return Sources(self.solve, partial(self._filled, row_group.discrepancies), counts)
+        counts = self._filled(source_counts, kind=np.float32)  # whole numbers
+        return Sources(self.solve, partial(self._filled, source_discrepancies), counts)
 
     def separations(self) -> tuple[Array, Array]:
         """Return the normalised separation and the separation of each source."""
-        normalised, plain = self._filled(row_group.separations, rows=2)
+        normalised, plain = self._filled(separation, rows=2)
         return normalised, plain
 
     def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
@@ -104,9 +104,10 @@ class RowGroupTable:
         return places, sums
 
     def _filled(self, function: Any, *arguments: Any, rows: int | None = None, kind: Any = np.float64) -> Any:
-        """Return what a function returns of each source, without a second copy of it."""
+        """Return what a function of a problem returns of each source, without a second copy of it."""
         found = np.empty(self.n_sources if rows is None else (rows, self.n_sources), dtype=kind)
-        for group, part in zip(self.groups, self._each(function, *arguments), strict=True):
+        pieces = self._each(row_group.computed, function, *arguments)
+        for group, part in zip(self.groups, map(np.asarray, pieces), strict=True):
             found[..., group.first : group.first + part.shape[-1]] = part
         return found
 

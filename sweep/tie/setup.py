@@ -96,23 +96,26 @@ def _reference(left: AstrometricTable, reference: str | Path, options: Options) 
         n = len(left.astrometry)
         matched = Match(np.arange(n), np.arange(n), "the satellite's sources", np.zeros(0, dtype=np.int64))
         right = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
-        notes = []
+        part = _Part(right, matched, with_jitter(right.astrometry, options.jitter_of(None)))
     else:
-        right = read_table(Path(reference), options.reference_options)
-        matched = match(left, right, options.by)
-        notes = _far(left, right, matched)
-    rows = with_jitter(_taken(right.astrometry, matched.rows), options.jitter_of(None))
+        part = _matched(left, read_table(Path(reference), options.reference_options), options, None)
     if options.aberration:
-        rows = aberrated(rows, left.astrometry.epoch[matched.source], options.aberration)
-    return _Part(right, matched, rows, notes)
+        epoch = left.astrometry.epoch[part.matched.source]
+        part = replace(part, rows=aberrated(part.rows, epoch, options.aberration))
+    return part
 
 
 def _mission(left: AstrometricTable, name: str, number: int, options: Options) -> _Part:
     table = read_table(Path(options.missions[name]), options.mission_options.get(name, TableOptions()))
+    part = _matched(left, table, options, name)
+    return replace(part, rows=replace(part.rows, frame=np.full(len(part.rows), number)))
+
+
+def _matched(left: AstrometricTable, table: AstrometricTable, options: Options, mission: str | None) -> _Part:
     matched = match(left, table, options.by)
     notes = _far(left, table, matched)
-    rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_of(name))
-    return _Part(table, matched, replace(rows, frame=np.full(len(rows), number)), notes)
+    rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_of(mission))
+    return _Part(table, matched, rows, notes)
 
 
 def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:

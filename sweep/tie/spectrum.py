@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from core.arrays import Array
 from core.blocks import Harmonics
@@ -20,8 +21,8 @@ DEGREE_ONE = {
 
 
 class Power(NamedTuple):
-    """Power of one degree of a field (mas^2 or mas^2/yr^2), what noise gives on average, and c'V^-1 c, a chi2 of
-    2 l + 1 degrees of freedom without any signal.
+    """Power of one degree of a field (mas^2 or mas^2/yr^2), what noise gives on average, c'V^-1 c, a chi2 of 2 l + 1
+    degrees of freedom without any signal, and the probability that noise is as significant.
     """
 
     field: str
@@ -29,6 +30,7 @@ class Power(NamedTuple):
     power: float
     noise: float
     chi2: float
+    probability: float
 
 
 def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Power]:
@@ -40,19 +42,19 @@ def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Pow
         part = unknowns.part(block.name)
         x, v = estimate[part], covariance[part, part]
         if isinstance(block, Harmonics):
-            terms, start = block.terms, 0
-            where = "motion" if block.rate else "position"
+            start, where = 0, "motion" if block.rate else "position"
             for kind, degree in block.parts:
-                n = 2 * degree + 1
-                weights = np.array([1.0 if term.order == 0 else 2.0 for term in terms[start : start + n]])
-                piece = slice(start, start + n)
+                weights = np.array([1.0, *[2.0] * (2 * degree)])  # of order 0, and of the parts of the others
+                piece = slice(start, start + len(weights))
                 field = f"{where} {'toroidal' if kind == 't' else 'spheroidal'}"
                 found.append(_power(field, degree, weights, x[piece], v[piece, piece]))
-                start += n
+                start = piece.stop
         elif block.name in DEGREE_ONE and len(x) == 3:
             found.append(_power(DEGREE_ONE[block.name], 1, np.full(3, VECTOR_POWER), x, v))
     return found
 
 
 def _power(field: str, degree: int, weights: Array, x: Array, v: Array) -> Power:
-    return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), float(x @ np.linalg.solve(v, x)))
+    chi2 = float(x @ np.linalg.solve(v, x))
+    probability = float(chdtrc(2 * degree + 1, chi2))
+    return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), chi2, probability)
