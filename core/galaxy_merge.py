@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from core.arrays import Array, Indices
 from core.sky_pairs import Pairs, Positions, one_to_one, pairs_within
+
+_Links = tuple[Indices, Indices, Array, Array, Array]
+"""Galaxies and entries that may be one, their offsets, and ra and dec of the galaxies' entries, which settle ties."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +65,6 @@ def _label_by_identifier(identifier: Indices, known: Indices) -> Indices:
     return label
 
 
-class _Links(NamedTuple):
-    """Pairs of a galaxy and an entry that may be one, with the place of the galaxy's entry to settle ties."""
-
-    galaxy: Indices
-    entry: Indices
-    offset: Array
-    ra: Array
-    dec: Array
-
-
 def _free_links(
     pairs: Pairs,
     galaxy_of_earlier: Indices,
@@ -87,7 +79,7 @@ def _free_links(
     linked[label[label >= 0]] = True
     free = ~linked[galaxy] & (label[entry] < 0) & ((known[galaxy] == 0) | (catalogue.identifier[entry] == 0))
     at = pairs.first[free]
-    return _Links(galaxy[free], entry[free], pairs.offset[free], earlier.positions.ra[at], earlier.positions.dec[at])
+    return galaxy[free], entry[free], pairs.offset[free], earlier.positions.ra[at], earlier.positions.dec[at]
 
 
 def _closest_links(links: Sequence[_Links], catalogue: GalaxyCatalogue, known: Indices) -> tuple[Indices, Indices]:

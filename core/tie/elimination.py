@@ -108,8 +108,10 @@ def eliminate(
         _observed(result, found, covariance, sources, rows, weights)
     if weights == "covariance":
         result.spread[:] = result.weight
-    for sources, columns in _alike_free(free):
-        _free(result, sources, columns)
+    which = free @ (1 << np.arange(5))
+    for one in np.unique(which[which > 0]):
+        sources = np.flatnonzero(which == one)
+        _free(result, sources, np.flatnonzero(free[sources[0]]))
     return result
 
 
@@ -191,13 +193,6 @@ def _require_regular(good: NDArray[np.bool_], sources: Indices) -> None:
         raise LinkError(
             f"the differences of source {sources[np.flatnonzero(~good)[0]]} have a combination without any error"
         )
-
-
-def _alike_free(free: NDArray[np.bool_]) -> Iterator[tuple[Indices, Indices]]:
-    code = free @ (1 << np.arange(5))
-    for one in np.unique(code[code > 0]):
-        sources = np.flatnonzero(code == one)
-        yield sources, np.flatnonzero(free[sources[0]])
 
 
 def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from core.arrays import Array
 from core.blocks import PARAMETERS
 from core.constants import MAS
-from core.tie.astrometry import Astrometry, kinds, named_rows
+from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
 from sweep.contract import SweepError
 from sweep.tables.names import first_found
 from sweep.tie import hipparcos
 from sweep.tie.column_names import (
+    CORRELATIONS,
     EPOCHS,
     NAMES,
     Positions,
@@ -23,7 +24,6 @@ from sweep.tie.column_names import (
     unit_of,
 )
 from sweep.tie.column_reader import ColumnReader
-from sweep.tie.correlations import correlations_of
 from sweep.tie.epochs import julian_years
 
 FASTEST_KM_S = 5000.0
@@ -74,7 +74,7 @@ class AstrometryReader(ColumnReader):
             self.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
         self.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
         self.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
-        correlations = correlations_of(self, self.options, np.isfinite(values) & np.isfinite(errors))
+        correlations = self._correlations(np.isfinite(values) & np.isfinite(errors))
         columns = {
             name: self.numbers(name)
             for name in self.table.colnames
@@ -168,6 +168,26 @@ class AstrometryReader(ColumnReader):
         elif own is not None and own.is_equivalent(unit) and not np.isclose(own.to(unit), 1.0):
             say = f"say --unit {quantity}_error={own} (or {unit})"
             self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
+
+    def _correlations(self, present: NDArray[np.bool_]) -> Array | None:
+        """Return the correlations (10, N) between what is ``present`` (5, N), 0 elsewhere; None for a table without."""
+        if hipparcos.is_hipparcos(self) and (elements := hipparcos.elements(self)) is not None:
+            return hipparcos.correlations(elements)
+        names = [self._column(name) for name in CORRELATIONS]
+        if not any(names):
+            return None
+        found = np.array([np.zeros(len(self.table)) if name is None else self.numbers(name) for name in names])
+        absent = []
+        for row, key, name, (i, j) in zip(found, CORRELATIONS, names, PAIRS, strict=True):
+            both = present[i] & present[j]
+            if name is None and np.any(both):
+                absent.append(key)
+            if name is not None and np.any(np.isfinite(row)):  # a column of blanks is as none
+                self.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
+            row[~(both & np.isfinite(row))] = 0.0
+        zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""
+        self.check(~positive_definite(found), f"correlations that are impossible (not positive definite){zero}")
+        return found
 
     def _epoch(self) -> Array:
         name = self._column("ref_epoch")

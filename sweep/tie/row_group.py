@@ -1,7 +1,7 @@
 """One row group of a satellite's Parquet table, and what is computed of it, in this process or on a Dask worker."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from sweep.tie.tables import AstrometricTable, astrometric_table, digest_of
 
 @dataclass(frozen=True)
 class RowGroup:
-    """The rows of a table from ``first`` on, and what is asked of them; ``unknowns`` are None before they are known."""
+    """The rows of a table from ``first`` on, and what is asked of them; ``unknowns`` are none before they are known."""
 
     path: Path
     digest: str
@@ -34,12 +34,11 @@ class RowGroup:
     columns: tuple[str, ...]
     options: Options
     epoch: float = np.nan
-    unknowns: Unknowns | None = None
+    unknowns: Unknowns = field(default_factory=lambda: Unknowns(()))
 
     def problem(self) -> Problem:
         """Read the rows; raises SweepError for wrong ones, with their numbers in the row group."""
         own = self.read().astrometry
-        assert self.unknowns is not None, "the first pass finds them"
         spin = self.options.known_spin
         known = None if spin is None else known_spin(spin, own, SIGNS[self.options.sign])
         source, weights = np.arange(len(own)), self.options.weights

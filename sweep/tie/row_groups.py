@@ -85,8 +85,7 @@ class RowGroupTable:
 
     def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor of the weight of each source."""
-        labels = (self.groups[0].unknowns or Unknowns(())).labels
-        return solve(self.cell_sums(factors), labels)
+        return solve(self.cell_sums(factors), self.groups[0].unknowns.labels)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
