@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Indices
 from core.frames import Triad, triad
 from core.harmonics import Kind, fill_toroidal, turned
 from core.link import require_off_poles
@@ -31,7 +30,7 @@ class Objects:
     pmdec: Array
     columns: Mapping[str, Array] = field(default_factory=dict)
 
-    def taken(self, part: slice | NDArray[np.int64]) -> "Objects":
+    def taken(self, part: slice | Indices) -> "Objects":
         """Return some of the sources."""
         columns = {name: column[part] for name, column in self.columns.items()}
         return Objects(self.ra[part], self.dec[part], self.pmra[part], self.pmdec[part], columns)

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.catalogue import SIDES, Catalogue, OwnErrors
 from core.constants import DEGREE, MAS
 
@@ -61,10 +60,7 @@ class Table(Protocol):
 
 
 def catalogue_from_table(
-    table: Table,
-    columns: Mapping[str, str],
-    pmra_cos_dec: bool | None,
-    units: Mapping[str, str] | None = None,
+    table: Table, columns: Mapping[str, str], pmra_cos_dec: bool | None, units: Mapping[str, str] | None = None
 ) -> Catalogue:
     """Return the objects of a table; ``columns`` maps a quantity of `QUANTITIES` to the table's name for it.
 
@@ -181,7 +177,7 @@ class _Reader:
         return matrices
 
 
-def _check_rows(good: NDArray[np.bool_], values: Array | None, what: str, hint: str = "") -> None:
+def _check_rows(good: Flags, values: Array | None, what: str, hint: str = "") -> None:
     if np.all(good):
         return
     bad = np.flatnonzero(~good)

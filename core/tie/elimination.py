@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
+from core.arrays import Array, Flags, Indices
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.differences import Differences
@@ -71,7 +70,7 @@ class Eliminated:
             self.parameters,
         )
 
-    def scaled(self, factors: Array | NDArray[np.bool_]) -> "Eliminated":
+    def scaled(self, factors: Array | Flags) -> "Eliminated":
         """Return the same with the weight of each source multiplied by a factor (S,)."""
         each = factors[:, None, None]
         return replace(
@@ -85,7 +84,7 @@ class Eliminated:
 
 
 def eliminate(
-    found: Differences, source: Indices, covariance: Array, free: NDArray[np.bool_], weights: Weights = "covariance"
+    found: Differences, source: Indices, covariance: Array, free: Flags, weights: Weights = "covariance"
 ) -> Eliminated:
     """Return what is left of S sources.
 
@@ -115,7 +114,7 @@ def eliminate(
     return result
 
 
-def _alike(present: NDArray[np.bool_], source: Indices, n_sources: int) -> Iterator[tuple[Indices, Indices]]:
+def _alike(present: Flags, source: Indices, n_sources: int) -> Iterator[tuple[Indices, Indices]]:
     """Yield sources with equally many rows and, where it is one, the same kind; and their rows (sources, rows each)."""
     order = np.argsort(source, kind="stable")
     n_rows = np.bincount(source, minlength=n_sources)
@@ -188,7 +187,7 @@ def _solved(whole: Array, variance: Array, right: Array, sources: Indices) -> Ar
     return np.asarray(found * scale[..., None])
 
 
-def _require_regular(good: NDArray[np.bool_], sources: Indices) -> None:
+def _require_regular(good: Flags, sources: Indices) -> None:
     if not np.all(good):
         raise LinkError(
             f"the differences of source {sources[np.flatnonzero(~good)[0]]} have a combination without any error"

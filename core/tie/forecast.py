@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry, joined
 from core.tie.normal_sums import NormalSums
@@ -44,7 +43,7 @@ class Goal:
     criterion: Criterion = "A"
 
     @property
-    def parts(self) -> NDArray[np.int64]:
+    def parts(self) -> Indices:
         """Places of the unknowns of the blocks, which are all of them if none is named (D_s otherwise)."""
         names = self.blocks or self.unknowns.names
         return np.concatenate([np.arange(len(self.unknowns))[self.unknowns.part(name)] for name in names])

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.tie.normal_sums import NormalSums
 from core.tie.solution import Solution
 from core.tie.uncertainty import leave_one_out
@@ -51,7 +50,7 @@ class Influence:
     share: Array
 
 
-def influence(sums: NormalSums, solution: Solution, unknowns: Unknowns, kept: NDArray[np.bool_]) -> Influence:
+def influence(sums: NormalSums, solution: Solution, unknowns: Unknowns, kept: Flags) -> Influence:
     """Return the influence of each source on the solution of those ``kept`` (S,).
 
     For a source that was left out, "without" and Cook's distance are NaN and its shares are 0.

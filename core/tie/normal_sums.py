@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
+from core.arrays import Array, Flags, Indices
 from core.constants import MAS
 from core.tie.problem import Problem
 from core.tie.products import add_products
@@ -36,12 +36,12 @@ class NormalSums:
     def __len__(self) -> int:
         return len(self.right)
 
-    def taken(self, part: NDArray[np.bool_] | Indices) -> "NormalSums":
+    def taken(self, part: Flags | Indices) -> "NormalSums":
         """Return the sums of some sources."""
         found: dict[str, Any] = {name: None if sums is None else sums[part] for name, sums in vars(self).items()}
         return NormalSums(**found)
 
-    def weighted(self, factors: Array | NDArray[np.bool_]) -> "NormalSums":
+    def weighted(self, factors: Array | Flags) -> "NormalSums":
         """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
         used = factors > 0.0
         one, f = self.taken(used), factors[used]
@@ -94,7 +94,7 @@ def source_sums(problem: Problem) -> NormalSums:
 
 
 def group_sums(
-    problem: Problem, group: NDArray[np.integer[Any]], n_groups: int, factors: Array | NDArray[np.bool_] | None = None
+    problem: Problem, group: NDArray[np.integer[Any]], n_groups: int, factors: Array | Flags | None = None
 ) -> NormalSums:
     """Return the sums of each group of sources; ``group`` (S,) counts from 0.  Memory is that of a block.
 
@@ -112,11 +112,7 @@ def group_sums(
 
 
 def _add_block(
-    sums: NormalSums,
-    problem: Problem,
-    chosen: Indices,
-    group: NDArray[np.integer[Any]],
-    factors: Array | NDArray[np.bool_] | None,
+    sums: NormalSums, problem: Problem, chosen: Indices, group: NDArray[np.integer[Any]], factors: Array | Flags | None
 ) -> None:
     """Add sources to the sums of their groups (n,)."""
     objects, years, left = problem.sources(chosen)

@@ -59,10 +59,7 @@ class Problem:
         place[sources] = np.arange(len(sources))
         rows = np.flatnonzero(place[self.source] >= 0)
         return replace(
-            self,
-            satellite=self.satellite.taken(sources),
-            rows=self.rows.taken(rows),
-            source=place[self.source[rows]],
+            self, satellite=self.satellite.taken(sources), rows=self.rows.taken(rows), source=place[self.source[rows]]
         )
 
     def objects(self, own: Astrometry) -> tuple[Objects, Array]:

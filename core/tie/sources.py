@@ -40,9 +40,7 @@ def sky_cells(ra: Array, dec: Array, divisions: int) -> NDArray[np.int16]:
 def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
     """Return what the clips need of sources whose sums are kept one by one."""
     return Sources(
-        lambda factors: _solve_kept(sums, labels, factors),
-        lambda estimate: discrepancies(sums, estimate),
-        sums.count,
+        lambda factors: _solve_kept(sums, labels, factors), lambda estimate: discrepancies(sums, estimate), sums.count
     )
 
 

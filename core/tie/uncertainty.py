@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.link import SMALLEST_EIGENVALUE
 from core.tie.normal_sums import NormalSums
 from core.tie.solution import Solution
@@ -69,7 +68,7 @@ def _solutions(normal: Array, right: Array) -> Array:
     return np.where(good[:, None], found, np.nan)
 
 
-def _regular(scaled: Array) -> NDArray[np.bool_]:
+def _regular(scaled: Array) -> Flags:
     """Return whether the smallest eigenvalue of each matrix (G, K, K) is large enough."""
     try:  # Cholesky factors take a sixth of the time of eigenvalues, but say nothing about single matrices
         np.linalg.cholesky(scaled - SMALLEST_EIGENVALUE * np.eye(scaled.shape[-1]))

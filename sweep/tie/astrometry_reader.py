@@ -5,7 +5,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.blocks import PARAMETERS
 from core.constants import MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
@@ -169,7 +169,7 @@ class AstrometryReader(ColumnReader):
             say = f"say --unit {quantity}_error={own} (or {unit})"
             self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
 
-    def _correlations(self, present: NDArray[np.bool_]) -> Array | None:
+    def _correlations(self, present: Flags) -> Array | None:
         """Return the correlations (10, N) between what is ``present`` (5, N), 0 elsewhere; None for a table without."""
         if hipparcos.is_hipparcos(self) and (elements := hipparcos.elements(self)) is not None:
             return hipparcos.correlations(elements)

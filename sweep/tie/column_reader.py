@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.constants import DEGREE
 from core.tie.astrometry import named_rows
 from sweep.formatting import first_of
@@ -101,7 +101,7 @@ class ColumnReader:
         row = next((row for row, text in enumerate(texts) if text not in MISSING and not _is_number(text)), 0)
         return f"row {row + 1} has the text {texts[row]!r}" if texts else ""
 
-    def check(self, bad: NDArray[np.bool_], what: str) -> None:
+    def check(self, bad: Flags, what: str) -> None:
         """Note that rows have something wrong, where ``bad`` holds."""
         rows = np.flatnonzero(bad)
         if len(rows):
