@@ -24,7 +24,6 @@ from sweep.tie.column_names import (
     unit_of,
 )
 from sweep.tie.column_reader import ColumnReader
-from sweep.tie.epochs import julian_years
 
 FASTEST_KM_S = 5000.0
 """Radial velocities beyond are no star's: they are codes for missing ones, or redshifts."""
@@ -202,7 +201,7 @@ class AstrometryReader(ColumnReader):
                 self.problems.append("no column ref_epoch; give the epoch of the positions")
             return np.full(len(self.table), np.nan)
         known = len(self.problems)
-        values = julian_years(self, name)
+        values = self.julian_years(name)
         if len(self.problems) == known:
             self.check(np.isnan(values), f"no epoch (column {name!r})")
             wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"

@@ -10,10 +10,9 @@ import numpy as np
 from core.arrays import Array, Indices
 from core.constants import MAS
 from core.tie.clips import Clip, parse_clip
-from core.tie.forecast import Goal, choose, with_new_rows
+from core.tie.forecast import RELEASES, Goal, choose, released, with_new_rows
 from core.tie.normal_sums import source_sums
 from core.tie.problem import Problem
-from core.tie.releases import RELEASES, released
 from sweep.contract import Point, SweepError
 from sweep.tie.column_names import TableOptions
 from sweep.tie.options import Options, parse_bins

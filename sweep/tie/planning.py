@@ -10,10 +10,9 @@ import numpy as np
 from core.arrays import Array
 from core.constants import MAS
 from core.link import LinkError
-from core.tie.forecast import Criterion, Goal, choose, with_new_rows
+from core.tie.forecast import RELEASES, Criterion, Goal, choose, released, with_new_rows
 from core.tie.normal_sums import source_sums
 from core.tie.problem import Problem
-from core.tie.releases import RELEASES, released
 from core.tie.solution import inverted
 from sweep.contract import SweepError
 from sweep.tie.options import Options
