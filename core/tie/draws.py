@@ -11,8 +11,8 @@ from core.arrays import Array
 from core.tie.clips import row_separations
 from core.tie.differences import Differences, differences
 from core.tie.elimination import Eliminated, eliminate
-from core.tie.normal_sums import NormalSums
 from core.tie.problem import Problem
+from core.tie.sums import NormalSums
 
 BLOCK = 8192
 """Sources, in all draws that are made together: the numbers depend on it."""
@@ -102,8 +102,8 @@ class Simulation:
     def _sums(self, left: Eliminated, number: int) -> list[NormalSums]:
         n_sources, matrix = len(self.problem.satellite), self._matrix
         across = matrix.swapaxes(1, 2)
-        normal = across @ left.weight[:n_sources] @ matrix
-        spread = None if self.problem.weights == "covariance" else across @ left.spread[:n_sources] @ matrix
+        normal = across @ left.normal[:n_sources] @ matrix
+        spread = None if left.spread is None else across @ left.spread[:n_sources] @ matrix
         right = np.einsum("ski,nsi->nsk", across, left.right.reshape(number, n_sources, -1))
         squares = left.squares.reshape(number, n_sources)
         count, expected = left.count[:n_sources], left.expected[:n_sources]

@@ -8,7 +8,7 @@ A parameter that the satellite lacks is free: it is eliminated from W as an unkn
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from core.arrays import Array, Flags, Indices
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.differences import Differences
+from core.tie.sums import NormalSums
 
 Weights = Literal["covariance", "variance", "equal"]
 
@@ -25,62 +26,28 @@ UNDETERMINED = 1e-12
 
 
 @dataclass(frozen=True)
-class Eliminated:
+class Eliminated(NormalSums):
     """S sources: W (S, P, P), w (S, P), yy (S,), the number of observations less that of free parameters (S,), what yy
-    is on average (S,), and M' G D G' M of other weights than the best (S, P, P), which is W for the best.
+    is on average (S,), and M' G D G' M of other weights than the best (S, P, P).
+
     ``parameters`` are the P that the matrices have: some of the five of each frame.
     """
 
-    weight: Array
-    right: Array
-    squares: Array
-    count: Array
-    expected: Array
-    spread: Array
-    parameters: tuple[int, ...]
+    parameters: tuple[int, ...] = ()
 
     def onto(self, rows: tuple[int, ...]) -> tuple[Array, Array, Array]:
         """Return W (S, r, r), w (S, r) and M' G D G' M (S, r, r) of some parameters, zero for those without weight."""
         if rows == self.parameters:
-            return self.weight, self.right, self.spread
+            return self.normal, self.right, self.right_covariance
         both = [(i, self.parameters.index(row)) for i, row in enumerate(rows) if row in self.parameters]
         into, at = [i for i, _ in both], [k for _, k in both]
         sources, size = range(len(self.right)), len(rows)
         weight, spread = np.zeros((2, len(sources), size, size))
-        for found, known in ((weight, self.weight), (spread, self.spread)):
+        for found, known in ((weight, self.normal), (spread, self.right_covariance)):
             found[np.ix_(sources, into, into)] = known[np.ix_(sources, at, at)]
         right = np.zeros((len(sources), size))
         right[:, into] = self.right[:, at]
         return weight, right, spread
-
-    def taken(self, part: slice | Indices) -> "Eliminated":
-        """Return some of the sources."""
-
-        def of(array: Array) -> Array:  # an index of rows takes several times longer than their numbers one by one
-            return array[part] if isinstance(part, slice) else np.take(array, part, axis=0)
-
-        weight, count = of(self.weight), of(self.count)
-        return Eliminated(
-            weight,
-            of(self.right),
-            of(self.squares),
-            count,
-            count if self.expected is self.count else of(self.expected),
-            weight if self.spread is self.weight else of(self.spread),
-            self.parameters,
-        )
-
-    def scaled(self, factors: Array | Flags) -> "Eliminated":
-        """Return the same with the weight of each source multiplied by a factor (S,)."""
-        each = factors[:, None, None]
-        return replace(
-            self,
-            weight=self.weight * each,
-            right=self.right * factors[:, None],
-            squares=self.squares * factors,
-            expected=self.expected * factors,
-            spread=self.spread * each**2,
-        )
 
 
 def eliminate(
@@ -94,19 +61,9 @@ def eliminate(
     source have no error.
     """
     n_sources, size = len(covariance), found.by_frames.shape[-1]
-    result = Eliminated(
-        weight=np.zeros((n_sources, size, size)),
-        right=np.zeros((n_sources, size)),
-        squares=np.zeros(n_sources),
-        count=np.zeros(n_sources),
-        expected=np.zeros(n_sources),
-        spread=np.zeros((n_sources, size, size)),
-        parameters=tuple(range(size)),
-    )
+    result = Eliminated.zeros(n_sources, size, weights != "covariance", parameters=tuple(range(size)))
     for sources, rows in _alike(found.present, source, n_sources):
         _observed(result, found, covariance, sources, rows, weights)
-    if weights == "covariance":
-        result.spread[:] = result.weight
     which = free @ (1 << np.arange(5))
     for one in np.unique(which[which > 0]):
         sources = np.flatnonzero(which == one)
@@ -161,10 +118,10 @@ def _observed(
         own_variance = variance if weights == "variance" else np.full_like(variance, MAS**2)
         weighted = both / own_variance[..., None]
         trace = np.sum(np.where(present, variance / own_variance, 0.0), axis=1)
-        result.spread[sources] = weighted[..., :-1].swapaxes(1, 2) @ whole @ weighted[..., :-1]
+        result.right_covariance[sources] = weighted[..., :-1].swapaxes(1, 2) @ whole @ weighted[..., :-1]
     products = both.swapaxes(1, 2) @ weighted
     weight = products[:, :-1, :-1]
-    result.weight[sources] = 0.5 * (weight + weight.swapaxes(1, 2))
+    result.normal[sources] = 0.5 * (weight + weight.swapaxes(1, 2))
     result.right[sources] = products[:, :-1, -1]
     result.squares[sources] = products[:, -1, -1]
     result.count[sources] = np.sum(present, axis=1)
@@ -196,7 +153,7 @@ def _require_regular(good: Flags, sources: Indices) -> None:
 
 def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
     """Eliminate parameters without an error of the satellite, as far as the rows determine them."""
-    weight = result.weight[sources]
+    weight = result.normal[sources]
     block = weight[:, columns[:, None], columns]
     diagonal = np.einsum("nkk->nk", block)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
@@ -208,10 +165,11 @@ def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
     keep = np.tile(np.eye(weight.shape[-1]), (len(sources), 1, 1))  # w of the free solution is keep @ w
     keep[:, :, columns] -= weight[:, :, columns] @ inverse
     keep[:, columns, :] = 0.0
-    right, spread = result.right[sources], result.spread[sources]
+    right, spread = result.right[sources], result.right_covariance[sources]
     result.squares[sources] -= np.einsum("nk,nkl,nl->n", right[:, columns], inverse, right[:, columns])
     result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
     result.count[sources] -= np.sum(seen, axis=1)
-    result.weight[sources] = keep @ weight @ keep.swapaxes(1, 2)
+    result.normal[sources] = keep @ weight @ keep.swapaxes(1, 2)
     result.right[sources] = np.einsum("nij,nj->ni", keep, right)
-    result.spread[sources] = keep @ spread @ keep.swapaxes(1, 2)
+    if result.spread is not None:
+        result.spread[sources] = keep @ spread @ keep.swapaxes(1, 2)

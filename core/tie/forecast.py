@@ -9,9 +9,9 @@ import numpy as np
 from core.arrays import Array, Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry, joined
-from core.tie.normal_sums import NormalSums
 from core.tie.problem import Problem
 from core.tie.solution import inverted
+from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 
 Criterion = Literal["A", "D"]

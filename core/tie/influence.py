@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Array, Flags
-from core.tie.normal_sums import NormalSums
 from core.tie.solution import Solution
+from core.tie.sums import NormalSums
 from core.tie.uncertainty import leave_one_out
 from core.unknowns import Unknowns
 

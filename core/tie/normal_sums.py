@@ -1,7 +1,6 @@
 """Normal equations of the unknowns, kept for each source or for groups of sources."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
@@ -12,6 +11,7 @@ from core.arrays import Array, Flags, Indices
 from core.constants import MAS
 from core.tie.problem import Problem
 from core.tie.products import add_products
+from core.tie.sums import NormalSums
 
 BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""
@@ -20,66 +20,10 @@ GATHERED = 64 * BLOCK
 """Sources that are taken out of the tables at a time: bounds the memory beyond these."""
 
 
-@dataclass(frozen=True)
-class NormalSums:
-    """Sums of G sources or groups: N (G, K, K), b (G, K), yy (G,), numbers of observations n (G,), the averages of yy
-    (G,), and the covariance of b (G, K, K), None where it is N because the weights are the best.
-    """
-
-    normal: Array
-    right: Array
-    squares: Array
-    count: Array
-    expected: Array
-    spread: Array | None = None
-
-    def __len__(self) -> int:
-        return len(self.right)
-
-    def taken(self, part: Flags | Indices) -> "NormalSums":
-        """Return the sums of some sources."""
-        found: dict[str, Any] = {name: None if sums is None else sums[part] for name, sums in vars(self).items()}
-        return NormalSums(**found)
-
-    def weighted(self, factors: Array | Flags) -> "NormalSums":
-        """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
-        used = factors > 0.0
-        one, f = self.taken(used), factors[used]
-        each = f[:, None, None]
-        return NormalSums(
-            one.normal * each,
-            one.right * f[:, None],
-            one.squares * f,
-            one.count,
-            one.expected * f,
-            one.right_covariance * each**2,
-        )
-
-    def plus(self, other: "NormalSums") -> "NormalSums":
-        """Return the sums of both, group by group."""
-        return self._with(other, np.add)
-
-    def followed_by(self, other: "NormalSums") -> "NormalSums":
-        """Return the groups of both, one after the other."""
-        return self._with(other, lambda one, two: np.concatenate([one, two]))
-
-    def _with(self, other: "NormalSums", together: Callable[[Array, Array], Array]) -> "NormalSums":
-        mine, others = dict(vars(self)), dict(vars(other))
-        if self.spread is not None or other.spread is not None:
-            mine["spread"], others["spread"] = self.right_covariance, other.right_covariance
-        found: dict[str, Any] = {name: None if a is None else together(a, others[name]) for name, a in mine.items()}
-        return NormalSums(**found)
-
-    @property
-    def right_covariance(self) -> Array:
-        """The covariance of b; shape (G, K, K)."""
-        return self.normal if self.spread is None else self.spread
-
-
 def source_sums(problem: Problem) -> NormalSums:
     """Return the sums of each source."""
     n, k = len(problem.satellite), len(problem.unknowns)
-    sums = _empty(n, k, problem.weights != "covariance")
+    sums = NormalSums.zeros(n, k, problem.weights != "covariance")
     for part in _blocks(n, BLOCK):
         objects, years, left = problem.sources(part)
         rows, derivatives = problem.unknowns.derivatives(objects, years)
@@ -103,7 +47,7 @@ def group_sums(
     if factors is not None and np.all(factors == 1.0):
         factors = None
     equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
-    sums = _empty(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
+    sums = NormalSums.zeros(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
     short = np.min_scalar_type(n_groups)  # short numbers sort in no time
     for part in _blocks(len(group), GATHERED):
         chosen = part if factors is None else part[factors[part] > 0.0]
@@ -145,7 +89,7 @@ def weight_sizes(problem: Problem) -> Array:
     """Return the sum of the diagonal of each source's W, in mas^-2 and (mas/yr)^-2; shape (S,)."""
     found = np.zeros(len(problem.satellite))
     for part in _blocks(len(found), GATHERED):
-        weight = problem.sources(part)[2].weight
+        weight = problem.sources(part)[2].normal
         found[part] = np.einsum("nkk->n", weight) * MAS**2
     return found
 
@@ -174,14 +118,3 @@ def _pieces(group: NDArray[np.integer[Any]]) -> Iterator[slice]:
     for first, last in pairwise(limits):
         for start in range(first, last, BLOCK):
             yield slice(start, min(start + BLOCK, last))
-
-
-def _empty(groups: int, k: int, with_spread: bool) -> NormalSums:
-    return NormalSums(
-        normal=np.zeros((groups, k, k)),
-        right=np.zeros((groups, k)),
-        squares=np.zeros(groups),
-        count=np.zeros(groups),
-        expected=np.zeros(groups),
-        spread=np.zeros((groups, k, k)) if with_spread else None,
-    )

@@ -48,7 +48,7 @@ def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array |
     right = np.stack([weight[:, k, 0] * found[0] + weight[:, k, 1] * found[1] for k in range(2)], axis=1)
     two = np.full(len(rows), 2.0)
     squares = right[:, 0] * found[0] + right[:, 1] * found[1]
-    return Eliminated(weight, right, squares, two, two, weight, pair)
+    return Eliminated(weight, right, squares, two, two, parameters=pair)
 
 
 def _same_epoch(satellite: Astrometry, rows: Astrometry) -> bool:

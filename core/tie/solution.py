@@ -6,7 +6,7 @@ import numpy as np
 
 from core.arrays import Array, Flags
 from core.link import SMALLEST_EIGENVALUE, LinkError
-from core.tie.normal_sums import NormalSums
+from core.tie.sums import NormalSums
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from core.arrays import Array, Flags, Indices
 from core.tie.clips import Sources, separation
 from core.tie.influence import discrepancies
-from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
+from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
+from core.tie.sums import NormalSums
 
 DIVISIONS = 6
 """Of the grid of cells of the sky: 72 of them."""

@@ -6,8 +6,8 @@ import numpy as np
 
 from core.arrays import Array, Flags
 from core.link import SMALLEST_EIGENVALUE
-from core.tie.normal_sums import NormalSums
 from core.tie.solution import Solution
+from core.tie.sums import NormalSums
 
 
 def leave_one_out(sums: NormalSums, normal: Array, right: Array) -> Array:

@@ -10,9 +10,10 @@ import numpy as np
 
 from core.arrays import Array, Flags, Indices
 from core.tie import sources
-from core.tie.normal_sums import NormalSums, group_sums
+from core.tie.normal_sums import group_sums
 from core.tie.problem import Problem
 from core.tie.sources import DIVISIONS, Heaviest, sky_cells
+from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.tables.parquet import read_row_group

@@ -18,9 +18,10 @@ from core.arrays import Array, Flags, Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.clips import Sources, separation
-from core.tie.normal_sums import NormalSums, source_counts, source_discrepancies
+from core.tie.normal_sums import source_counts, source_discrepancies
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
+from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.executing.ordered_map import Map
