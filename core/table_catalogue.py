@@ -44,19 +44,15 @@ class Table(Protocol):
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns."""
-        ...
 
     def numbers(self, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:
         """Return a column of finite numbers in a unit; ``stated`` is that of a column whose file gives none."""
-        ...
 
     def in_time(self, name: str, stated: str | None = None) -> bool:
         """Return whether a column is in units of time, as seconds of right ascension, which lack cos(dec)."""
-        ...
 
     def label(self, row: int) -> str:
         """Return what the table calls a row, counted from 0; empty where it has no column of names."""
-        ...
 
 
 def catalogue_from_table(

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -58,10 +57,6 @@ class Unknowns:
         return frozenset(block.column for block in self.blocks if isinstance(block, SpinByBin))
 
     def __len__(self) -> int:
-        return self._length
-
-    @cached_property
-    def _length(self) -> int:
         return sum(len(block.labels) for block in self.blocks)
 
     def part(self, name: str) -> slice:

@@ -13,8 +13,6 @@ from sweep.contract import Point
 
 Objects = Callable[[], Catalogue | None]
 
-FLOOR = ("floor_pos", "floor_pm")
-
 
 class ErrorModel:
     """Every single error is normal around zero; errors of different objects are independent."""
@@ -45,7 +43,9 @@ class ErrorKind:
 
     def uses(self, side: str) -> frozenset[str]:
         """Return the names of the parameters that it looks at, for one side."""
-        return frozenset({"error_scale", *(f"{side}_{name}" for name in ("error_scale", "error_ratio", *FLOOR))})
+        return frozenset(
+            {"error_scale", *(f"{side}_{name}" for name in ("error_scale", "error_ratio", "floor_pos", "floor_pm"))}
+        )
 
     def model(self, point: Point, side: str) -> ErrorModel:
         """Return the error model of a point."""

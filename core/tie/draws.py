@@ -87,17 +87,11 @@ class Simulation:
     def _eliminated(self, values: Array) -> Eliminated:
         """Eliminate many draws (n, R, 5) at once, as sources of one large table."""
         n, problem, found = len(values), self.problem, self._found
-        tiled = Differences(
-            values=values.reshape(-1, 5),
-            partials=np.tile(found.partials, (n, 1, 1)),
-            covariance=np.tile(found.covariance, (n, 1, 1)),
-            present=np.tile(found.present, (n, 1)),
-            by_frames=np.tile(found.by_frames, (n, 1, 1)),
-        )
+        tiled = {name: np.concatenate([array] * n) for name, array in vars(found).items() if name != "values"}
         n_sources = len(problem.satellite)
         source = (problem.source + n_sources * np.arange(n)[:, None]).ravel()
-        free = np.tile(~problem.satellite.present.T, (n, 1))
-        return eliminate(tiled, source, np.tile(self._covariance, (n, 1, 1)), free, problem.weights)
+        covariance, free = np.tile(self._covariance, (n, 1, 1)), np.tile(~problem.satellite.present.T, (n, 1))
+        return eliminate(Differences(values.reshape(-1, 5), **tiled), source, covariance, free, problem.weights)
 
     def _sums(self, left: Eliminated, number: int) -> list[NormalSums]:
         n_sources, matrix = len(self.problem.satellite), self._matrix

@@ -10,8 +10,7 @@ from core.blocks import Objects
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.differences import differences
-from core.tie.elimination import Eliminated, Weights, eliminate
-from core.tie.simple_rows import eliminate_simple
+from core.tie.elimination import Eliminated, Weights, eliminate, eliminate_simple
 from core.unknowns import Unknowns
 
 

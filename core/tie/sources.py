@@ -133,10 +133,9 @@ class SourceTable:
         """Return the normalised separation and the separation (rad) of each source."""
         return separation(self.problem)
 
-    def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
+    def heaviest(self, number: int) -> Heaviest:
         """Return the sources with the largest weights, and their sums."""
-        _, places, sums = heaviest(self.problem, number)
-        return places, sums
+        return heaviest(self.problem, number)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""

@@ -16,11 +16,11 @@ from sweep.tie.column_names import (
     CORRELATIONS,
     EPOCHS,
     NAMES,
+    QUANTITIES,
     Positions,
     TableOptions,
     column_of,
     error_column_of,
-    quantities,
     unit_of,
 )
 from sweep.tie.column_reader import ColumnReader
@@ -40,8 +40,8 @@ class AstrometryReader(ColumnReader):
         self.where, self.options = where, options
         self.notes: list[str] = []
         for key, column in options.columns.items():
-            if key not in quantities():
-                self.problems.append(f"columns: {key} is no quantity; known are {', '.join(quantities())}")
+            if key not in QUANTITIES:
+                self.problems.append(f"columns: {key} is no quantity; known are {', '.join(QUANTITIES)}")
             elif column not in table.colnames:
                 self.problems.append(f"columns: no column {column!r} for {key}; there are {self.listed()}")
         if not self.problems:
@@ -110,7 +110,7 @@ class AstrometryReader(ColumnReader):
             except ValueError:
                 self.problems.append(f"units: {quantity} in {text!r}, which is no unit")
                 continue
-            if quantity not in quantities() or name is None:
+            if quantity not in QUANTITIES or name is None:
                 self.problems.append(f"units: no column of {quantity}")
             elif self.table[name].unit not in (None, unit):
                 self.problems.append(f"units: {quantity} in {text}, and column {name!r} says {self.table[name].unit}")

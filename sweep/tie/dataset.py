@@ -11,9 +11,9 @@ from core.constants import MAS
 from core.tie.astrometry import kinds
 from core.tie.clips import Clipped, separation
 from core.tie.differences import differences
+from sweep.tie.components import spectrum
 from sweep.tie.options import SIGNS, Options
 from sweep.tie.solution import Link
-from sweep.tie.spectrum import spectrum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -59,13 +59,8 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
     }
     if per_source:
         _add_sources(link, variables, coordinates, sign)
-    if (
-        per_source
-        and len(problem.rows) <= ROWS_KEPT
-        and np.any(problem.rows.present)
-        and np.any(problem.satellite.present)
-    ):
-        _add_rows(link, variables, coordinates, sign)
+        if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
+            _add_rows(link, variables, coordinates, sign)
     _add_steps(link.found, link.setup.names, variables, sign)
     _add_spectrum(link, main, variables, coordinates)
     _add_bins(link, errors[0], variables, coordinates, sign)
@@ -130,12 +125,13 @@ def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any]
     error = np.sqrt(np.einsum("rii->ri", whole))
     normalised, plain = separation(problem)
     absent = ~found.present
+    tables, frame = np.array(["reference", *link.setup.missions]), problem.rows.frame
     coordinates |= {
         "observable": list(PARAMETERS),
         "row_source_index": ("row", problem.source),
         "row_source": ("row", link.setup.names[problem.source].astype(str)),
         "row_kind": ("row", kinds(problem.rows)),
-        "row_table": ("row", _tables_of_rows(link)),
+        "row_table": ("row", tables[np.zeros_like(problem.source) if frame is None else frame]),
         "row_epoch": ("row", problem.rows.epoch, {"units": "yr"}),
         "observable_unit": ("observable", ["mas", "mas", "mas", "mas/yr", "mas/yr"]),
     }
@@ -146,13 +142,6 @@ def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any]
         "normalised_separation": ("source", normalised, {"long_name": "X before the fit"}),
         "separation": ("source", plain / MAS, {"units": "mas"}),
     }
-
-
-def _tables_of_rows(link: Link) -> NDArray[np.str_]:
-    """Return "reference" or the name of the mission of each row."""
-    frame = link.setup.problem.rows.frame
-    names = np.array(["reference", *link.setup.missions])
-    return np.full(len(link.setup.problem.rows), names[0]) if frame is None else names[frame]
 
 
 def _add_steps(found: Clipped, names: NDArray[np.str_], variables: dict[str, Any], sign: float) -> None:

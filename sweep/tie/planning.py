@@ -138,7 +138,7 @@ def _planned(
     gain = np.array([goal.value(total + one) for one in planned.normal - base.normal])
     variables: dict[str, Any] = {
         "error": (("stage", "unknown"), np.array([_errors(normal) for normal in stages.values()])),
-        "criterion": ("stage", np.array([_value(goal, normal) for normal in stages.values()])),
+        "criterion": ("stage", _scaled([goal.value(normal) for normal in stages.values()], goal)),
         "criterion_alone": ("source", _scaled(gain, goal), {"long_name": "if this source alone is observed"}),
         "rank": ("source", np.argsort(np.argsort(gain)) + 1),
     }
@@ -151,7 +151,7 @@ def _planned(
         variables |= {
             "step_source": ("step", chosen),
             "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in choice.normals])),
-            "step_criterion": ("step", np.array([_value(goal, normal) for normal in choice.normals])),
+            "step_criterion": ("step", _scaled([goal.value(normal) for normal in choice.normals], goal)),
         }
     coordinates = {
         "stage": list(stages),
@@ -171,12 +171,7 @@ def _errors(normal: Array) -> Array:
         return np.full(len(normal), np.nan)
 
 
-def _value(goal: Goal, normal: Array) -> float:
-    return float(_scaled(np.array([goal.value(normal)]), goal)[0])
-
-
-def _scaled(values: Array, goal: Goal) -> Array:
+def _scaled(values: Sequence[float] | Array, goal: Goal) -> Array:
     """Return a criterion in mas instead of rad: the root of the mean variance, or the log determinant."""
-    if goal.criterion == "A":
-        return np.asarray(np.sqrt(values / len(goal.parts)) / MAS)
-    return np.asarray(values - 2.0 * len(goal.parts) * np.log(MAS))
+    found, n = np.asarray(values), len(goal.parts)
+    return np.asarray(np.sqrt(found / n) / MAS if goal.criterion == "A" else found - 2.0 * n * np.log(MAS))

@@ -17,9 +17,8 @@ from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.tables.parquet import read_row_group
-from sweep.tie.known_spin import known_spin
 from sweep.tie.options import SIGNS, Options
-from sweep.tie.reference_rows import with_jitter
+from sweep.tie.reference_rows import known_spin, with_jitter
 from sweep.tie.setup import zero_motion
 from sweep.tie.tables import AstrometricTable, astrometric_table, digest_of
 
@@ -58,10 +57,8 @@ class RowGroup:
         return found
 
 
-@lru_cache(maxsize=8)
-def digest_once(path: Path) -> str:
-    """Return the SHA-256 of a file, read once in a process."""
-    return digest_of(path)
+digest_once = lru_cache(maxsize=8)(digest_of)
+"""Returns the SHA-256 of a file, read once in a process."""
 
 
 class Scanned(NamedTuple):

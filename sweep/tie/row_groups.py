@@ -6,8 +6,8 @@ at all of them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial, reduce
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from core.tie.clips import Sources, separation
 from core.tie.normal_sums import source_counts, source_discrepancies
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
+from core.tie.sources import Heaviest
 from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
@@ -64,15 +65,10 @@ class RowGroupTable:
     groups: tuple[RowGroup, ...]
     n_sources: int
     run: Map
+    _last: list[tuple[Array | Flags, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
-    @property
-    def kept(self) -> None:
-        """The sums of single sources are not kept."""
-        return
-
-    @cached_property
-    def _last(self) -> list[tuple[Array | Flags, NormalSums]]:
-        return []
+    kept = None
+    """The sums of single sources are not kept."""
 
     def cell_sums(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells of the sky, each source with a factor of its weight."""
@@ -98,10 +94,10 @@ class RowGroupTable:
         normalised, plain = self._filled(separation, rows=2)
         return normalised, plain
 
-    def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
+    def heaviest(self, number: int) -> Heaviest:
         """Return the sources with the largest weights, and their sums."""
-        _, places, sums = reduce(partial(row_group.heavier, number), self._each(row_group.heaviest, number))
-        return places, sums
+        found: Heaviest = reduce(partial(row_group.heavier, number), self._each(row_group.heaviest, number))
+        return found
 
     def _filled(self, function: Any, *arguments: Any, rows: int | None = None, kind: Any = np.float64) -> Any:
         """Return what a function of a problem returns of each source, without a second copy of it."""

@@ -14,10 +14,9 @@ from core.tie.astrometry import Astrometry, joined, named_rows
 from core.tie.problem import Problem
 from sweep.contract import SweepError
 from sweep.tie.column_names import TableOptions
-from sweep.tie.known_spin import known_spin
 from sweep.tie.matching import Match, match, separations
 from sweep.tie.options import SIGNS, Options
-from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, with_jitter
+from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, known_spin, with_jitter
 from sweep.tie.tables import AstrometricTable, read_table
 from sweep.tie.unknowns_of import unknowns_of
 
@@ -169,11 +168,11 @@ def _names(left: AstrometricTable, reference: _Part, sources: Indices) -> NDArra
     """Return what sources are called: the satellite's first column of names, else the reference's, else numbers."""
     if left.names:
         return next(iter(left.names.values()))[sources]
-    named = {int(s): str(s + 1) for s in sources}
+    named: dict[int, str] = {}
     if reference.table.names:
         column, found = next(iter(reference.table.names.values())), reference.matched
-        named |= {int(s): str(column[r]) for r, s in zip(found.rows, found.source, strict=True)}
-    return np.array([named[int(s)] for s in sources])
+        named = dict(zip(found.source.tolist(), column[found.rows].tolist(), strict=True))
+    return np.array([named.get(s, str(s + 1)) for s in sources.tolist()])
 
 
 def default_epoch(epochs: Array) -> float:

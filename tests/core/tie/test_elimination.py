@@ -11,11 +11,10 @@ from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.differences import differences
 from core.tie.elimination import eliminate
-from core.tie.influence import discrepancies, expected_discrepancies
+from core.tie.influence import bootstrap, discrepancies, expected_discrepancies, jackknife, leave_one_out, sandwich
 from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums
 from core.tie.problem import Problem
 from core.tie.solution import solve
-from core.tie.uncertainty import bootstrap, jackknife, leave_one_out, sandwich
 from core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 

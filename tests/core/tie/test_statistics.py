@@ -13,14 +13,12 @@ from core.link import LinkError
 from core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
 from core.tie.forecast import Goal, choose, factors, released, with_new_rows
-from core.tie.influence import influence
-from core.tie.normal_sums import group_sums, source_sums
+from core.tie.influence import influence, leave_one_out
+from core.tie.normal_sums import add_products, group_sums, source_sums
 from core.tie.problem import Problem
-from core.tie.products import add_products
 from core.tie.solution import solve
 from core.tie.sources import SourceTable, sky_cells
 from core.tie.sums import NormalSums
-from core.tie.uncertainty import leave_one_out
 from core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 from tests.core.tie.test_elimination import mixed
