@@ -127,10 +127,7 @@ class Asked:
 KNOWN: dict[str, Callable[[Asked], Block]] = {
     "orientation": lambda asked: Orientation(asked.corrections),
     "position_glide": lambda asked: Glide(
-        name="position_glide",
-        labels=("position_glide_x", "position_glide_y", "position_glide_z"),
-        rows=POSITION,
-        rate=False,
+        name="position_glide", labels=tuple(f"position_glide_{axis}" for axis in "xyz"), rows=POSITION, rate=False
     ),
     "spin": lambda asked: Rotation() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
     "glide": lambda asked: Glide(),

@@ -30,10 +30,8 @@ UNDETERMINED = 1e-12
 
 @dataclass(frozen=True)
 class Eliminated(NormalSums):
-    """S sources: W (S, P, P), w (S, P), yy (S,), the number of observations less that of free parameters (S,), what yy
-    is on average (S,), and M' G D G' M of other weights than the best (S, P, P).
-
-    ``parameters`` are the P that the matrices have: some of the five of each frame.
+    """The sums W, w and yy of S sources, numbers of observations less those of free parameters, and M' G D G' M of
+    other weights G than the best.  ``parameters`` are the P that the matrices have: some of the five of each frame.
     """
 
     parameters: tuple[int, ...] = ()

@@ -52,11 +52,6 @@ class NormalSums:
             spread=self.right_covariance * each**2,
         )
 
-    def weighted(self, factors: Array | Flags) -> Self:
-        """Return the same with the weight of each source multiplied by a factor (G,), those with 0 left out."""
-        used = factors > 0.0
-        return self.taken(used).scaled(factors[used])
-
     def plus(self, other: Self) -> Self:
         """Return the sums of both, group by group."""
         return self._with(other, np.add)

@@ -159,10 +159,8 @@ def check(point: Point) -> str | None:
         design = design_of(point)
         solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
         if not any_stored(design.problem.unknowns):
-            return (
-                f"unknowns = {point['unknowns']!r}: results have places for harmonics to degree {HIGHEST_STORED}, and "
-                "none is here"
-            )
+            places = f"results have places for harmonics to degree {HIGHEST_STORED}"
+            return f"unknowns = {point['unknowns']!r}: {places}, and none is here"
     except (SweepError, ValueError) as error:  # LinkError is one
         return str(error)
     return None

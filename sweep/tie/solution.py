@@ -119,10 +119,10 @@ def _covariances(
 ) -> tuple[dict[str, Array], list[str]]:
     solution, notes = found.solution, []
     sums = table.kept
-    if sums is not None and not np.all(np.isin(found.factors, (0.0, 1.0))):
-        sums = sums.weighted(found.factors)
-    elif sums is not None:
-        sums = sums.taken(found.factors > 0.0)
+    if sums is not None:
+        used = found.factors > 0.0
+        sums, factors = sums.taken(used), found.factors[used]
+        sums = sums if np.all(factors == 1.0) else sums.scaled(factors)
     right = solution.normal @ solution.estimate
     covariances: dict[str, Array] = {}
     for kind in dict.fromkeys([*errors, *ALWAYS]):
