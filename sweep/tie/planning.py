@@ -70,8 +70,6 @@ def forecast(
         >>> plan.step_source.values.tolist()
         ['', 'J1537+1155', 'J2354+6155']
     """
-    import xarray as xr
-
     _check(add, error, number, criterion, options)
     setup = set_up(satellite, reference, Options(unknowns=unknowns, **options), all_sources)
     problem = setup.problem
@@ -97,6 +95,8 @@ def forecast(
         "reference_sha256": setup.reference.digest,
         "notes": list(setup.notes),
     }
+    import xarray as xr
+
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
