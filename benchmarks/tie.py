@@ -17,10 +17,10 @@ import json, resource, sys, time
 import numpy as np
 from core.constants import MAS
 from core.tie.astrometry import Astrometry
+from core.tie.influence import jackknife
 from core.tie.normal_sums import group_sums
 from core.tie.problem import Problem
 from core.tie.sources import SourceTable
-from core.tie.uncertainty import jackknife
 from core.unknowns import parse_unknowns
 n, degree = int(sys.argv[1]), int(sys.argv[2])
 rng = np.random.default_rng(1)

@@ -7,14 +7,12 @@ satellite.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Indices
 from core.frames import Triad, triad
-from core.harmonics import Kind, Term, fill_toroidal, terms, turned
+from core.harmonics import Kind, fill_toroidal, turned
 from core.link import require_off_poles
 
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
@@ -32,7 +30,7 @@ class Objects:
     pmdec: Array
     columns: Mapping[str, Array] = field(default_factory=dict)
 
-    def taken(self, part: slice | NDArray[np.int64]) -> "Objects":
+    def taken(self, part: slice | Indices) -> "Objects":
         """Return some of the sources."""
         columns = {name: column[part] for name, column in self.columns.items()}
         return Objects(self.ra[part], self.dec[part], self.pmra[part], self.pmdec[part], columns)
@@ -43,51 +41,36 @@ class Objects:
         return triad(self.ra, self.dec)
 
 
-class Block(Protocol):
+@dataclass(frozen=True, kw_only=True)
+class Block:
     """A few unknowns that belong together.
 
-    ``rows`` are the parameters that they act on.  A ``rate`` is per year: it moves the position of a source whose
-    epoch is not that of the unknowns.
+    ``name`` is that by which they are asked for, ``labels`` are their own, and ``rows`` the parameters that they act
+    on.  A ``rate`` is per year: it moves the position of a source whose epoch is not that of the unknowns.
     """
 
-    @property
-    def name(self) -> str:
-        """The name by which the block is asked for."""
-        ...
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The names of its unknowns."""
-        ...
-
-    @property
-    def rows(self) -> tuple[int, ...]:
-        """The parameters that it acts on."""
-        ...
-
-    @property
-    def rate(self) -> bool:
-        """Whether it is per year."""
-        ...
+    name: str
+    labels: tuple[str, ...]
+    rows: tuple[int, ...]
+    rate: bool
 
     def derivatives(self, objects: Objects) -> Array:
         """Return the derivatives of the parameters ``rows``; shape (k, len(rows), N)."""
-        ...
+        raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class Orientation:
-    """The rotation epsilon: d alpha* = q.eps, d dec = -p.eps, and the terms A21 in the motions."""
+@dataclass(frozen=True, kw_only=True)
+class Orientation(Block):
+    """The rotation epsilon: d alpha* = q.eps, d dec = -p.eps, and the terms A21 in the motions: ``corrections``."""
 
-    corrections: bool = True
+    corrections: bool = field(default=True, kw_only=False)
     name: str = "orientation"
     labels: tuple[str, ...] = ("epsilon_x", "epsilon_y", "epsilon_z")
+    rows: tuple[int, ...] = field(init=False)
     rate: bool = False
 
-    @property
-    def rows(self) -> tuple[int, ...]:
-        """Positions, and with the terms A21 motions too."""
-        return (RA, DEC, PMRA, PMDEC) if self.corrections else POSITION
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", (RA, DEC, PMRA, PMDEC) if self.corrections else POSITION)
 
     def derivatives(self, objects: Objects) -> Array:
         """Return q, -p, -pmdec eta and pmra eta with eta = (cos ra, sin ra, 0)/cos dec; shape (3, 4 or 2, N)."""
@@ -102,8 +85,8 @@ class Orientation:
         return found
 
 
-@dataclass(frozen=True)
-class Rotation:
+@dataclass(frozen=True, kw_only=True)
+class Rotation(Block):
     """A rotation of positions or motions: q and -p.  The spin is that of motions."""
 
     name: str = "spin"
@@ -116,8 +99,8 @@ class Rotation:
         return np.stack([objects.triad.q, -objects.triad.p], axis=1)
 
 
-@dataclass(frozen=True)
-class Glide:
+@dataclass(frozen=True, kw_only=True)
+class Glide(Block):
     """A flow towards a point of the sky: p and q, in the motions or the positions."""
 
     name: str = "glide"
@@ -130,8 +113,8 @@ class Glide:
         return np.stack([objects.triad.p, objects.triad.q], axis=1)
 
 
-@dataclass(frozen=True)
-class ParallaxZeroPoint:
+@dataclass(frozen=True, kw_only=True)
+class ParallaxZeroPoint(Block):
     """One constant in all parallaxes, reference - satellite."""
 
     name: str = "parallax"
@@ -144,24 +127,11 @@ class ParallaxZeroPoint:
         return np.ones((1, 1, len(objects.ra)))
 
 
-@dataclass(frozen=True)
-class Harmonics:
+@dataclass(frozen=True, kw_only=True)
+class Harmonics(Block):
     """Vector spherical harmonics of given kinds and degrees, in the positions or the motions."""
 
-    name: str
-    rows: tuple[int, ...]
-    rate: bool
     parts: tuple[tuple[Kind, int], ...]
-
-    @cached_property
-    def terms(self) -> tuple[Term, ...]:
-        """The coefficients in their order."""
-        return tuple(term for kind, degree in self.parts for term in terms(kind, degree))
-
-    @cached_property
-    def labels(self) -> tuple[str, ...]:
-        """For example vsh_motion_t_2_1_re."""
-        return tuple(f"{self.name}_{term.label}" for term in self.terms)
 
     def derivatives(self, objects: Objects) -> Array:
         """Return the fields of all terms; shape (k, 2, N)."""
@@ -180,27 +150,27 @@ class Harmonics:
         return found
 
 
-@dataclass(frozen=True)
-class SpinByBin:
-    """A spin for each bin of a column, with the lowest and the highest bin open."""
+@dataclass(frozen=True, kw_only=True)
+class SpinByBin(Block):
+    """A spin for each bin of a column, with the lowest and the highest bin open; labels like omega_x[6,8)."""
 
     column: str
     edges: tuple[float, ...]
     used: tuple[int, ...]
     name: str = "spin"
+    labels: tuple[str, ...] = field(init=False)
     rows: tuple[int, ...] = MOTION
     rate: bool = True
+
+    def __post_init__(self) -> None:
+        labels = (f"{label}[{low:g},{high:g})" for low, high in self.bins for label in Rotation().labels)
+        object.__setattr__(self, "labels", tuple(labels))
 
     @property
     def bins(self) -> tuple[tuple[float, float], ...]:
         """The limits of the bins that have sources."""
         limits = (-np.inf, *self.edges, np.inf)
         return tuple((limits[b], limits[b + 1]) for b in self.used)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """For example omega_x[6,8)."""
-        return tuple(f"{label}[{low:g},{high:g})" for low, high in self.bins for label in Rotation().labels)
 
     def derivatives(self, objects: Objects) -> Array:
         """Return q and -p in the bin of each source, zero in the others; shape (3 bins, 2, N)."""
@@ -209,37 +179,23 @@ class SpinByBin:
         return np.concatenate([np.where(bin_of == b, spin, 0.0) for b in self.used])
 
 
-@dataclass(frozen=True)
-class OfMission:
-    """A block of the frame of a further mission, whose five parameters follow those of the frames before it.
-
-    ``number`` counts missions from 1.
-    """
+@dataclass(frozen=True, kw_only=True)
+class OfMission(Block):
+    """A block of the frame of a further mission, whose five parameters follow those of the frames before it."""
 
     block: Block
-    mission: str
-    number: int
-
-    @property
-    def name(self) -> str:
-        """For example hipparcos:spin."""
-        return f"{self.mission}:{self.block.name}"
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """For example hipparcos:omega_x."""
-        return tuple(f"{self.mission}:{label}" for label in self.block.labels)
-
-    @property
-    def rows(self) -> tuple[int, ...]:
-        """The parameters of the mission's frame that it acts on."""
-        return tuple(len(PARAMETERS) * self.number + row for row in self.block.rows)
-
-    @property
-    def rate(self) -> bool:
-        """Whether it is per year."""
-        return self.block.rate
 
     def derivatives(self, objects: Objects) -> Array:
         """Return those of the block; shape (k, len(rows), N)."""
         return self.block.derivatives(objects)
+
+
+def of_mission(block: Block, mission: str, number: int) -> OfMission:
+    """Return a block like hipparcos:spin of a mission, which are counted from 1."""
+    return OfMission(
+        name=f"{mission}:{block.name}",
+        labels=tuple(f"{mission}:{label}" for label in block.labels),
+        rows=tuple(len(PARAMETERS) * number + row for row in block.rows),
+        rate=block.rate,
+        block=block,
+    )

@@ -153,10 +153,7 @@ def published_model(
 
 
 def fit(
-    model: Model,
-    numbers: Sequence[PublishedSigma],
-    skies: dict[Kind, Skies],
-    weighting: Weighting = "inverse-variance",
+    model: Model, numbers: Sequence[PublishedSigma], skies: dict[Kind, Skies], weighting: Weighting = "inverse-variance"
 ) -> Fit:
     """Fit a curve's constants to published numbers by least squares of log sigma in log constants.
 

@@ -137,11 +137,10 @@ def _check_method(point: Point, objects: Catalogue | None) -> str | None:
             return f"method = 'projected' needs errors that are as large as they weigh: {side}_error_ratio = 1"
     if objects is not None and any(error_model(point, side).correlation(objects) is not None for side in SIDES):
         return "method = 'projected' needs uncorrelated errors, and those of the file are correlated"
-    position_mas = (
-        errors_at_limit(point, "reference").pos_mas
-        if objects is None
-        else float(np.max(errors_of_objects(point, objects)[0][:2]))
-    )
+    if objects is None:
+        position_mas = errors_at_limit(point, "reference").pos_mas
+    else:
+        position_mas = float(np.max(errors_of_objects(point, objects)[0][:2]))
     if position_mas <= LARGEST_PROJECTED_ERROR:
         return None
     return (

@@ -16,7 +16,7 @@ import numpy as np
 from core.arrays import Array, Flags, Indices
 from core.galaxy_classes import Chance, Rules, chance_pairs, classify
 from core.galaxy_merge import GalaxyCatalogue, merge_galaxies
-from core.sky_pairs import Pairs, Positions, count_near, displacement, occurrences, one_to_one, pairs_within, sky_tree
+from core.sky_pairs import Positions, count_near, displacement, occurrences, one_to_one, pairs_within, sky_tree
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,13 @@ def cross_match(
     star_tree, trees = sky_tree(stars), [sky_tree(c.positions) for c in catalogues]
     found = [pairs_within(star_tree, tree, c.radius) for tree, c in zip(trees, catalogues, strict=True)]
     labels, identifiers = merge_galaxies(catalogues, trees, rules.merge_radius)
-    pairs = _pairs_of_all(found, labels)
+    pairs = _Pairs(
+        star=np.concatenate([pairs.first for pairs in found]),
+        catalogue=np.repeat(np.arange(len(found)), [len(pairs.first) for pairs in found]),
+        entry=np.concatenate([pairs.second for pairs in found]),
+        galaxy=np.concatenate([label[pairs.second] for label, pairs in zip(labels, found, strict=True)]),
+        offset=np.concatenate([pairs.offset for pairs in found]),
+    )
     kept, n_rival, found_in = _resolve(pairs, stars, supplement, catalogues, identifiers)
 
     here = _gather([stars], np.zeros(len(kept.star), dtype=np.int64), kept.star)
@@ -101,17 +107,6 @@ class _Pairs(NamedTuple):
     entry: Indices
     galaxy: Indices
     offset: Array
-
-
-def _pairs_of_all(found: Sequence[Pairs], labels: Sequence[Indices]) -> _Pairs:
-    """Return the pairs of star and entry in each catalogue as one; ``labels`` are the galaxies of the entries."""
-    return _Pairs(
-        star=np.concatenate([pairs.first for pairs in found]),
-        catalogue=np.repeat(np.arange(len(found)), [len(pairs.first) for pairs in found]),
-        entry=np.concatenate([pairs.second for pairs in found]),
-        galaxy=np.concatenate([label[pairs.second] for label, pairs in zip(labels, found, strict=True)]),
-        offset=np.concatenate([pairs.offset for pairs in found]),
-    )
 
 
 def _resolve(

@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from core.arrays import Array, Indices
-from core.sky_pairs import Pairs, Positions, one_to_one, pairs_within
+from core.sky_pairs import Positions, one_to_one, pairs_within
+
+_Links = tuple[Indices, Indices, Array, Array, Array]
+"""Galaxies and entries that may be one, their offsets, and ra and dec of the galaxies' entries, which settle ties."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,17 @@ def merge_galaxies(
     known = np.empty(0, dtype=np.int64)  # identifier of each galaxy so far
     for c, catalogue in enumerate(catalogues):
         label = _label_by_identifier(catalogue.identifier, known)
-        links = []
+        linked = np.zeros(len(known), dtype=bool)
+        linked[label[label >= 0]] = True
+        links: list[_Links] = []
         for earlier, tree, earlier_label in zip(catalogues[:c], trees[:c], labels, strict=True):
             radius = earlier.radius + catalogue.radius if merge_radius is None else merge_radius
             pairs = pairs_within(tree, trees[c], radius)
-            links.append(_free_links(pairs, earlier_label, label, known, earlier, catalogue))
+            galaxy, entry = earlier_label[pairs.first], pairs.second
+            # neither side is linked yet, and at most one has an identifier
+            free = ~linked[galaxy] & (label[entry] < 0) & ((known[galaxy] == 0) | (catalogue.identifier[entry] == 0))
+            where, at = earlier.positions, pairs.first[free]
+            links.append((galaxy[free], entry[free], pairs.offset[free], where.ra[at], where.dec[at]))
         if links:
             galaxy, entry = _closest_links(links, catalogue, known)
             label[entry] = galaxy
@@ -61,33 +69,6 @@ def _label_by_identifier(identifier: Indices, known: Indices) -> Indices:
         hit = (identifier > 0) & (known[named[at]] == identifier)
         label[hit] = named[at[hit]]
     return label
-
-
-class _Links(NamedTuple):
-    """Pairs of a galaxy and an entry that may be one, with the place of the galaxy's entry to settle ties."""
-
-    galaxy: Indices
-    entry: Indices
-    offset: Array
-    ra: Array
-    dec: Array
-
-
-def _free_links(
-    pairs: Pairs,
-    galaxy_of_earlier: Indices,
-    label: Indices,
-    known: Indices,
-    earlier: GalaxyCatalogue,
-    catalogue: GalaxyCatalogue,
-) -> _Links:
-    """Return the pairs that may still be linked: neither side is yet, and at most one has an identifier."""
-    galaxy, entry = galaxy_of_earlier[pairs.first], pairs.second
-    linked = np.zeros(len(known), dtype=bool)
-    linked[label[label >= 0]] = True
-    free = ~linked[galaxy] & (label[entry] < 0) & ((known[galaxy] == 0) | (catalogue.identifier[entry] == 0))
-    at = pairs.first[free]
-    return _Links(galaxy[free], entry[free], pairs.offset[free], earlier.positions.ra[at], earlier.positions.dec[at])
 
 
 def _closest_links(links: Sequence[_Links], catalogue: GalaxyCatalogue, known: Indices) -> tuple[Indices, Indices]:

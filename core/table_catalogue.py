@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.catalogue import SIDES, Catalogue, OwnErrors
 from core.constants import DEGREE, MAS
 
@@ -45,26 +44,19 @@ class Table(Protocol):
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the columns."""
-        ...
 
     def numbers(self, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:
         """Return a column of finite numbers in a unit; ``stated`` is that of a column whose file gives none."""
-        ...
 
     def in_time(self, name: str, stated: str | None = None) -> bool:
         """Return whether a column is in units of time, as seconds of right ascension, which lack cos(dec)."""
-        ...
 
     def label(self, row: int) -> str:
         """Return what the table calls a row, counted from 0; empty where it has no column of names."""
-        ...
 
 
 def catalogue_from_table(
-    table: Table,
-    columns: Mapping[str, str],
-    pmra_cos_dec: bool | None,
-    units: Mapping[str, str] | None = None,
+    table: Table, columns: Mapping[str, str], pmra_cos_dec: bool | None, units: Mapping[str, str] | None = None
 ) -> Catalogue:
     """Return the objects of a table; ``columns`` maps a quantity of `QUANTITIES` to the table's name for it.
 
@@ -181,7 +173,7 @@ class _Reader:
         return matrices
 
 
-def _check_rows(good: NDArray[np.bool_], values: Array | None, what: str, hint: str = "") -> None:
+def _check_rows(good: Flags, values: Array | None, what: str, hint: str = "") -> None:
     if np.all(good):
         return
     bad = np.flatnonzero(~good)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -15,13 +14,13 @@ from core.blocks import (
     Glide,
     Harmonics,
     Objects,
-    OfMission,
     Orientation,
     ParallaxZeroPoint,
     Rotation,
     SpinByBin,
+    of_mission,
 )
-from core.harmonics import Kind
+from core.harmonics import Kind, terms
 
 HIGHEST_DEGREE = 50
 
@@ -58,10 +57,6 @@ class Unknowns:
         return frozenset(block.column for block in self.blocks if isinstance(block, SpinByBin))
 
     def __len__(self) -> int:
-        return self._length
-
-    @cached_property
-    def _length(self) -> int:
         return sum(len(block.labels) for block in self.blocks)
 
     def part(self, name: str) -> slice:
@@ -132,10 +127,7 @@ class Asked:
 KNOWN: dict[str, Callable[[Asked], Block]] = {
     "orientation": lambda asked: Orientation(asked.corrections),
     "position_glide": lambda asked: Glide(
-        name="position_glide",
-        labels=("position_glide_x", "position_glide_y", "position_glide_z"),
-        rows=POSITION,
-        rate=False,
+        name="position_glide", labels=tuple(f"position_glide_{axis}" for axis in "xyz"), rows=POSITION, rate=False
     ),
     "spin": lambda asked: Rotation() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
     "glide": lambda asked: Glide(),
@@ -168,7 +160,7 @@ def parse_unknowns(
     own = [name for name in names if name.partition(":")[0] not in of]
     blocks = list(_blocks(own, bins, columns or {}, corrections))
     for number, (mission, some) in enumerate(of.items(), 1):
-        blocks += [OfMission(block, mission, number) for block in _blocks(some, None, {}, corrections)]
+        blocks += [of_mission(block, mission, number) for block in _blocks(some, None, {}, corrections)]
     if bins is not None and not any(isinstance(block, SpinByBin) for block in blocks):
         raise ValueError("bins divide the spin, which is not among the unknowns")
     return Unknowns(tuple(blocks))
@@ -223,7 +215,8 @@ def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -
     parts = tuple((k, d) for d in range(first, last + 1) for k in kinds if not covered.get((k, d)))
     if not parts:
         raise ValueError(f"unknowns {name!r}: {rotation} and {glide} are these already")
-    return Harmonics(asked.name, rows, rows == MOTION, parts)
+    labels = tuple(f"{asked.name}_{term.label}" for kind, degree in parts for term in terms(kind, degree))
+    return Harmonics(name=asked.name, labels=labels, rows=rows, rate=rows == MOTION, parts=parts)
 
 
 def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Array]) -> SpinByBin:
@@ -237,4 +230,4 @@ def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Arra
     if np.any(missing := ~np.isfinite(values)):
         raise ValueError(f"bins: {column} is missing in {np.count_nonzero(missing)} of {len(values)} matched sources")
     used = np.unique(np.searchsorted(edges, values, side="right"))
-    return SpinByBin(column, tuple(map(float, edges)), tuple(used.tolist()))
+    return SpinByBin(column=column, edges=tuple(map(float, edges)), used=tuple(used.tolist()))

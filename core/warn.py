@@ -21,12 +21,9 @@ def warn(point: Point) -> list[str]:
     different epochs, and about objects that decide nearly alone.
     """
     kind = catalogue_kind(point)
-    found = [error_kind(point, side).warning(point, kind) for side in SIDES]
-    return [
-        sentence
-        for sentence in (*found, _not_measured(point), _epochs(point), _heaviest(point))
-        if sentence is not None
-    ]
+    of_errors = [error_kind(point, side).warning(point, kind) for side in SIDES]
+    found = (*of_errors, _not_measured(point), _epochs(point), _heaviest(point))
+    return [sentence for sentence in found if sentence is not None]
 
 
 def _not_measured(point: Point) -> str | None:

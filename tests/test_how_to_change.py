@@ -54,8 +54,8 @@ ds = linksweep.run(study, "toy.zarr", pool="serial")
 """
 SOUTH = '''
 
-@dataclass(frozen=True)
-class South:
+@dataclass(frozen=True, kw_only=True)
+class South(Block):
     """A constant in the declinations of the southern sky."""
 
     name: str = "south"

@@ -6,8 +6,7 @@ from types import MappingProxyType
 from core.catalogue import SIDES
 from core.errors.magnitude import Magnitude, MagnitudeErrors
 from core.errors.model import ErrorKind, ErrorModel, Errors
-from core.errors.none import ErrorFree, NoErrors
-from core.errors.normal import Normal, NormalErrors
+from core.errors.normal import ErrorFree, NoErrors, Normal, NormalErrors
 from core.errors.own import CatalogueErrors, Own
 
 __all__ = [

@@ -12,7 +12,7 @@ from sweep.contract import Point
 
 
 @dataclass(frozen=True)
-class FlooredErrors:
+class FlooredErrors(ErrorModel):
     """The errors of ``model`` and an independent one of ``floor`` in each observable, in quadrature."""
 
     model: ErrorModel

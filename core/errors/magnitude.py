@@ -10,7 +10,7 @@ import numpy as np
 from core.arrays import Array
 from core.catalogue import Catalogue
 from core.catalogues.kind import CatalogueKind
-from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, Uncorrelated, four_rows, scale_of
+from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
 from core.function_curve import CurveError
 from core.missions import Mission
 from core.user_mission import mission_of
@@ -21,7 +21,7 @@ PROBES = 100
 
 
 @dataclass(frozen=True)
-class MagnitudeErrors(Uncorrelated):
+class MagnitudeErrors(ErrorModel):
     """A mission's accuracy curve at a mission length (None: its nominal one), times ``scale``."""
 
     mission: Mission

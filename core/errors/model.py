@@ -1,7 +1,7 @@
 """What an error model is (steps C and D): the errors of a catalogue's observables, and what a study says of them."""
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,19 +13,17 @@ from sweep.contract import Point
 
 Objects = Callable[[], Catalogue | None]
 
-FLOOR = ("floor_pos", "floor_pm")
 
-
-class ErrorModel(Protocol):
+class ErrorModel:
     """Every single error is normal around zero; errors of different objects are independent."""
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return the errors of (ra*, dec, pmra, pmdec) of each object in rad and rad/yr; shape (4, N)."""
-        ...
+        raise NotImplementedError
 
     def correlation(self, catalogue: Catalogue) -> Array | None:
         """Return the correlations of each object's four errors, shape (N, 4, 4), or None where there are none."""
-        ...
+        return None
 
 
 class Errors(NamedTuple):
@@ -45,7 +43,9 @@ class ErrorKind:
 
     def uses(self, side: str) -> frozenset[str]:
         """Return the names of the parameters that it looks at, for one side."""
-        return frozenset({"error_scale", *(f"{side}_{name}" for name in ("error_scale", "error_ratio", *FLOOR))})
+        return frozenset(
+            {"error_scale", *(f"{side}_{name}" for name in ("error_scale", "error_ratio", "floor_pos", "floor_pm"))}
+        )
 
     def model(self, point: Point, side: str) -> ErrorModel:
         """Return the error model of a point."""
@@ -67,14 +67,6 @@ class ErrorKind:
 
     def warning(self, point: Point, catalogue: CatalogueKind) -> str | None:
         """Return in what the errors are less certain than they seem, or None."""
-        return None
-
-
-class Uncorrelated:
-    """The part of an error model whose errors of one object are independent."""
-
-    def correlation(self, catalogue: Catalogue) -> Array | None:
-        """Return None: the errors of an object are independent."""
         return None
 
 

@@ -1,4 +1,4 @@
-"""The same errors for every object."""
+"""The same errors for every object, or none."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ import numpy as np
 
 from core.arrays import Array
 from core.catalogue import Catalogue
-from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, Uncorrelated, four_rows, scale_of
+from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
 from sweep.contract import Point
 
 
 @dataclass(frozen=True)
-class NormalErrors(Uncorrelated):
+class NormalErrors(ErrorModel):
     """The same errors for every object: ``sigma_pos_mas`` per coordinate and ``sigma_pm_mas_yr``, times ``scale``."""
 
     sigma_pos_mas: float
@@ -47,3 +47,32 @@ class Normal(ErrorKind):
         """Return whether the scale and a sigma are above zero."""
         sigmas = (point[f"{side}_sigma_pos"], point[f"{side}_sigma_pm"])
         return scale_of(point, side) > 0.0 and max(sigmas) > 0.0
+
+
+@dataclass(frozen=True)
+class NoErrors(ErrorModel):
+    """Error-free data."""
+
+    def standard_errors(self, catalogue: Catalogue) -> Array:
+        """Return zeros; shape (4, N)."""
+        return np.zeros((4, len(catalogue)))
+
+
+class ErrorFree(ErrorKind):
+    """`"none"`."""
+
+    def uses(self, side: str) -> frozenset[str]:
+        """Return none: the scales do not matter either."""
+        return frozenset()
+
+    def model(self, point: Point, side: str) -> ErrorModel:
+        """Return it."""
+        return NoErrors()
+
+    def errors_at(self, point: Point, side: str, v_mag: Callable[[], float]) -> Errors:
+        """Return zeros."""
+        return Errors(0.0, 0.0)
+
+    def any(self, point: Point, side: str, objects: Objects) -> bool:
+        """Return False."""
+        return False

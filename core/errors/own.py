@@ -12,7 +12,7 @@ from sweep.contract import Point
 
 
 @dataclass(frozen=True)
-class CatalogueErrors:
+class CatalogueErrors(ErrorModel):
     """The errors that the catalogue lists for each object of a side, with their correlations if any, times ``scale``.
 
     Raises ValueError for a catalogue without errors of its own.
@@ -56,12 +56,6 @@ class Own(ErrorKind):
             return f"{side}_errors = 'catalogue': the {point['catalogue']} catalogue has no errors of its own"
         if point["reference_errors"] != point["satellite_errors"] or objects.reference is not None:
             return None
-        hint = (
-            "; name those of the other: columns = { reference_pmra_error = ... }"
-            if "file" in catalogue.parameters
-            else ""
-        )
-        return (
-            "reference_errors and satellite_errors are both 'catalogue', but the objects have errors of one side only"
-            + hint
-        )
+        both = "reference_errors and satellite_errors are both 'catalogue'"
+        hint = "; name those of the other: columns = { reference_pmra_error = ... }"
+        return f"{both}, but the objects have errors of one side only{hint if 'file' in catalogue.parameters else ''}"

@@ -3,17 +3,22 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from core.missions.curves import Curve, Exponentials, LogLinear
-from core.missions.gaia_2001 import GAIA_2001
-from core.missions.gaia_releases import GAIA_DR3, GAIA_DR4, GAIA_DR5, PyGaia
-from core.missions.mission import AccuracyCurves, Floor, Mission, MissionUnavailableError, accuracy_curves
+from core.missions.gaia import GAIA_2001, GAIA_DR3, GAIA_DR4, GAIA_DR5, PyGaia
+from core.missions.mission import (
+    Curve,
+    Exponentials,
+    Floor,
+    LogLinear,
+    Mission,
+    MissionUnavailableError,
+    accuracy_curves,
+)
 from core.missions.paper import AMEX, AMEX_PM, GAIA, GAIA_PM
 
 __all__ = [
     "AMEX_PM",
     "GAIA_PM",
     "MISSIONS",
-    "AccuracyCurves",
     "Curve",
     "Exponentials",
     "Floor",

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
+from core.arrays import Array, Flags, Indices
 
 PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
 """The two parameters of each correlation, in the order of the Gaia archive."""
@@ -32,18 +32,18 @@ class Astrometry:
     radial_velocity: Array | None = None
     names: NDArray[np.str_] | None = None
     columns: Mapping[str, Array] = field(default_factory=dict)
-    apparent: NDArray[np.bool_] | None = None
+    apparent: Flags | None = None
     frame: Indices | None = None
 
     def __len__(self) -> int:
         return len(self.epoch)
 
     @property
-    def present(self) -> NDArray[np.bool_]:
+    def present(self) -> Flags:
         """Which parameters have a value with an error; shape (5, N)."""
         return np.isfinite(self.values) & np.isfinite(self.errors)
 
-    def taken(self, part: Indices | slice | NDArray[np.bool_]) -> "Astrometry":
+    def taken(self, part: Indices | slice | Flags) -> "Astrometry":
         """Return some of the objects."""
 
         def of(array: Any) -> Any:
@@ -85,7 +85,7 @@ def joined(*tables: Astrometry) -> Astrometry:
     )
 
 
-def positive_definite(correlations: Array) -> NDArray[np.bool_]:
+def positive_definite(correlations: Array) -> Flags:
     """Return whether each matrix of ten correlations (10, N), all finite, is one; shape (N,).
 
     By its Cholesky factors, all matrices at once: eigenvalues of a million of them take many seconds.

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
+from core.arrays import Array, Flags, Indices
 from core.tie.astrometry import Astrometry
 from core.tie.motion import offsets, parallax_factors, propagated
 
@@ -22,7 +21,7 @@ class Differences:
     values: Array
     partials: Array
     covariance: Array
-    present: NDArray[np.bool_]
+    present: Flags
     by_frames: Array
 
 

@@ -11,8 +11,8 @@ from core.arrays import Array
 from core.tie.clips import row_separations
 from core.tie.differences import Differences, differences
 from core.tie.elimination import Eliminated, eliminate
-from core.tie.normal_sums import NormalSums
 from core.tie.problem import Problem
+from core.tie.sums import NormalSums
 
 BLOCK = 8192
 """Sources, in all draws that are made together: the numbers depend on it."""
@@ -87,23 +87,17 @@ class Simulation:
     def _eliminated(self, values: Array) -> Eliminated:
         """Eliminate many draws (n, R, 5) at once, as sources of one large table."""
         n, problem, found = len(values), self.problem, self._found
-        tiled = Differences(
-            values=values.reshape(-1, 5),
-            partials=np.tile(found.partials, (n, 1, 1)),
-            covariance=np.tile(found.covariance, (n, 1, 1)),
-            present=np.tile(found.present, (n, 1)),
-            by_frames=np.tile(found.by_frames, (n, 1, 1)),
-        )
+        tiled = {name: np.concatenate([array] * n) for name, array in vars(found).items() if name != "values"}
         n_sources = len(problem.satellite)
         source = (problem.source + n_sources * np.arange(n)[:, None]).ravel()
-        free = np.tile(~problem.satellite.present.T, (n, 1))
-        return eliminate(tiled, source, np.tile(self._covariance, (n, 1, 1)), free, problem.weights)
+        covariance, free = np.tile(self._covariance, (n, 1, 1)), np.tile(~problem.satellite.present.T, (n, 1))
+        return eliminate(Differences(values.reshape(-1, 5), **tiled), source, covariance, free, problem.weights)
 
     def _sums(self, left: Eliminated, number: int) -> list[NormalSums]:
         n_sources, matrix = len(self.problem.satellite), self._matrix
         across = matrix.swapaxes(1, 2)
-        normal = across @ left.weight[:n_sources] @ matrix
-        spread = None if self.problem.weights == "covariance" else across @ left.spread[:n_sources] @ matrix
+        normal = across @ left.normal[:n_sources] @ matrix
+        spread = None if left.spread is None else across @ left.spread[:n_sources] @ matrix
         right = np.einsum("ski,nsi->nsk", across, left.right.reshape(number, n_sources, -1))
         squares = left.squares.reshape(number, n_sources)
         count, expected = left.count[:n_sources], left.expected[:n_sources]

@@ -4,7 +4,8 @@ With f the differences of a source's rows, M their derivatives by its five param
 of the satellite, the covariance of f is D = V + M C M'.  The elimination leaves W = M' D^-1 M, w = M' D^-1 f and
 yy = f' D^-1 f, which with J = M' V^-1 M and g = M' V^-1 f are (I + J C)^-1 J, (I + J C)^-1 g and
 sum f' V^-1 f - g' C w.  This form needs neither C nor V nor J to be invertible: only a difference must have an error.
-A parameter that the satellite lacks is free: it is eliminated from W as an unknown of its source.
+A parameter that the satellite lacks is free: it is eliminated from W as an unknown of its source.  Millions of sources
+have one row each, of their own epoch; for these there is a closed form.
 """
 
 from collections.abc import Iterator
@@ -12,12 +13,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
+from core.arrays import Array, Flags, Indices
 from core.constants import MAS
 from core.link import LinkError
+from core.tie.astrometry import PAIRS, Astrometry
 from core.tie.differences import Differences
+from core.tie.motion import offsets
+from core.tie.sums import NormalSums
 
 Weights = Literal["covariance", "variance", "equal"]
 
@@ -26,67 +29,30 @@ UNDETERMINED = 1e-12
 
 
 @dataclass(frozen=True)
-class Eliminated:
-    """S sources: W (S, P, P), w (S, P), yy (S,), the number of observations less that of free parameters (S,), what yy
-    is on average (S,), and M' G D G' M of other weights than the best (S, P, P), which is W for the best.
-    ``parameters`` are the P that the matrices have: some of the five of each frame.
+class Eliminated(NormalSums):
+    """The sums W, w and yy of S sources, numbers of observations less those of free parameters, and M' G D G' M of
+    other weights G than the best.  ``parameters`` are the P that the matrices have: some of the five of each frame.
     """
 
-    weight: Array
-    right: Array
-    squares: Array
-    count: Array
-    expected: Array
-    spread: Array
-    parameters: tuple[int, ...]
+    parameters: tuple[int, ...] = ()
 
     def onto(self, rows: tuple[int, ...]) -> tuple[Array, Array, Array]:
         """Return W (S, r, r), w (S, r) and M' G D G' M (S, r, r) of some parameters, zero for those without weight."""
         if rows == self.parameters:
-            return self.weight, self.right, self.spread
+            return self.normal, self.right, self.right_covariance
         both = [(i, self.parameters.index(row)) for i, row in enumerate(rows) if row in self.parameters]
         into, at = [i for i, _ in both], [k for _, k in both]
         sources, size = range(len(self.right)), len(rows)
         weight, spread = np.zeros((2, len(sources), size, size))
-        for found, known in ((weight, self.weight), (spread, self.spread)):
+        for found, known in ((weight, self.normal), (spread, self.right_covariance)):
             found[np.ix_(sources, into, into)] = known[np.ix_(sources, at, at)]
         right = np.zeros((len(sources), size))
         right[:, into] = self.right[:, at]
         return weight, right, spread
 
-    def taken(self, part: slice | Indices) -> "Eliminated":
-        """Return some of the sources."""
-
-        def of(array: Array) -> Array:  # an index of rows takes several times longer than their numbers one by one
-            return array[part] if isinstance(part, slice) else np.take(array, part, axis=0)
-
-        weight, count = of(self.weight), of(self.count)
-        return Eliminated(
-            weight,
-            of(self.right),
-            of(self.squares),
-            count,
-            count if self.expected is self.count else of(self.expected),
-            weight if self.spread is self.weight else of(self.spread),
-            self.parameters,
-        )
-
-    def scaled(self, factors: Array | NDArray[np.bool_]) -> "Eliminated":
-        """Return the same with the weight of each source multiplied by a factor (S,)."""
-        each = factors[:, None, None]
-        return Eliminated(
-            self.weight * each,
-            self.right * factors[:, None],
-            self.squares * factors,
-            self.count,
-            self.expected * factors,
-            self.spread * each**2,
-            self.parameters,
-        )
-
 
 def eliminate(
-    found: Differences, source: Indices, covariance: Array, free: NDArray[np.bool_], weights: Weights = "covariance"
+    found: Differences, source: Indices, covariance: Array, free: Flags, weights: Weights = "covariance"
 ) -> Eliminated:
     """Return what is left of S sources.
 
@@ -96,25 +62,17 @@ def eliminate(
     source have no error.
     """
     n_sources, size = len(covariance), found.by_frames.shape[-1]
-    result = Eliminated(
-        weight=np.zeros((n_sources, size, size)),
-        right=np.zeros((n_sources, size)),
-        squares=np.zeros(n_sources),
-        count=np.zeros(n_sources),
-        expected=np.zeros(n_sources),
-        spread=np.zeros((n_sources, size, size)),
-        parameters=tuple(range(size)),
-    )
+    result = Eliminated.zeros(n_sources, size, weights != "covariance", parameters=tuple(range(size)))
     for sources, rows in _alike(found.present, source, n_sources):
         _observed(result, found, covariance, sources, rows, weights)
-    if weights == "covariance":
-        result.spread[:] = result.weight
-    for sources, columns in _alike_free(free):
-        _free(result, sources, columns)
+    which = free @ (1 << np.arange(5))
+    for one in np.unique(which[which > 0]):
+        sources = np.flatnonzero(which == one)
+        _free(result, sources, np.flatnonzero(free[sources[0]]))
     return result
 
 
-def _alike(present: NDArray[np.bool_], source: Indices, n_sources: int) -> Iterator[tuple[Indices, Indices]]:
+def _alike(present: Flags, source: Indices, n_sources: int) -> Iterator[tuple[Indices, Indices]]:
     """Yield sources with equally many rows and, where it is one, the same kind; and their rows (sources, rows each)."""
     order = np.argsort(source, kind="stable")
     n_rows = np.bincount(source, minlength=n_sources)
@@ -161,10 +119,10 @@ def _observed(
         own_variance = variance if weights == "variance" else np.full_like(variance, MAS**2)
         weighted = both / own_variance[..., None]
         trace = np.sum(np.where(present, variance / own_variance, 0.0), axis=1)
-        result.spread[sources] = weighted[..., :-1].swapaxes(1, 2) @ whole @ weighted[..., :-1]
+        result.right_covariance[sources] = weighted[..., :-1].swapaxes(1, 2) @ whole @ weighted[..., :-1]
     products = both.swapaxes(1, 2) @ weighted
     weight = products[:, :-1, :-1]
-    result.weight[sources] = 0.5 * (weight + weight.swapaxes(1, 2))
+    result.normal[sources] = 0.5 * (weight + weight.swapaxes(1, 2))
     result.right[sources] = products[:, :-1, -1]
     result.squares[sources] = products[:, -1, -1]
     result.count[sources] = np.sum(present, axis=1)
@@ -187,23 +145,16 @@ def _solved(whole: Array, variance: Array, right: Array, sources: Indices) -> Ar
     return np.asarray(found * scale[..., None])
 
 
-def _require_regular(good: NDArray[np.bool_], sources: Indices) -> None:
+def _require_regular(good: Flags, sources: Indices) -> None:
     if not np.all(good):
         raise LinkError(
             f"the differences of source {sources[np.flatnonzero(~good)[0]]} have a combination without any error"
         )
 
 
-def _alike_free(free: NDArray[np.bool_]) -> Iterator[tuple[Indices, Indices]]:
-    code = free @ (1 << np.arange(5))
-    for one in np.unique(code[code > 0]):
-        sources = np.flatnonzero(code == one)
-        yield sources, np.flatnonzero(free[sources[0]])
-
-
 def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
     """Eliminate parameters without an error of the satellite, as far as the rows determine them."""
-    weight = result.weight[sources]
+    weight = result.normal[sources]
     block = weight[:, columns[:, None], columns]
     diagonal = np.einsum("nkk->nk", block)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
@@ -215,10 +166,68 @@ def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
     keep = np.tile(np.eye(weight.shape[-1]), (len(sources), 1, 1))  # w of the free solution is keep @ w
     keep[:, :, columns] -= weight[:, :, columns] @ inverse
     keep[:, columns, :] = 0.0
-    right, spread = result.right[sources], result.spread[sources]
+    right, spread = result.right[sources], result.right_covariance[sources]
     result.squares[sources] -= np.einsum("nk,nkl,nl->n", right[:, columns], inverse, right[:, columns])
     result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
     result.count[sources] -= np.sum(seen, axis=1)
-    result.weight[sources] = keep @ weight @ keep.swapaxes(1, 2)
+    result.normal[sources] = keep @ weight @ keep.swapaxes(1, 2)
     result.right[sources] = np.einsum("nij,nj->ni", keep, right)
-    result.spread[sources] = keep @ spread @ keep.swapaxes(1, 2)
+    if result.spread is not None:
+        result.spread[sources] = keep @ spread @ keep.swapaxes(1, 2)
+
+
+def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array | None) -> Eliminated | None:
+    """Return what `eliminate` does for the best weights, where row i is the only one of source i, all rows are
+    positions of the sources' epochs or all are motions, and the satellite has both; None where that is not so.
+
+    All rows are in the reference's frame.  The row is then the difference itself: W is the inverse of V + C, and
+    nothing is eliminated.
+    """
+    if rows.frame is not None:
+        return None
+    motion, position = np.isfinite(rows.errors[3]), np.isfinite(rows.errors[0])
+    if np.all(motion) and not np.any(position):
+        pair = (3, 4)
+    elif np.all(position) and not np.any(motion) and _same_epoch(satellite, rows):
+        pair = (0, 1)
+    else:
+        return None
+    inside = list(pair)
+    absent = [row for row in range(5) if row not in pair]
+    if np.any(np.isfinite(rows.errors[absent])) or not (
+        np.all(rows.present[inside]) and np.all(satellite.present[inside])
+    ):
+        return None
+    if pair == (0, 1):
+        found = offsets(*rows.values[:2], *satellite.values[:2])
+    else:
+        found = rows.values[inside] - satellite.values[inside]
+    if taken_out is not None:
+        found = found - taken_out[inside]
+    first, second, cross = (
+        _covariance(satellite, i, j) + _covariance(rows, i, j) for i, j in (pair[:1] * 2, pair[1:] * 2, pair)
+    )
+    determinant = first * second - cross**2
+    if not np.all((first > 0.0) & (second > 0.0) & (determinant > UNDETERMINED * first * second)):
+        return None  # the general form names the source
+    weight = np.empty((len(rows), 2, 2))
+    weight[:, 0, 0], weight[:, 1, 1] = second / determinant, first / determinant
+    weight[:, 0, 1] = weight[:, 1, 0] = -cross / determinant
+    right = np.stack([weight[:, k, 0] * found[0] + weight[:, k, 1] * found[1] for k in range(2)], axis=1)
+    two = np.full(len(rows), 2.0)
+    squares = right[:, 0] * found[0] + right[:, 1] * found[1]
+    return Eliminated(weight, right, squares, two, two, parameters=pair)
+
+
+def _same_epoch(satellite: Astrometry, rows: Astrometry) -> bool:
+    mean = rows.apparent is None or not np.any(rows.apparent)
+    return mean and bool(np.all(np.isnan(rows.epoch) | np.isnan(satellite.epoch) | (rows.epoch == satellite.epoch)))
+
+
+def _covariance(table: Astrometry, i: int, j: int) -> Array:
+    product = table.errors[i] * table.errors[j]
+    if i == j:
+        return np.asarray(product)
+    if table.correlations is None:
+        return np.zeros(len(table))
+    return np.asarray(np.nan_to_num(table.correlations[PAIRS.index((i, j))]) * product)

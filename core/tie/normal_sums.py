@@ -1,17 +1,16 @@
 """Normal equations of the unknowns, kept for each source or for groups of sources."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
+from core.arrays import Array, Flags, Indices
 from core.constants import MAS
 from core.tie.problem import Problem
-from core.tie.products import add_products
+from core.tie.sums import NormalSums
 
 BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""
@@ -19,76 +18,14 @@ BLOCK = 4096
 GATHERED = 64 * BLOCK
 """Sources that are taken out of the tables at a time: bounds the memory beyond these."""
 
-
-@dataclass(frozen=True)
-class NormalSums:
-    """Sums of G sources or groups: N (G, K, K), b (G, K), yy (G,), numbers of observations n (G,), the averages of yy
-    (G,), and the covariance of b (G, K, K), None where it is N because the weights are the best.
-    """
-
-    normal: Array
-    right: Array
-    squares: Array
-    count: Array
-    expected: Array
-    spread: Array | None = None
-
-    def __len__(self) -> int:
-        return len(self.right)
-
-    def taken(self, part: NDArray[np.bool_] | Indices) -> "NormalSums":
-        """Return the sums of some sources."""
-        spread = None if self.spread is None else self.spread[part]
-        normal, right, squares, count, expected = (sums[part] for sums in self._plain)
-        return NormalSums(normal, right, squares, count, expected, spread)
-
-    def weighted(self, factors: Array | NDArray[np.bool_]) -> "NormalSums":
-        """Return the sums with the weight of each source multiplied by a factor (G,), those with 0 left out."""
-        used = factors > 0.0
-        one, f = self.taken(used), factors[used]
-        each = f[:, None, None]
-        return NormalSums(
-            one.normal * each,
-            one.right * f[:, None],
-            one.squares * f,
-            one.count,
-            one.expected * f,
-            one.right_covariance * each**2,
-        )
-
-    def plus(self, other: "NormalSums") -> "NormalSums":
-        """Return the sums of both, group by group."""
-        spread = None
-        if self.spread is not None or other.spread is not None:
-            spread = self.right_covariance + other.right_covariance
-        pairs = zip(self._plain, other._plain, strict=True)
-        normal, right, squares, count, expected = (one + two for one, two in pairs)
-        return NormalSums(normal, right, squares, count, expected, spread)
-
-    def followed_by(self, other: "NormalSums") -> "NormalSums":
-        """Return the groups of both, one after the other."""
-        spread = None
-        if self.spread is not None and other.spread is not None:
-            spread = np.concatenate([self.spread, other.spread])
-        pairs = zip(self._plain, other._plain, strict=True)
-        normal, right, squares, count, expected = (np.concatenate(pair) for pair in pairs)
-        return NormalSums(normal, right, squares, count, expected, spread)
-
-    @property
-    def _plain(self) -> tuple[Array, Array, Array, Array, Array]:
-        """All but the covariance of b."""
-        return self.normal, self.right, self.squares, self.count, self.expected
-
-    @property
-    def right_covariance(self) -> Array:
-        """The covariance of b; shape (G, K, K)."""
-        return self.normal if self.spread is None else self.spread
+REGULAR = 1e-6
+"""The determinant of a scaled 2 x 2 matrix from which its root is taken."""
 
 
 def source_sums(problem: Problem) -> NormalSums:
     """Return the sums of each source."""
     n, k = len(problem.satellite), len(problem.unknowns)
-    sums = _empty(n, k, problem.weights != "covariance")
+    sums = NormalSums.zeros(n, k, problem.weights != "covariance")
     for part in _blocks(n, BLOCK):
         objects, years, left = problem.sources(part)
         rows, derivatives = problem.unknowns.derivatives(objects, years)
@@ -103,7 +40,7 @@ def source_sums(problem: Problem) -> NormalSums:
 
 
 def group_sums(
-    problem: Problem, group: NDArray[np.integer[Any]], n_groups: int, factors: Array | NDArray[np.bool_] | None = None
+    problem: Problem, group: NDArray[np.integer[Any]], n_groups: int, factors: Array | Flags | None = None
 ) -> NormalSums:
     """Return the sums of each group of sources; ``group`` (S,) counts from 0.  Memory is that of a block.
 
@@ -112,7 +49,7 @@ def group_sums(
     if factors is not None and np.all(factors == 1.0):
         factors = None
     equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
-    sums = _empty(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
+    sums = NormalSums.zeros(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
     short = np.min_scalar_type(n_groups)  # short numbers sort in no time
     for part in _blocks(len(group), GATHERED):
         chosen = part if factors is None else part[factors[part] > 0.0]
@@ -121,11 +58,7 @@ def group_sums(
 
 
 def _add_block(
-    sums: NormalSums,
-    problem: Problem,
-    chosen: Indices,
-    group: NDArray[np.integer[Any]],
-    factors: Array | NDArray[np.bool_] | None,
+    sums: NormalSums, problem: Problem, chosen: Indices, group: NDArray[np.integer[Any]], factors: Array | Flags | None
 ) -> None:
     """Add sources to the sums of their groups (n,)."""
     objects, years, left = problem.sources(chosen)
@@ -158,7 +91,7 @@ def weight_sizes(problem: Problem) -> Array:
     """Return the sum of the diagonal of each source's W, in mas^-2 and (mas/yr)^-2; shape (S,)."""
     found = np.zeros(len(problem.satellite))
     for part in _blocks(len(found), GATHERED):
-        weight = problem.sources(part)[2].weight
+        weight = problem.sources(part)[2].normal
         found[part] = np.einsum("nkk->n", weight) * MAS**2
     return found
 
@@ -189,12 +122,41 @@ def _pieces(group: NDArray[np.integer[Any]]) -> Iterator[slice]:
             yield slice(start, min(start + BLOCK, last))
 
 
-def _empty(groups: int, k: int, with_spread: bool) -> NormalSums:
-    return NormalSums(
-        normal=np.zeros((groups, k, k)),
-        right=np.zeros((groups, k)),
-        squares=np.zeros(groups),
-        count=np.zeros(groups),
-        expected=np.zeros(groups),
-        spread=np.zeros((groups, k, k)) if with_spread else None,
-    )
+def add_products(total: Array, matrix: Array, weight: Array) -> None:
+    """Add the sum over n sources of K' W K to ``total`` (K, K).
+
+    Where W has a root this is one product of a matrix with itself, half the work of another.
+    ``matrix`` (K, r, n) and ``weight`` (n, r, r), symmetric.  ``matrix`` is overwritten.
+    """
+    if _apply_root(matrix, weight):
+        flat = matrix.reshape(len(total), -1)
+        total += flat @ flat.T  # of which NumPy computes one half
+        return
+    weighted = np.empty_like(matrix)
+    for i in range(matrix.shape[1]):
+        np.multiply(weight[:, i, i], matrix[:, i], out=weighted[:, i])
+        for j in range(matrix.shape[1]):
+            if i != j and np.any(element := weight[:, i, j]):
+                weighted[:, i] += element * matrix[:, j]
+    total += matrix.reshape(len(total), -1) @ weighted.reshape(len(total), -1).T
+
+
+def _apply_root(matrix: Array, weight: Array) -> bool:
+    """Replace K by L' K with W = L L'; False, and nothing done, where W is not regular of one or two parameters."""
+    size = matrix.shape[1]
+    first = weight[:, 0, 0]
+    if size > 2 or not np.all(first > 0.0):
+        return False
+    if size == 1:
+        matrix[:, 0] *= np.sqrt(first)
+        return True
+    second, cross = weight[:, 1, 1], weight[:, 0, 1]
+    rest = second - cross**2 / first
+    if not np.all(rest > REGULAR * second):
+        return False
+    root = np.sqrt(first)
+    matrix[:, 0] *= root
+    if np.any(cross):
+        matrix[:, 0] += (cross / root) * matrix[:, 1]
+    matrix[:, 1] *= np.sqrt(rest)
+    return True

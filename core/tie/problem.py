@@ -10,8 +10,7 @@ from core.blocks import Objects
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.differences import differences
-from core.tie.elimination import Eliminated, Weights, eliminate
-from core.tie.simple_rows import eliminate_simple
+from core.tie.elimination import Eliminated, Weights, eliminate, eliminate_simple
 from core.unknowns import Unknowns
 
 
@@ -59,10 +58,7 @@ class Problem:
         place[sources] = np.arange(len(sources))
         rows = np.flatnonzero(place[self.source] >= 0)
         return replace(
-            self,
-            satellite=self.satellite.taken(sources),
-            rows=self.rows.taken(rows),
-            source=place[self.source[rows]],
+            self, satellite=self.satellite.taken(sources), rows=self.rows.taken(rows), source=place[self.source[rows]]
         )
 
     def objects(self, own: Astrometry) -> tuple[Objects, Array]:

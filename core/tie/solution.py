@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.link import SMALLEST_EIGENVALUE, LinkError
-from core.tie.normal_sums import NormalSums
+from core.tie.sums import NormalSums
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Solution:
         return float(np.sqrt(self.squares / self.expected)) if self.expected > 0.0 and self.dof > 0 else np.nan
 
 
-def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | NDArray[np.bool_] | None = None) -> Solution:
+def solve(sums: NormalSums, labels: tuple[str, ...] = (), factors: Array | Flags | None = None) -> Solution:
     """Return the solution of all sources, each with a factor of its weight if given.
 
     Raises LinkError where the sources do not determine the unknowns, and names those.

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 from core.arrays import Array, Flags, Indices
 from core.tie.clips import Sources, separation
 from core.tie.influence import discrepancies
-from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
+from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
+from core.tie.sums import NormalSums
 
 DIVISIONS = 6
 """Of the grid of cells of the sky: 72 of them."""
@@ -39,9 +41,7 @@ def sky_cells(ra: Array, dec: Array, divisions: int) -> NDArray[np.int16]:
 def sources_of(sums: NormalSums, labels: tuple[str, ...]) -> Sources:
     """Return what the clips need of sources whose sums are kept one by one."""
     return Sources(
-        lambda factors: _solve_kept(sums, labels, factors),
-        lambda estimate: discrepancies(sums, estimate),
-        sums.count,
+        lambda factors: _solve_kept(sums, labels, factors), lambda estimate: discrepancies(sums, estimate), sums.count
     )
 
 
@@ -49,6 +49,21 @@ def _solve_kept(sums: NormalSums, labels: tuple[str, ...], factors: Array | Flag
     kept = factors > 0.0
     equal = np.all(factors[kept] == 1.0)
     return solve(sums.taken(kept), labels, None if equal else factors[kept])
+
+
+class Heaviest(NamedTuple):
+    """The sizes of the largest weights, the sources with them and their sums."""
+
+    sizes: Array
+    places: Indices
+    sums: NormalSums
+
+
+def heaviest(problem: Problem, number: int) -> Heaviest:
+    """Return so many sources with the largest weights; of equal ones the first."""
+    sizes = weight_sizes(problem)
+    found = np.argsort(-sizes, kind="stable")[:number]
+    return Heaviest(sizes[found], found, source_sums(problem.only(found)))
 
 
 @dataclass(frozen=True)
@@ -118,10 +133,9 @@ class SourceTable:
         """Return the normalised separation and the separation (rad) of each source."""
         return separation(self.problem)
 
-    def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
+    def heaviest(self, number: int) -> Heaviest:
         """Return the sources with the largest weights, and their sums."""
-        found = np.argsort(-weight_sizes(self.problem), kind="stable")[:number]
-        return found, source_sums(self.problem.only(found))
+        return heaviest(self.problem, number)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""

@@ -5,26 +5,25 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.blocks import PARAMETERS
 from core.constants import MAS
-from core.tie.astrometry import Astrometry, kinds, named_rows
+from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
 from sweep.contract import SweepError
 from sweep.tables.names import first_found
 from sweep.tie import hipparcos
 from sweep.tie.column_names import (
+    CORRELATIONS,
     EPOCHS,
     NAMES,
+    QUANTITIES,
     Positions,
     TableOptions,
     column_of,
     error_column_of,
-    quantities,
     unit_of,
 )
 from sweep.tie.column_reader import ColumnReader
-from sweep.tie.correlations import correlations_of
-from sweep.tie.epochs import julian_years
 
 FASTEST_KM_S = 5000.0
 """Radial velocities beyond are no star's: they are codes for missing ones, or redshifts."""
@@ -41,8 +40,8 @@ class AstrometryReader(ColumnReader):
         self.where, self.options = where, options
         self.notes: list[str] = []
         for key, column in options.columns.items():
-            if key not in quantities():
-                self.problems.append(f"columns: {key} is no quantity; known are {', '.join(quantities())}")
+            if key not in QUANTITIES:
+                self.problems.append(f"columns: {key} is no quantity; known are {', '.join(QUANTITIES)}")
             elif column not in table.colnames:
                 self.problems.append(f"columns: no column {column!r} for {key}; there are {self.listed()}")
         if not self.problems:
@@ -74,7 +73,7 @@ class AstrometryReader(ColumnReader):
             self.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
         self.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
         self.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
-        correlations = correlations_of(self, self.options, np.isfinite(values) & np.isfinite(errors))
+        correlations = self._correlations(np.isfinite(values) & np.isfinite(errors))
         columns = {
             name: self.numbers(name)
             for name in self.table.colnames
@@ -111,7 +110,7 @@ class AstrometryReader(ColumnReader):
             except ValueError:
                 self.problems.append(f"units: {quantity} in {text!r}, which is no unit")
                 continue
-            if quantity not in quantities() or name is None:
+            if quantity not in QUANTITIES or name is None:
                 self.problems.append(f"units: no column of {quantity}")
             elif self.table[name].unit not in (None, unit):
                 self.problems.append(f"units: {quantity} in {text}, and column {name!r} says {self.table[name].unit}")
@@ -169,6 +168,26 @@ class AstrometryReader(ColumnReader):
             say = f"say --unit {quantity}_error={own} (or {unit})"
             self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
 
+    def _correlations(self, present: Flags) -> Array | None:
+        """Return the correlations (10, N) between what is ``present`` (5, N), 0 elsewhere; None for a table without."""
+        if hipparcos.is_hipparcos(self) and (elements := hipparcos.elements(self)) is not None:
+            return hipparcos.correlations(elements)
+        names = [self._column(name) for name in CORRELATIONS]
+        if not any(names):
+            return None
+        found = np.array([np.zeros(len(self.table)) if name is None else self.numbers(name) for name in names])
+        absent = []
+        for row, key, name, (i, j) in zip(found, CORRELATIONS, names, PAIRS, strict=True):
+            both = present[i] & present[j]
+            if name is None and np.any(both):
+                absent.append(key)
+            if name is not None and np.any(np.isfinite(row)):  # a column of blanks is as none
+                self.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
+            row[~(both & np.isfinite(row))] = 0.0
+        zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""
+        self.check(~positive_definite(found), f"correlations that are impossible (not positive definite){zero}")
+        return found
+
     def _epoch(self) -> Array:
         name = self._column("ref_epoch")
         if self.options.epoch is not None:
@@ -182,7 +201,7 @@ class AstrometryReader(ColumnReader):
                 self.problems.append("no column ref_epoch; give the epoch of the positions")
             return np.full(len(self.table), np.nan)
         known = len(self.problems)
-        values = julian_years(self, name)
+        values = self.julian_years(name)
         if len(self.problems) == known:
             self.check(np.isnan(values), f"no epoch (column {name!r})")
             wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"

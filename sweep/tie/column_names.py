@@ -15,18 +15,11 @@ EPOCHS = (1700.0, 2300.0)
 Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
 
-NAMES = (
-    "name",
-    "star",
-    "source",
-    "source_id",
-    "designation",
-    "psr_name",
-    "hip",
-    "iers_name",
-    "icrf_name",
-)
+NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
 CORRELATIONS = tuple(f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr" for i, j in PAIRS)
+QUANTITIES = (*VALUES, *(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name")
+"""All that ``columns`` may name."""
+
 _AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
 _CORRELATIONS_AT_VIZIER = {
     name: f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor" for name, (i, j) in zip(CORRELATIONS, PAIRS, strict=True)
@@ -56,11 +49,6 @@ def require_epoch(epoch: float | None, what: str) -> None:
     """Raise SweepError for what is no Julian year, if it is given."""
     if epoch is not None and not EPOCHS[0] <= epoch <= EPOCHS[1]:
         raise SweepError(f"{what} {epoch:.10g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
-
-
-def quantities() -> list[str]:
-    """Return all that ``columns`` may name."""
-    return [*VALUES, *(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"]
 
 
 def unit_of(quantity: str) -> str:

@@ -1,16 +1,22 @@
-"""Columns of an astrometric table as numbers, angles and text, and one list of all that is wrong with them."""
+"""Columns of an astrometric table as numbers, angles, epochs and text, and one list of all that is wrong with them."""
 
+import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
+from core.arrays import Array, Flags
 from core.constants import DEGREE
 from core.tie.astrometry import named_rows
 from sweep.formatting import first_of
-from sweep.tables.columns import column_values, in_time
+from sweep.tables.columns import column_values, in_time, missing_values
 from sweep.tables.rows import MISSING
+
+MJD_FROM = 15000.0
+"""Numbers above are modified Julian dates, and those above `JD_FROM` Julian dates."""
+
+JD_FROM, JD_OF_MJD = 2.3e6, 2400000.5
 
 
 class ColumnReader:
@@ -86,6 +92,37 @@ class ColumnReader:
             return np.full(len(self.table), np.nan)
         return np.asarray(np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(np.float64), np.nan))
 
+    def julian_years(self, name: str) -> Array:
+        """Return a column of epochs as Julian years, NaN where it is missing: years, MJD, JD, dates and times."""
+        from astropy.time import Time
+
+        column = self.table[name]
+        if isinstance(column, Time):
+            return np.asarray(np.ma.filled(np.ma.asarray(column.jyear), np.nan), dtype=np.float64)
+        if self.kind(name) in "USO" and np.ndim(column) == 1:
+            return self._of_dates(name)
+        values, unit = self.numbers(name), str(column.unit)
+        values = np.where(values > JD_FROM, values - JD_OF_MJD, values)
+        if unit == "d" or (np.nanmin(values, initial=np.inf) > MJD_FROM and unit not in ("yr", "a")):
+            values = 2000.0 + (values - 51544.5) / 365.25
+        return values
+
+    def _of_dates(self, name: str) -> Array:
+        from astropy.time import Time
+
+        texts = self.text(name)
+        found = np.full(len(texts), np.nan)
+        for row in np.flatnonzero(~missing_values(self.table[name]) & ~np.isin(texts, ("", "--", "None"))):
+            try:
+                with warnings.catch_warnings():  # of years without leap seconds
+                    warnings.simplefilter("ignore")
+                    found[row] = Time(texts[row].removesuffix("Z")).jyear
+            except ValueError:
+                said = f"row {row + 1} has {str(texts[row])!r}"
+                self.problems.append(f"column {name!r} is text that is no date like 2015-06-01 or J2015.5: {said}")
+                break
+        return found
+
     def text(self, name: str) -> NDArray[np.str_]:
         """Return a column of names, integers too, as text."""
         column = self.table[name]
@@ -101,7 +138,7 @@ class ColumnReader:
         row = next((row for row, text in enumerate(texts) if text not in MISSING and not _is_number(text)), 0)
         return f"row {row + 1} has the text {texts[row]!r}" if texts else ""
 
-    def check(self, bad: NDArray[np.bool_], what: str) -> None:
+    def check(self, bad: Flags, what: str) -> None:
         """Note that rows have something wrong, where ``bad`` holds."""
         rows = np.flatnonzero(bad)
         if len(rows):

@@ -1,24 +1,37 @@
-"""Where unknowns stand in the results of studies: degree 1 by component, harmonics by degree, spins by bin."""
+"""Power of vector spherical harmonics, and where unknowns stand in the results of studies: degree 1 by component,
+harmonics by degree, spins by bin.
+"""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc
 
 from core.arrays import Array
-from core.blocks import SpinByBin
+from core.blocks import Harmonics, SpinByBin
 from core.constants import MAS
 from core.unknowns import Unknowns, parse_unknowns
-from sweep.tie.spectrum import DEGREE_ONE, spectrum
 
-_DEGREE_ONE = parse_unknowns("orientation,spin,position_glide,glide,parallax")
-COMPONENTS = _DEGREE_ONE.labels
+VECTOR_POWER = 8.0 * np.pi / 3.0
+"""Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012)."""
+
+FIELD_OF = {
+    "orientation": "position toroidal",
+    "position_glide": "position spheroidal",
+    "spin": "motion toroidal",
+    "glide": "motion spheroidal",
+}
+"""The fields of which blocks are degree 1."""
+
+_STORED = parse_unknowns("orientation,spin,position_glide,glide,parallax")
+COMPONENTS = _STORED.labels
 """The unknowns of degree 1 and the zero point of parallaxes."""
 
-UNITS = _DEGREE_ONE.units
+UNITS = _STORED.units
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
 
-FIELDS = tuple(DEGREE_ONE.values())
+FIELDS = tuple(FIELD_OF.values())
 FIELD_UNITS = tuple("mas2/yr2" if field.startswith("motion") else "mas2" for field in FIELDS)
 HIGHEST_STORED = 10
 MOST_BINS = 10
@@ -34,17 +47,55 @@ def components(values: Array, labels: Sequence[str]) -> Array:
     return placed
 
 
-def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> tuple[Array, Array, Array]:
-    """Return the power of each field and degree of an estimate in rad, what noise gives on average, and the
-    probability that noise is as significant; shape (fields, degrees), in mas2 and mas2/yr2, NaN if not solved for.
+class Power(NamedTuple):
+    """Power of one degree of a field (mas^2 or mas^2/yr^2), what noise gives on average, c'V^-1 c, a chi2 of 2 l + 1
+    degrees of freedom without any signal, and the probability that noise is as significant.
     """
-    power, noise, probability = np.full((3, *POWER_SHAPE), np.nan)
+
+    field: str
+    degree: int
+    power: float
+    noise: float
+    chi2: float
+    probability: float
+
+
+def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Power]:
+    """Return the power of each degree that is among the unknowns; those of degree 1 may be vectors."""
+    if not any(isinstance(block, Harmonics) for block in unknowns.blocks):
+        return []
+    found = []
+    for block in unknowns.blocks:
+        part = unknowns.part(block.name)
+        x, v = estimate[part], covariance[part, part]
+        if isinstance(block, Harmonics):
+            start, where = 0, "motion" if block.rate else "position"
+            for kind, degree in block.parts:
+                weights = np.array([1.0, *[2.0] * (2 * degree)])  # of order 0, and of the parts of the others
+                piece = slice(start, start + len(weights))
+                field = f"{where} {'toroidal' if kind == 't' else 'spheroidal'}"
+                found.append(_power(field, degree, weights, x[piece], v[piece, piece]))
+                start = piece.stop
+        elif block.name in FIELD_OF and len(x) == 3:
+            found.append(_power(FIELD_OF[block.name], 1, np.full(3, VECTOR_POWER), x, v))
+    return found
+
+
+def _power(field: str, degree: int, weights: Array, x: Array, v: Array) -> Power:
+    chi2 = float(x @ np.linalg.solve(v, x))
+    probability = float(chdtrc(2 * degree + 1, chi2))
+    return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), chi2, probability)
+
+
+def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
+    """Return the power of each field and degree of an estimate in rad, what noise gives on average, and the
+    probability that noise is as significant; shape (3, fields, degrees), in mas2 and mas2/yr2, NaN if not solved for.
+    """
+    found = np.full((3, *POWER_SHAPE), np.nan)
     for one in spectrum(unknowns, estimate / MAS, covariance / MAS**2):
         if one.degree <= HIGHEST_STORED:
-            at = FIELDS.index(one.field), one.degree - 1
-            power[at], noise[at] = one.power, one.noise
-            probability[at] = chdtrc(2 * one.degree + 1, one.chi2)
-    return power, noise, probability
+            found[:, FIELDS.index(one.field), one.degree - 1] = one.power, one.noise, one.probability
+    return found
 
 
 def by_bins(unknowns: Unknowns, values: Array) -> Array:

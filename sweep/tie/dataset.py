@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from core.arrays import Array
 from core.blocks import PARAMETERS, SpinByBin
@@ -12,9 +11,9 @@ from core.constants import MAS
 from core.tie.astrometry import kinds
 from core.tie.clips import Clipped, separation
 from core.tie.differences import differences
+from sweep.tie.components import spectrum
 from sweep.tie.options import SIGNS, Options
 from sweep.tie.solution import Link
-from sweep.tie.spectrum import spectrum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -60,13 +59,8 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
     }
     if per_source:
         _add_sources(link, variables, coordinates, sign)
-    if (
-        per_source
-        and len(problem.rows) <= ROWS_KEPT
-        and np.any(problem.rows.present)
-        and np.any(problem.satellite.present)
-    ):
-        _add_rows(link, variables, coordinates, sign)
+        if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
+            _add_rows(link, variables, coordinates, sign)
     _add_steps(link.found, link.setup.names, variables, sign)
     _add_spectrum(link, main, variables, coordinates)
     _add_bins(link, errors[0], variables, coordinates, sign)
@@ -131,12 +125,13 @@ def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any]
     error = np.sqrt(np.einsum("rii->ri", whole))
     normalised, plain = separation(problem)
     absent = ~found.present
+    tables, frame = np.array(["reference", *link.setup.missions]), problem.rows.frame
     coordinates |= {
         "observable": list(PARAMETERS),
         "row_source_index": ("row", problem.source),
         "row_source": ("row", link.setup.names[problem.source].astype(str)),
         "row_kind": ("row", kinds(problem.rows)),
-        "row_table": ("row", _tables_of_rows(link)),
+        "row_table": ("row", tables[np.zeros_like(problem.source) if frame is None else frame]),
         "row_epoch": ("row", problem.rows.epoch, {"units": "yr"}),
         "observable_unit": ("observable", ["mas", "mas", "mas", "mas/yr", "mas/yr"]),
     }
@@ -147,13 +142,6 @@ def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any]
         "normalised_separation": ("source", normalised, {"long_name": "X before the fit"}),
         "separation": ("source", plain / MAS, {"units": "mas"}),
     }
-
-
-def _tables_of_rows(link: Link) -> NDArray[np.str_]:
-    """Return "reference" or the name of the mission of each row."""
-    frame = link.setup.problem.rows.frame
-    names = np.array(["reference", *link.setup.missions])
-    return np.full(len(link.setup.problem.rows), names[0]) if frame is None else names[frame]
 
 
 def _add_steps(found: Clipped, names: NDArray[np.str_], variables: dict[str, Any], sign: float) -> None:
@@ -179,16 +167,13 @@ def _add_spectrum(link: Link, main: Array, variables: dict[str, Any], coordinate
     if not powers:
         return
     degrees = sorted({power.degree for power in powers})
-    fields_of = sorted({power.field for power in powers})
-    shape = len(fields_of), len(degrees)
-    table = {name: np.full(shape, np.nan) for name in ("power", "power_noise", "power_chi2", "power_probability")}
-    for one in powers:
-        at = fields_of.index(one.field), degrees.index(one.degree)
-        table["power"][at], table["power_noise"][at] = one.power, one.noise
-        table["power_chi2"][at] = one.chi2
-        table["power_probability"][at] = chdtrc(2 * one.degree + 1, one.chi2)
-    coordinates |= {"degree": degrees, "field": fields_of}
-    variables |= {name: (("field", "degree"), values) for name, values in table.items()}
+    fields = sorted({power.field for power in powers})
+    table = np.full((4, len(fields), len(degrees)), np.nan)
+    for field, degree, *numbers in powers:
+        table[:, fields.index(field), degrees.index(degree)] = numbers
+    coordinates |= {"degree": degrees, "field": fields}
+    names = ("power", "power_noise", "power_chi2", "power_probability")
+    variables |= {name: (("field", "degree"), values) for name, values in zip(names, table, strict=True)}
 
 
 def _add_bins(link: Link, errors: Array, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:

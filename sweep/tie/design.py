@@ -10,10 +10,9 @@ import numpy as np
 from core.arrays import Array, Indices
 from core.constants import MAS
 from core.tie.clips import Clip, parse_clip
-from core.tie.forecast import Goal, choose, with_new_rows
+from core.tie.forecast import RELEASES, Goal, choose, released, with_new_rows
 from core.tie.normal_sums import source_sums
 from core.tie.problem import Problem
-from core.tie.releases import RELEASES, released
 from sweep.contract import Point, SweepError
 from sweep.tie.column_names import TableOptions
 from sweep.tie.options import Options, parse_bins
@@ -64,10 +63,8 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
         without = replace(problem.satellite, correlations=None), replace(problem.rows, correlations=None)
         problem = replace(problem, satellite=without[0], rows=without[1])
         setup = replace(setup, problem=problem)
-    solved = None
-    if len(problem.rows):
-        solved = solve_link(_taken(setup, np.unique(problem.source)), str(clip), ERRORS)
-    matched = len(np.unique(problem.source))
+    matched = np.unique(problem.source)
+    solved = solve_link(_taken(setup, matched), str(clip), ERRORS) if len(matched) else None
     if point["release"] != "table":
         shift = RELEASES[point["release"]].epoch - RELEASES[point["from_release"]].epoch
         problem = replace(problem, satellite=released(problem.satellite, point["from_release"], point["release"]))
@@ -76,7 +73,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
         problem = _with_chosen(problem, point)
     if not len(problem.rows):
         raise SweepError("no rows: give a reference, or zero_motion = true, or n_new above 0")
-    return Design(clip, solved, matched, problem.only(np.unique(problem.source)))
+    return Design(clip, solved, len(matched), problem.only(np.unique(problem.source)))
 
 
 def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -134,18 +134,18 @@ def _drawn(
 def _of_tables(design: Design) -> dict[str, Array]:
     """Return what no draw changes: the solution of the tables as they are, in mas and mas/yr."""
     labels = design.problem.unknowns.labels
-    found = {f"error_{kind}": np.full(N, np.nan) for kind in ("formal", "scaled", "jackknife")}
+    kinds = ("formal", "scaled", "jackknife")
+    found = {f"error_{kind}": np.full(N, np.nan) for kind in kinds}
     estimate = np.full(N, np.nan)
     kept = ratio = share = np.nan
     power, in_bins = np.full((3, *POWER_SHAPE), np.nan), np.full((2, *BIN_SHAPE), np.nan)
     if (solved := design.solved) is not None:
         estimate = components(solved.solution.estimate / MAS, labels)
-        for kind in ("formal", "scaled", "jackknife"):
-            variance = np.diag(solved.covariances[kind])
-            found[f"error_{kind}"] = components(np.sqrt(variance) / MAS, labels)
-        unknowns, scaled = design.problem.unknowns, np.sqrt(np.diag(solved.covariances["scaled"]))
-        power = np.array(powers(unknowns, solved.solution.estimate, solved.solution.covariance))
-        in_bins = np.array([by_bins(unknowns, one / MAS) for one in (solved.solution.estimate, scaled)])
+        errors = {kind: np.sqrt(np.diag(solved.covariances[kind])) / MAS for kind in kinds}
+        found = {f"error_{kind}": components(error, labels) for kind, error in errors.items()}
+        unknowns = design.problem.unknowns
+        power = powers(unknowns, solved.solution.estimate, solved.solution.covariance)
+        in_bins = np.array([by_bins(unknowns, one) for one in (solved.solution.estimate / MAS, errors["scaled"])])
         kept = float(np.sum((solved.found.factors > 0.0) & (solved.count > 0)))
         ratio = solved.solution.scale**2
         share = np.nan if solved.influence is None else float(solved.influence.share.max())
@@ -159,10 +159,8 @@ def check(point: Point) -> str | None:
         design = design_of(point)
         solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
         if not any_stored(design.problem.unknowns):
-            return (
-                f"unknowns = {point['unknowns']!r}: results have places for harmonics to degree {HIGHEST_STORED}, and "
-                "none is here"
-            )
+            places = f"results have places for harmonics to degree {HIGHEST_STORED}"
+            return f"unknowns = {point['unknowns']!r}: {places}, and none is here"
     except (SweepError, ValueError) as error:  # LinkError is one
         return str(error)
     return None

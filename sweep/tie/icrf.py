@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from core.arrays import Array
 from core.constants import ARCSEC, DEGREE
 from core.tie.astrometry import Astrometry
 from sweep.contract import SweepError
@@ -38,7 +39,7 @@ def read_icrf(path: Path) -> tuple[Astrometry, dict[str, NDArray[np.str_]]]:
     if bad:
         raise SweepError(f"no ICRF entry in line {', '.join(map(str, bad[:5]))}", str(path))
 
-    def numbers(key: str) -> NDArray[np.float64]:
+    def numbers(key: str) -> Array:
         return np.array([float(row[key]) for row in rows])
 
     ra = 15.0 * DEGREE * (numbers("h") + numbers("m") / 60.0 + numbers("s") / 3600.0)
@@ -49,8 +50,5 @@ def read_icrf(path: Path) -> tuple[Astrometry, dict[str, NDArray[np.str_]]]:
     errors[:2] = numbers("e_ra") * 15.0 * np.cos(dec) * ARCSEC, numbers("e_dec") * ARCSEC
     correlations = np.zeros((10, len(rows)))
     correlations[0] = numbers("corr")
-    names = {
-        "iers_name": np.array([row["name"] for row in rows]),
-        "icrf_name": np.array([row["icrf"] for row in rows]),
-    }
+    names = {"iers_name": np.array([row["name"] for row in rows]), "icrf_name": np.array([row["icrf"] for row in rows])}
     return Astrometry(values, errors, np.full(len(rows), np.nan), correlations), names

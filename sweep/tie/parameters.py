@@ -1,6 +1,6 @@
 """What a study of a link can set, and what a point of it gives."""
 
-from core.tie.releases import RELEASES
+from core.tie.forecast import RELEASES
 from sweep.contract import Output, Parameter
 from sweep.tie.components import HIGHEST_STORED, MOST_BINS
 

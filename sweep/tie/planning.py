@@ -3,17 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from core.arrays import Array
 from core.constants import MAS
 from core.link import LinkError
-from core.tie.forecast import Choice, Criterion, Goal, choose, with_new_rows
-from core.tie.normal_sums import NormalSums, source_sums
+from core.tie.forecast import RELEASES, Criterion, Goal, choose, released, with_new_rows
+from core.tie.normal_sums import source_sums
 from core.tie.problem import Problem
-from core.tie.releases import RELEASES, released
 from core.tie.solution import inverted
 from sweep.contract import SweepError
 from sweep.tie.options import Options
@@ -78,7 +77,7 @@ def forecast(
     try:
         _ = goals.parts  # raises for an unknown block
         future = _future(problem, release, from_release, options.get("epoch") is None)
-        plan = _planned(problem, future, add, error * MAS, number, goals)
+        variables, coordinates = _planned(setup, future, release, list(add), error * MAS, number, goals)
     except ValueError as problem_found:
         raise SweepError(str(problem_found)) from problem_found
     attributes = {
@@ -96,7 +95,9 @@ def forecast(
         "reference_sha256": setup.reference.digest,
         "notes": list(setup.notes),
     }
-    return _as_dataset(plan, setup, release, list(add), goals, attributes)
+    import xarray as xr
+
+    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
 def _check(add: Sequence[float], error: float, number: int, criterion: str, options: Mapping[str, Any]) -> None:
@@ -118,54 +119,39 @@ def _future(problem: Problem, release: str | None, from_release: str, epoch_move
     """Return the problem with the satellite's errors of a release, and its epoch unless another was asked for."""
     if release is None:
         return problem
-    future = replace(problem, satellite=released(problem.satellite, from_release, release))
-    if not epoch_moves:
-        return future
-    return replace(future, epoch=problem.epoch + RELEASES[release].epoch - RELEASES[from_release].epoch)
+    satellite = released(problem.satellite, from_release, release)
+    moved = problem.epoch + RELEASES[release].epoch - RELEASES[from_release].epoch
+    return replace(problem, satellite=satellite, epoch=moved if epoch_moves else problem.epoch)
 
 
-class _Plan(NamedTuple):
-    """Sums of each source now, in the future and with all new rows, N with those of each epoch, and the choice."""
-
-    now: NormalSums
-    base: NormalSums
-    planned: NormalSums
-    each_epoch: list[Array]
-    choice: Choice
-
-
-def _planned(problem: Problem, future: Problem, add: Sequence[float], error: float, number: int, goal: Goal) -> _Plan:
+def _planned(
+    setup: Setup, future: Problem, release: str | None, add: list[float], error: float, number: int, goal: Goal
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the variables and coordinates of the dataset; ``error`` (rad) is that of the new positions."""
     base = source_sums(future)
     planned = source_sums(with_new_rows(future, add, error)) if add else base
-    each_epoch = [source_sums(with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add]
-    return _Plan(source_sums(problem), base, planned, each_epoch, choose(base, planned, number, goal))
-
-
-def _as_dataset(
-    plan: _Plan, setup: Setup, release: str | None, add: list[float], goal: Goal, attributes: dict[str, Any]
-) -> "xr.Dataset":
-    import xarray as xr
-
-    unknowns, total = setup.problem.unknowns, plan.base.normal.sum(axis=0)
-    stages = {"now": plan.now.normal.sum(axis=0)}
+    choice = choose(base, planned, number, goal)
+    unknowns, total = setup.problem.unknowns, base.normal.sum(axis=0)
+    stages = {"now": source_sums(setup.problem).normal.sum(axis=0)}
     stages |= {} if release is None else {release: total}
-    stages |= {"all observed": plan.planned.normal.sum(axis=0)} if add else {}
-    gain = np.array([goal.value(total + one) for one in plan.planned.normal - plan.base.normal])
+    stages |= {"all observed": planned.normal.sum(axis=0)} if add else {}
+    gain = np.array([goal.value(total + one) for one in planned.normal - base.normal])
     variables: dict[str, Any] = {
         "error": (("stage", "unknown"), np.array([_errors(normal) for normal in stages.values()])),
-        "criterion": ("stage", np.array([_value(goal, normal) for normal in stages.values()])),
+        "criterion": ("stage", _scaled([goal.value(normal) for normal in stages.values()], goal)),
         "criterion_alone": ("source", _scaled(gain, goal), {"long_name": "if this source alone is observed"}),
         "rank": ("source", np.argsort(np.argsort(gain)) + 1),
     }
     if add:
-        errors = np.array([_errors(normal) for normal in plan.each_epoch])
+        observed = (source_sums(with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add)
+        errors = np.array([_errors(normal) for normal in observed])
         variables["error_with_epoch"] = (("new_epoch", "unknown"), errors)
-    if plan.choice.sources:
-        chosen = np.array(["", *setup.names[list(plan.choice.sources)]]).astype(str)
+    if choice.sources:
+        chosen = np.array(["", *setup.names[list(choice.sources)]]).astype(str)
         variables |= {
             "step_source": ("step", chosen),
-            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in plan.choice.normals])),
-            "step_criterion": ("step", np.array([_value(goal, normal) for normal in plan.choice.normals])),
+            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in choice.normals])),
+            "step_criterion": ("step", _scaled([goal.value(normal) for normal in choice.normals], goal)),
         }
     coordinates = {
         "stage": list(stages),
@@ -174,7 +160,7 @@ def _as_dataset(
         "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
         "source": setup.names.astype(str),
     } | ({"new_epoch": add} if add else {})
-    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+    return variables, coordinates
 
 
 def _errors(normal: Array) -> Array:
@@ -185,12 +171,7 @@ def _errors(normal: Array) -> Array:
         return np.full(len(normal), np.nan)
 
 
-def _value(goal: Goal, normal: Array) -> float:
-    return float(_scaled(np.array([goal.value(normal)]), goal)[0])
-
-
-def _scaled(values: Array, goal: Goal) -> Array:
+def _scaled(values: Sequence[float] | Array, goal: Goal) -> Array:
     """Return a criterion in mas instead of rad: the root of the mean variance, or the log determinant."""
-    if goal.criterion == "A":
-        return np.asarray(np.sqrt(values / len(goal.parts)) / MAS)
-    return np.asarray(values - 2.0 * len(goal.parts) * np.log(MAS))
+    found, n = np.asarray(values), len(goal.parts)
+    return np.asarray(np.sqrt(found / n) / MAS if goal.criterion == "A" else found - 2.0 * n * np.log(MAS))

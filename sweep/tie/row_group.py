@@ -1,32 +1,31 @@
 """One row group of a satellite's Parquet table, and what is computed of it, in this process or on a Dask worker."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from core.arrays import Array, Flags, Indices
-from core.tie.clips import separation
-from core.tie.normal_sums import NormalSums, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
+from core.tie import sources
+from core.tie.normal_sums import group_sums
 from core.tie.problem import Problem
-from core.tie.sources import DIVISIONS, sky_cells
+from core.tie.sources import DIVISIONS, Heaviest, sky_cells
+from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.tables.parquet import read_row_group
-from sweep.tie.known_spin import known_spin
 from sweep.tie.options import SIGNS, Options
-from sweep.tie.reference_rows import with_jitter
+from sweep.tie.reference_rows import known_spin, with_jitter
 from sweep.tie.setup import zero_motion
 from sweep.tie.tables import AstrometricTable, astrometric_table, digest_of
 
 
 @dataclass(frozen=True)
 class RowGroup:
-    """The rows of a table from ``first`` on, and what is asked of them; ``unknowns`` are None before they are known."""
+    """The rows of a table from ``first`` on, and what is asked of them; ``unknowns`` are none before they are known."""
 
     path: Path
     digest: str
@@ -35,12 +34,11 @@ class RowGroup:
     columns: tuple[str, ...]
     options: Options
     epoch: float = np.nan
-    unknowns: Unknowns | None = None
+    unknowns: Unknowns = field(default_factory=lambda: Unknowns(()))
 
     def problem(self) -> Problem:
         """Read the rows; raises SweepError for wrong ones, with their numbers in the row group."""
         own = self.read().astrometry
-        assert self.unknowns is not None, "the first pass finds them"
         spin = self.options.known_spin
         known = None if spin is None else known_spin(spin, own, SIGNS[self.options.sign])
         source, weights = np.arange(len(own)), self.options.weights
@@ -59,10 +57,8 @@ class RowGroup:
         return found
 
 
-@lru_cache(maxsize=8)
-def digest_once(path: Path) -> str:
-    """Return the SHA-256 of a file, read once in a process."""
-    return digest_of(path)
+digest_once = lru_cache(maxsize=8)(digest_of)
+"""Returns the SHA-256 of a file, read once in a process."""
 
 
 class Scanned(NamedTuple):
@@ -91,6 +87,11 @@ def look_through(group: RowGroup, per_source: bool) -> Scanned:
     return Scanned(columns, epochs, counts, places, table.notes)
 
 
+def computed(group: RowGroup, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Return what a function of a problem returns for that of a row group."""
+    return function(group.problem(), *arguments)
+
+
 def cell_sums(group: RowGroup, factors: Array | Flags | None) -> NormalSums:
     """Return the sums of all cells of the sky, each source with a factor of its weight."""
     problem = group.problem()
@@ -99,35 +100,10 @@ def cell_sums(group: RowGroup, factors: Array | Flags | None) -> NormalSums:
     return group_sums(problem, cells, 2 * DIVISIONS**2, factors)
 
 
-def discrepancies(group: RowGroup, estimate: Array) -> Array:
-    """Return Q_i of each source at a solution."""
-    return source_discrepancies(group.problem(), estimate)
-
-
-def separations(group: RowGroup) -> Array:
-    """Return the normalised separation and the separation (rad) of each source; shape (2, n)."""
-    return np.array(separation(group.problem()))
-
-
-def counts(group: RowGroup) -> NDArray[np.float32]:
-    """Return the number of observations of each source."""
-    return source_counts(group.problem()).astype(np.float32)  # whole numbers
-
-
-class Heaviest(NamedTuple):
-    """The sizes of the largest weights, the sources with them and their sums."""
-
-    sizes: Array
-    places: Indices
-    sums: NormalSums
-
-
 def heaviest(group: RowGroup, number: int) -> Heaviest:
     """Return so many sources with the largest weights."""
-    problem = group.problem()
-    sizes = weight_sizes(problem)
-    found = np.argsort(-sizes, kind="stable")[:number]
-    return Heaviest(sizes[found], group.first + found, source_sums(problem.only(found)))
+    found = sources.heaviest(group.problem(), number)
+    return found._replace(places=group.first + found.places)
 
 
 def heavier(number: int, one: Heaviest, other: Heaviest) -> Heaviest:

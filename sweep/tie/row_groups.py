@@ -6,8 +6,8 @@ at all of them.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial, reduce
+from dataclasses import dataclass, field, replace
+from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,12 @@ import numpy as np
 from core.arrays import Array, Flags, Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
-from core.tie.clips import Sources
-from core.tie.normal_sums import NormalSums
+from core.tie.clips import Sources, separation
+from core.tie.normal_sums import source_counts, source_discrepancies
 from core.tie.problem import Problem
 from core.tie.solution import Solution, solve
+from core.tie.sources import Heaviest
+from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.executing.ordered_map import Map
@@ -63,15 +65,10 @@ class RowGroupTable:
     groups: tuple[RowGroup, ...]
     n_sources: int
     run: Map
+    _last: list[tuple[Array | Flags, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
-    @property
-    def kept(self) -> None:
-        """The sums of single sources are not kept."""
-        return
-
-    @cached_property
-    def _last(self) -> list[tuple[Array | Flags, NormalSums]]:
-        return []
+    kept = None
+    """The sums of single sources are not kept."""
 
     def cell_sums(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells of the sky, each source with a factor of its weight."""
@@ -85,28 +82,28 @@ class RowGroupTable:
 
     def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor of the weight of each source."""
-        labels = (self.groups[0].unknowns or Unknowns(())).labels
-        return solve(self.cell_sums(factors), labels)
+        return solve(self.cell_sums(factors), self.groups[0].unknowns.labels)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
-        counts = self._filled(row_group.counts, kind=np.float32)
-        return Sources(self.solve, partial(self._filled, row_group.discrepancies), counts)
+        counts = self._filled(source_counts, kind=np.float32)  # whole numbers
+        return Sources(self.solve, partial(self._filled, source_discrepancies), counts)
 
     def separations(self) -> tuple[Array, Array]:
         """Return the normalised separation and the separation of each source."""
-        normalised, plain = self._filled(row_group.separations, rows=2)
+        normalised, plain = self._filled(separation, rows=2)
         return normalised, plain
 
-    def heaviest(self, number: int) -> tuple[Indices, NormalSums]:
+    def heaviest(self, number: int) -> Heaviest:
         """Return the sources with the largest weights, and their sums."""
-        _, places, sums = reduce(partial(row_group.heavier, number), self._each(row_group.heaviest, number))
-        return places, sums
+        found: Heaviest = reduce(partial(row_group.heavier, number), self._each(row_group.heaviest, number))
+        return found
 
     def _filled(self, function: Any, *arguments: Any, rows: int | None = None, kind: Any = np.float64) -> Any:
-        """Return what a function returns of each source, without a second copy of it."""
+        """Return what a function of a problem returns of each source, without a second copy of it."""
         found = np.empty(self.n_sources if rows is None else (rows, self.n_sources), dtype=kind)
-        for group, part in zip(self.groups, self._each(function, *arguments), strict=True):
+        pieces = self._each(row_group.computed, function, *arguments)
+        for group, part in zip(self.groups, map(np.asarray, pieces), strict=True):
             found[..., group.first : group.first + part.shape[-1]] = part
         return found
 

@@ -14,10 +14,9 @@ from core.tie.astrometry import Astrometry, joined, named_rows
 from core.tie.problem import Problem
 from sweep.contract import SweepError
 from sweep.tie.column_names import TableOptions
-from sweep.tie.known_spin import known_spin
 from sweep.tie.matching import Match, match, separations
 from sweep.tie.options import SIGNS, Options
-from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, with_jitter
+from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, known_spin, with_jitter
 from sweep.tie.tables import AstrometricTable, read_table
 from sweep.tie.unknowns_of import unknowns_of
 
@@ -96,23 +95,26 @@ def _reference(left: AstrometricTable, reference: str | Path, options: Options) 
         n = len(left.astrometry)
         matched = Match(np.arange(n), np.arange(n), "the satellite's sources", np.zeros(0, dtype=np.int64))
         right = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
-        notes = []
+        part = _Part(right, matched, with_jitter(right.astrometry, options.jitter_of(None)))
     else:
-        right = read_table(Path(reference), options.reference_options)
-        matched = match(left, right, options.by)
-        notes = _far(left, right, matched)
-    rows = with_jitter(_taken(right.astrometry, matched.rows), options.jitter_of(None))
+        part = _matched(left, read_table(Path(reference), options.reference_options), options, None)
     if options.aberration:
-        rows = aberrated(rows, left.astrometry.epoch[matched.source], options.aberration)
-    return _Part(right, matched, rows, notes)
+        epoch = left.astrometry.epoch[part.matched.source]
+        part = replace(part, rows=aberrated(part.rows, epoch, options.aberration))
+    return part
 
 
 def _mission(left: AstrometricTable, name: str, number: int, options: Options) -> _Part:
     table = read_table(Path(options.missions[name]), options.mission_options.get(name, TableOptions()))
+    part = _matched(left, table, options, name)
+    return replace(part, rows=replace(part.rows, frame=np.full(len(part.rows), number)))
+
+
+def _matched(left: AstrometricTable, table: AstrometricTable, options: Options, mission: str | None) -> _Part:
     matched = match(left, table, options.by)
     notes = _far(left, table, matched)
-    rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_of(name))
-    return _Part(table, matched, replace(rows, frame=np.full(len(rows), number)), notes)
+    rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_of(mission))
+    return _Part(table, matched, rows, notes)
 
 
 def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:
@@ -166,11 +168,11 @@ def _names(left: AstrometricTable, reference: _Part, sources: Indices) -> NDArra
     """Return what sources are called: the satellite's first column of names, else the reference's, else numbers."""
     if left.names:
         return next(iter(left.names.values()))[sources]
-    named = {int(s): str(s + 1) for s in sources}
+    named: dict[int, str] = {}
     if reference.table.names:
         column, found = next(iter(reference.table.names.values())), reference.matched
-        named |= {int(s): str(column[r]) for r, s in zip(found.rows, found.source, strict=True)}
-    return np.array([named[int(s)] for s in sources])
+        named = dict(zip(found.source.tolist(), column[found.rows].tolist(), strict=True))
+    return np.array([named.get(s, str(s + 1)) for s in sources.tolist()])
 
 
 def default_epoch(epochs: Array) -> float:

@@ -12,10 +12,9 @@ from core.arrays import Array, Indices
 from core.link import LinkError
 from core.tie.astrometry import kinds
 from core.tie.clips import Clipped, Sources, clipped, parse_clip
-from core.tie.influence import LARGE_SHARE, Influence, influence, shares
+from core.tie.influence import LARGE_SHARE, Influence, bootstrap, influence, jackknife, sandwich, shares
 from core.tie.solution import Solution
 from core.tie.sources import SourceTable
-from core.tie.uncertainty import bootstrap, jackknife, sandwich
 from core.unknowns import Unknowns
 from sweep.contract import SweepError
 from sweep.tie.row_groups import RowGroupTable
@@ -111,7 +110,7 @@ def _influence(
     if table.kept is not None:
         effect = influence(table.kept, found.solution, unknowns, (found.factors > 0.0) & (sources.count > 0))
         return effect, np.arange(len(effect.share)), effect.share
-    places, sums = table.heaviest(HEAVIEST)
+    _, places, sums = table.heaviest(HEAVIEST)
     return None, places, shares(sums, found.solution, unknowns) * found.factors[places, None]
 
 
@@ -120,10 +119,10 @@ def _covariances(
 ) -> tuple[dict[str, Array], list[str]]:
     solution, notes = found.solution, []
     sums = table.kept
-    if sums is not None and not np.all(np.isin(found.factors, (0.0, 1.0))):
-        sums = sums.weighted(found.factors)
-    elif sums is not None:
-        sums = sums.taken(found.factors > 0.0)
+    if sums is not None:
+        used = found.factors > 0.0
+        sums, factors = sums.taken(used), found.factors[used]
+        sums = sums if np.all(factors == 1.0) else sums.scaled(factors)
     right = solution.normal @ solution.estimate
     covariances: dict[str, Array] = {}
     for kind in dict.fromkeys([*errors, *ALWAYS]):

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ from sweep.contract import SweepError
 from sweep.tables import reader
 from sweep.tie import icrf
 from sweep.tie.astrometry_reader import AstrometryReader
-from sweep.tie.built_in import built_in_table
 from sweep.tie.column_names import TableOptions
 
 
@@ -40,7 +40,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     SweepError with all that is wrong and the rows (counted from 1).
     """
     options = options or TableOptions()
-    path = built_in_table(path) or path
+    path = _built_in(path) or path
     if not path.is_file():
         raise SweepError("is a folder, not a table" if path.is_dir() else "no such file", str(path))
     digest = digest_of(path)
@@ -55,6 +55,14 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     found = AstrometryReader(table, where, options)
     astrometry, names = found.astrometry()
     return AstrometricTable(where, digest, astrometry, names, found.notes)
+
+
+def _built_in(path: Path) -> Path | None:
+    """Return the file of a table that comes with the package, where its name is given and there is no such file."""
+    if path.suffix or len(path.parts) != 1 or path.exists():
+        return None
+    folder = Path(str(resources.files("sweeps") / "data"))
+    return next((file for file in sorted(folder.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
 
 
 def digest_of(path: Path) -> str:

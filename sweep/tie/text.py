@@ -13,12 +13,8 @@ if TYPE_CHECKING:
 STEPS_SHOWN = 10
 
 
-def link_text(link: "xr.Dataset") -> str:
-    """Return a table of the unknowns with every kind of error, and what must be known beside them."""
-    return "\n".join(_link_lines(link))
-
-
 def _link_lines(link: "xr.Dataset") -> Iterator[str]:
+    """Yield a table of the unknowns with every kind of error, and what must be known beside them."""
     attributes = link.attrs
     yield f"{attributes['sign'].replace('-', ' - ')}, orientation at {attributes['epoch']:.2f}"
     yield (
@@ -52,9 +48,6 @@ def _link_lines(link: "xr.Dataset") -> Iterator[str]:
     if "step_estimate" in link and any(str(name) for name in link.step_dropped.values):
         yield ""
         yield from _step_lines(link)
-    if attributes["notes"]:
-        yield ""
-        yield from (f"note: {note}" for note in attributes["notes"])
 
 
 def _step_lines(link: "xr.Dataset") -> Iterator[str]:
@@ -67,12 +60,8 @@ def _step_lines(link: "xr.Dataset") -> Iterator[str]:
         yield f"{mark}{step:4d} {str(link.step_dropped.values[step])[:24]:24} chi2/dof {ratio:9.3f}  {values}"
 
 
-def forecast_text(plan: "xr.Dataset") -> str:
-    """Return the errors of each stage, of each new epoch and of each choice."""
-    return "\n".join(_forecast_lines(plan))
-
-
 def _forecast_lines(plan: "xr.Dataset") -> Iterator[str]:
+    """Yield the errors of each stage, of each new epoch and of each choice."""
     attributes = plan.attrs
     yield f"formal errors, orientation at {attributes['epoch_of_forecast']:.2f}"
     if attributes["release"]:
@@ -96,12 +85,14 @@ def _forecast_lines(plan: "xr.Dataset") -> Iterator[str]:
         yield f"chosen for {attributes['goal']} (criterion {attributes['criterion']}):"
         for step, name in enumerate(plan.step_source.values):
             yield row("none" if step == 0 else f"{step} {name}", plan.step_error.values[step])
-    if attributes["notes"]:
-        yield ""
-        yield from (f"note: {note}" for note in attributes["notes"])
 
 
-def as_json(dataset: "xr.Dataset") -> str:
+def _notes(result: "xr.Dataset") -> list[str]:
+    notes = [f"note: {note}" for note in result.attrs["notes"]]
+    return ["", *notes] if notes else []
+
+
+def _as_json(dataset: "xr.Dataset") -> str:
     """Return a dataset as JSON: attributes, coordinates and variables by name, NaN as null."""
     return to_json(
         {
@@ -118,9 +109,10 @@ def as_json(dataset: "xr.Dataset") -> str:
 def as_format(result: "xr.Dataset", table_format: str) -> str:
     """Return a link or a forecast as text, json, csv or ecsv; the last two are the table of the unknowns."""
     if table_format == "json":
-        return as_json(result)
+        return _as_json(result)
     if table_format == "text":
-        return (link_text if result.attrs["result"] == "tie" else forecast_text)(result)
+        lines = _link_lines if result.attrs["result"] == "tie" else _forecast_lines
+        return "\n".join([*lines(result), *_notes(result)])
     return _written(result, f"ascii.{table_format}")
 
 

@@ -6,7 +6,6 @@ from core.arrays import Indices
 from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.problem import Problem
-from core.tie.solution import inverted
 from core.tie.sources import SourceTable
 from core.unknowns import Unknowns, parse_unknowns
 from sweep.tie.options import Options
@@ -65,10 +64,7 @@ def _determined(
         unknowns = parse_unknowns(f"{beside},{text}", missions=missions or ())
         table = SourceTable(Problem(own, rows, source, unknowns, epoch))
         try:
-            if table.single:
-                inverted(table.sums.normal.sum(axis=0))
-            else:
-                table.solve(np.ones(len(own)))
+            table.solve(np.ones(len(own)))
         except LinkError:
             continue
         return text

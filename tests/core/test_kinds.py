@@ -49,7 +49,7 @@ class Double(Normal):
 FLAT = """
 import numpy as np
 
-from core.missions.curves import LogLinear
+from core.missions.mission import LogLinear
 from core.missions.mission import Mission
 
 FLAT = Mission(LogLinear((0.0, 9.0), (2.0, 2.0)), LogLinear((0.0, 9.0), (4.0, 4.0)), 1.0, np.inf, "a toy")

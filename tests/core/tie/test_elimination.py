@@ -11,11 +11,10 @@ from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.differences import differences
 from core.tie.elimination import eliminate
-from core.tie.influence import discrepancies, expected_discrepancies
+from core.tie.influence import bootstrap, discrepancies, expected_discrepancies, jackknife, leave_one_out, sandwich
 from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums
 from core.tie.problem import Problem
 from core.tie.solution import solve
-from core.tie.uncertainty import bootstrap, jackknife, leave_one_out, sandwich
 from core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 
@@ -121,8 +120,8 @@ def test_it_is_the_form_with_j():
             j, g, yy = j + m.T @ v @ m, g + m.T @ v @ f, yy + f @ v @ f
         a = np.eye(5) + j @ covariance[i]
         w = np.linalg.solve(a, g)
-        scale = np.abs(left.weight[i]).max()
-        np.testing.assert_allclose(left.weight[i] / scale, np.linalg.solve(a, j) / scale, atol=1e-10)
+        scale = np.abs(left.normal[i]).max()
+        np.testing.assert_allclose(left.normal[i] / scale, np.linalg.solve(a, j) / scale, atol=1e-10)
         np.testing.assert_allclose(left.right[i] / np.abs(w).max(), w / np.abs(w).max(), atol=1e-10)
         assert left.squares[i] == pytest.approx(yy - g @ covariance[i] @ w, rel=1e-9)
 

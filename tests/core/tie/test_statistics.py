@@ -8,18 +8,17 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from core.constants import MAS
+from core.harmonics import terms
 from core.link import LinkError
 from core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
-from core.tie.forecast import Goal, choose, with_new_rows
-from core.tie.influence import influence
-from core.tie.normal_sums import NormalSums, group_sums, source_sums
+from core.tie.forecast import Goal, choose, factors, released, with_new_rows
+from core.tie.influence import influence, leave_one_out
+from core.tie.normal_sums import add_products, group_sums, source_sums
 from core.tie.problem import Problem
-from core.tie.products import add_products
-from core.tie.releases import factors, released
 from core.tie.solution import solve
 from core.tie.sources import SourceTable, sky_cells
-from core.tie.uncertainty import leave_one_out
+from core.tie.sums import NormalSums
 from core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 from tests.core.tie.test_elimination import mixed
@@ -54,7 +53,7 @@ def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
     unknowns = parse_unknowns("vsh_motion:3")
     solution = solve(source_sums(quasars(4000, unknowns="vsh_motion:3")))
     whole = 4.0 * np.pi * (0.3 * MAS) ** 2 / 4000
-    orders = np.array([term.order for term in unknowns.blocks[0].terms])
+    orders = np.array([term.order for part in unknowns.blocks[0].parts for term in terms(*part)])
     np.testing.assert_allclose(np.diag(solution.covariance), np.where(orders == 0, whole, 0.5 * whole), rtol=5e-3)
 
 
