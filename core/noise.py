@@ -15,8 +15,7 @@ from core.arrays import Array, Stack, product_sum, transposed_product
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
 from core.errors.magnitude import MagnitudeErrors
-from core.errors.none import NoErrors
-from core.errors.normal import NormalErrors
+from core.errors.normal import NoErrors, NormalErrors
 from core.function_curve import CurveOfFunction
 from core.shared_arrays import Prefixes
 from core.zonal import DrawnField, Field, ZonalErrors

@@ -119,6 +119,8 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
         ({"mean_pm": 500.0, "epsilon_size": 1e6}, {"corrections": True}, {"corrections": False}),
         ({"satellite_errors": "none"}, {"arithmetic": "exact"}, {"arithmetic": "stored"}),
         ({}, {"weighting": "equal"}, {"weighting": "inverse-variance"}),
+        ({}, {"weighting": "inverse-variance"}, {"weighting": "equal"}),
+        ({"satellite_errors": "normal"}, {"satellite_error_ratio": 1.0}, {"satellite_error_ratio": 2.0}),
         ({}, {"epsilon_size": 1.0}, {"epsilon_size": 1e5}),
         ({"catalogue": "quasars", "n_obj": None}, {"v_max": 17.0}, {"v_max": 16.3}),
         ({"catalogue": "quasars", "n_obj": None, "v_max": 17.0}, {"v_min": 14.0}, {"v_min": 14.2}),
