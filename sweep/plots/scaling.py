@@ -22,31 +22,23 @@ def is_scaling(dataset: xr.Dataset) -> bool:
 def scaling_figure(dataset: xr.Dataset) -> Figure:
     """Return the speed-up beside the efficiency."""
     figure = Figure(figsize=figure_size(8.0, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    draw_speed_up(left, dataset)
-    draw_efficiency(right, dataset)
+    for axes, name in zip(figure.subplots(1, 2), ("speed-up", "efficiency"), strict=True):
+        draw_scaling(axes, dataset, name)
     figure.suptitle(wrapped(str(dataset.attrs.get("title", "")), figure), fontsize="medium")
     return figure
 
 
-def draw_speed_up(axes: Axes, dataset: xr.Dataset) -> Axes:
-    """Draw how many times faster w workers are than one: w times the efficiency, by kind, with the ideal line.
+def draw_scaling(axes: Axes, dataset: xr.Dataset, name: str) -> Axes:
+    """Draw the "efficiency" against w workers, or the "speed-up" over one, w times the efficiency, by kind, with the
+    ideal line.
 
     ``dataset`` has dimensions kind ("strong": the same work, "weak": the same work a worker) and workers, variables
     seconds and efficiency (1 is ideal), each with a one-sigma NAME_error where it is known.
     """
-    return _draw(axes, dataset, "speed-up", dataset["workers"].values.astype(float))
-
-
-def draw_efficiency(axes: Axes, dataset: xr.Dataset) -> Axes:
-    """Draw the efficiency against workers, by kind, with the ideal line; ``dataset`` as for `draw_speed_up`."""
-    return _draw(axes, dataset, "efficiency", np.ones(dataset.sizes["workers"]))
-
-
-def _draw(axes: Axes, dataset: xr.Dataset, name: str, ideal: np.ndarray) -> Axes:
     if not is_scaling(dataset):
         raise SweepError("scaling needs the dimensions kind and workers, and variables seconds and efficiency")
     workers = dataset["workers"].values.astype(float)
+    ideal = workers if name == "speed-up" else np.ones(len(workers))
     axes.plot(workers, ideal, color="black", linewidth=0.8, linestyle=(0, (4, 3)), label="ideal")
     for number, kind in enumerate(dataset["kind"].values.tolist()):
         one = dataset.sel(kind=kind)

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sweep.contract import SweepError
 from sweep.plots.legends import BEST
 from sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series
-from sweep.plots.tie.names import by_unit, readable, unknown_symbol
-from sweep.readable import written
+from sweep.plots.tie.names import places_by, readable, unknown_symbol
 
 RANKED = 20
 CURVE: dict[str, Any] = {"markersize": 4.0, "linewidth": 1.2}
@@ -24,7 +23,7 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     """Return the errors of the unknowns against the epoch of one more position of every source."""
     if "error_with_epoch" not in dataset:
         raise SweepError("no epochs here: give --add with the epochs of new observations")
-    panels = by_unit(dataset)
+    panels = places_by(dataset, "unit")
     epochs = dataset["new_epoch"].values
     order = np.argsort(epochs)
     figure = Figure(figsize=figure_size(1.2 + 4.4 * len(panels), 4.4), layout="constrained")
@@ -44,7 +43,7 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
                 axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
         each = figure.get_figwidth() / len(panels) - 0.4
         axes.set_xlabel(in_lines("epoch of the new position of each source [yr]", each))
-        axes.set_ylabel(f"formal error [{written(unit)}]")
+        axes.set_ylabel(f"formal error [{unit}]")
         axes.ticklabel_format(axis="x", useOffset=False)
         if len(epochs) <= 8:
             axes.set_xticks(epochs[order], [f"{epoch:g}" for epoch in epochs[order]])

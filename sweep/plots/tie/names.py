@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from core.arrays import Array
 from sweep.plots.labels import symbol
+from sweep.readable import written
 
 MICRO_BELOW = 0.5
 """Numbers in mas that are all smaller are shown in micro-arcseconds."""
@@ -25,11 +26,11 @@ LETTER_WIDTH = 0.62
 
 
 def readable(values: Array, unit: str) -> tuple[float, str]:
-    """Return a factor and a unit, mas or µas (per year), in which numbers in mas have few zeros."""
+    """Return a factor and a unit, mas or µas (per year) as people write it, in which numbers in mas have few zeros."""
     known = np.abs(values[np.isfinite(values)])
     if known.size and 0.0 < known.max() < MICRO_BELOW:
-        return 1000.0, unit.replace("mas", "µas")
-    return 1.0, unit
+        return 1000.0, written(unit.replace("mas", "µas"))
+    return 1.0, written(unit)
 
 
 def unknown_symbol(label: str) -> str:
@@ -44,17 +45,15 @@ def unknown_symbol(label: str) -> str:
     return r"$\varpi_0$" if label == "parallax_zero_point" else symbol(label)
 
 
-def by_unit(dataset: xr.Dataset) -> dict[str, NDArray[np.intp]]:
-    """Return the places of the unknowns of each unit."""
-    units = dataset["unit"].values
-    return {str(unit): np.flatnonzero(units == unit) for unit in dict.fromkeys(units.tolist())}
+def places_by(dataset: xr.Dataset, key: str) -> dict[str, list[int]]:
+    """Return the places of the unknowns of each "unit" or "block"."""
+    keys = dataset[key].values
+    return {str(one): np.flatnonzero(keys == one).tolist() for one in dict.fromkeys(keys.tolist())}
 
 
 def vectors(dataset: xr.Dataset) -> dict[str, list[int]]:
     """Return the places of the unknowns of each block that is a vector."""
-    blocks = dataset["block"].values
-    places = {str(name): np.flatnonzero(blocks == name).tolist() for name in dict.fromkeys(blocks.tolist())}
-    return {name: found for name, found in places.items() if len(found) == 3}
+    return {name: places for name, places in places_by(dataset, "block").items() if len(places) == 3}
 
 
 def kept_sources(dataset: xr.Dataset) -> NDArray[np.bool_]:

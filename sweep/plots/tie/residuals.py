@@ -13,7 +13,6 @@ from sweep.contract import SweepError
 from sweep.plots.sky import add_sky, on_map
 from sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked
 from sweep.plots.tie.names import readable
-from sweep.readable import written
 
 MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
@@ -133,7 +132,7 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
         if colour == COLOURS[0] or np.all(arrows.dropped):
             factor, readable_unit = readable(np.array([scale]), unit)
             key = _round(scale)
-            text = f"{factor * key:g} {written(readable_unit)}"
+            text = f"{factor * key:g} {readable_unit}"
             axes.quiverkey(drawn, 0.04, 0.02, key, text, labelpos="E", coordinates="axes", fontproperties={"size": 8})
     words = f"; {np.sum(cut)} arrow{'s' if np.sum(cut) > 1 else ''} cut" if np.any(cut) else ""
     return words + (f"; {np.sum(arrows.dropped)} dropped in red" if np.any(arrows.dropped) else "")

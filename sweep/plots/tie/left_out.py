@@ -1,19 +1,22 @@
-"""The solutions without each source, and the ellipses of errors."""
+"""How the solution changes without sources: without each of them in turn, and while a clip drops them."""
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from sweep.contract import SweepError
+from sweep.plots.scales import logarithmic
 from sweep.plots.scatter import confidence_ellipse
-from sweep.plots.style import COLOURS, figure_size, finish, is_stacked
+from sweep.plots.style import BAND, COLOURS, figure_size, finish, is_stacked
 from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbol, vectors
-from sweep.readable import written
 
 CONFIDENCE = 0.683
 NAMED = 5
+MOST_NAMES = 20
 LINES = ("solid", "dashed", "dotted", "dashdot", (0, (5, 1, 1, 1)), (0, (1, 3)))
 
 
@@ -40,11 +43,15 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     grid = figure.subplots(*shape, squeeze=False)
     grid = grid.T if stacked else grid
     kinds = [str(kind) for kind in dataset["error_kind"].values]
+    drawn: list[tuple[Any, ...]] = []
     for row, places in enumerate(blocks.values()):
         factor, unit = readable(stretched[:, places], str(dataset["unit"].values[places[0]]))
         for axes, (i, j) in zip(grid[row], combinations(places, 2), strict=True):
+            x, y = factor * stretched[:, [i, j]].T
+            drawn.append((axes, x, y))
             axes.plot(
-                *(factor * stretched[:, [i, j]].T),
+                x,
+                y,
                 ".",
                 color=COLOURS[0],
                 markersize=9.0 if len(without) < 60 else 5.0 if len(without) < 300 else 2.0,
@@ -63,7 +70,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
                     axes.add_patch(outline)
             axes.set_aspect("equal", adjustable="datalim")
             for which, k in ((axes.set_xlabel, i), (axes.set_ylabel, j)):
-                which(f"{unknown_symbol(str(dataset['unknown'].values[k]))} [{written(unit)}]")
+                which(f"{unknown_symbol(str(dataset['unknown'].values[k]))} [{unit}]")
             axes.margins(0.12)
             axes.autoscale_view()
             finish(axes)
@@ -72,8 +79,47 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         handles, labels, loc="outside lower center", ncols=1 if stacked else min(4, len(labels)), frameon=False
     )
     figure.draw_without_rendering()
-    for row, places in enumerate(blocks.values()):
-        factor, _ = readable(stretched[:, places], "mas")
-        for axes, (i, j) in zip(grid[row], combinations(places, 2), strict=True):
-            name_points(axes, factor * stretched[far, i], factor * stretched[far, j], names[far].tolist())
+    for axes, x, y in drawn:
+        name_points(axes, x[far], y[far], names[far].tolist())
+    return figure
+
+
+def trajectory_figure(dataset: xr.Dataset) -> Figure:
+    """Return each vector and chi2/dof against the step of the clip; the step that was chosen is a line."""
+    if "step_estimate" not in dataset or dataset.sizes["step"] < 2:
+        raise SweepError("no trajectory here: give --clip discrepancy or median:K, which go step by step")
+    blocks = vectors(dataset)
+    steps, chosen = np.arange(dataset.sizes["step"]), int(dataset["step_chosen"])
+    dropped = [str(name) for name in dataset["step_dropped"].values]
+    figure = Figure(figsize=figure_size(7.4, 1.6 + 2.0 * len(blocks) + 1.4), layout="constrained")
+    grid = figure.subplots(len(blocks) + 1, 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (name, places) in zip(grid, blocks.items(), strict=False):
+        values, errors = dataset["step_estimate"].values[:, places], dataset["step_error"].values[:, places]
+        factor, unit = readable(values, str(dataset["unit"].values[places[0]]))
+        for number, k in enumerate(places):
+            line, error = factor * values[:, number], factor * errors[:, number]
+            label = unknown_symbol(str(dataset["unknown"].values[k]))
+            axes.plot(steps, line, ".-", color=COLOURS[number], linewidth=1.0, markersize=3.0, label=label)
+            axes.fill_between(steps, line - error, line + error, color=COLOURS[number], **BAND)
+        axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
+        axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = dataset["step_chi2"].values / dataset["step_dof"].values
+    grid[-1].plot(steps, ratio, ".-", color="black", linewidth=1.0, markersize=3.0)
+    grid[-1].axhline(1.0, color="0.6", linewidth=0.6, zorder=0)
+    if np.all(ratio[np.isfinite(ratio)] > 0.0) and np.nanmax(ratio) > 5.0 * np.nanmin(ratio):
+        logarithmic(grid[-1], "y", ratio)
+    grid[-1].set_ylabel(r"$\chi^2$/dof")
+    for axes in grid:
+        axes.axvline(chosen, color="0.4", linestyle="dashed", linewidth=1.0)
+        finish(axes)
+    one_by_one = any(dropped)
+    if one_by_one and len(steps) <= MOST_NAMES:
+        grid[-1].set_xticks(steps, ["all", *dropped[1:]], rotation=90, fontsize=7)
+        grid[-1].set_xlabel("source dropped, one after the other")
+    else:
+        grid[-1].set_xlabel("sources dropped, one by one" if one_by_one else "iteration of the clip")
+        grid[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
+    words = f"{chosen} dropped" if one_by_one else f"iteration {chosen}"
+    grid[0].set_title(f"clip {dataset.attrs['clip']}; dashed: the solution, {words}; bands: scaled errors")
     return figure
