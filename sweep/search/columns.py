@@ -78,7 +78,8 @@ class ColumnReader:
     def check(self, bad: Flags, what: str, values: NDArray[Any] | None = None) -> None:
         """Note that rows have something wrong, where ``bad`` holds; ``values`` are shown with them."""
         if bad.any():
-            self.problems.append(rows_text(bad, what, values))
+            rows, have = ("rows", "have") if np.count_nonzero(bad) > 1 else ("row", "has")
+            self.problems.append(f"{rows} {rows_listed(bad, values)} {have} {what}")
 
     def require(self, key: str, hint: str = "") -> bool:
         """Return `has`, and note a column that is missing."""
@@ -145,12 +146,6 @@ class ColumnReader:
             self.problems.append(f"{self.label(key)} is not a column of {wanted} but of {kind}")
             return None
         return np.asarray(np.ma.getdata(getattr(column, "data", column)))
-
-
-def rows_text(bad: Flags, what: str, values: NDArray[Any] | None = None) -> str:
-    """Return 'row 3 has ...' or 'rows 3, 5 and 7 more have ...' for the rows (counted from 1) where ``bad`` holds."""
-    several = np.count_nonzero(bad) > 1
-    return f"row{'s' if several else ''} {rows_listed(bad, values)} {'have' if several else 'has'} {what}"
 
 
 def _as_text(value: Any) -> str:

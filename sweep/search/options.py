@@ -1,7 +1,7 @@
 """What is searched and how, from options as on the command line; nothing is read here."""
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -87,39 +87,8 @@ def plan_search(
         raise SweepError(f"second_epoch_error_mas = {second_epoch_error_mas:g}: must be a finite number, 0 or above")
     if not EPOCHS[0] <= epoch <= EPOCHS[1]:
         raise SweepError(f"epoch {epoch:g}: must be a Julian year {EPOCHS[0]:g}..{EPOCHS[1]:g}")
-    rules = Rules(
-        k_sigma,
-        crowding_radius_arcsec * ARCSEC,
-        crowding_stars,
-        None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC,
-    )
-    radii, readings = _of_tables(star_names, galaxy_names, radius, error, ref_epoch, column, unit, missing_pm)
-    return Search(
-        stars, tuple(galaxies), supplement, radii, readings, epoch, rules, epoch_difference_yr, second_epoch_error_mas
-    )
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not 0.0 < value < math.inf:
-            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
-
-
-def _of_tables(
-    star_names: Sequence[str],
-    galaxy_names: Sequence[str],
-    radius: Sequence[str],
-    error: Sequence[str],
-    ref_epoch: Sequence[str],
-    column: Sequence[str],
-    unit: Sequence[str],
-    missing_pm: Literal["error", "zero"],
-) -> tuple[dict[str, float], dict[str, Reading]]:
-    """Return the match radii of the galaxy tables and how each table is read; raises SweepError with all problems."""
-    names = [*star_names, *galaxy_names]
     problems: list[str] = []
-    arcsec = _between(0.0, MAX_RADIUS / ARCSEC, "arcsec")
-    years = _between(*EPOCHS, "yr")
+    arcsec, years = (0.0, MAX_RADIUS / ARCSEC, "arcsec"), (*EPOCHS, "yr")
     radii = _per_table("--radius", radius, galaxy_names, galaxy_names, arcsec, problems)
     errors = _per_table("--error", error, names, galaxy_names, arcsec, problems)
     epochs = _per_table("--ref-epoch", ref_epoch, star_names, star_names, years, problems)
@@ -127,10 +96,24 @@ def _of_tables(
     units = _maps("--unit", unit, UNITS, names, star_names, problems)
     if problems:
         raise SweepError(problems)
-    readings = {
-        name: Reading(columns[name], units[name], errors.get(name), epochs.get(name), missing_pm) for name in names
-    }
-    return radii, readings
+    merge_radius = None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC
+    return Search(
+        stars,
+        tuple(galaxies),
+        supplement,
+        radii,
+        {name: Reading(columns[name], units[name], errors.get(name), epochs.get(name), missing_pm) for name in names},
+        epoch,
+        Rules(k_sigma, crowding_radius_arcsec * ARCSEC, crowding_stars, merge_radius),
+        epoch_difference_yr,
+        second_epoch_error_mas,
+    )
+
+
+def _check_positive(**values: float) -> None:
+    for name, value in values.items():
+        if not 0.0 < value < math.inf:
+            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
 
 
 def _maps(
@@ -162,42 +145,37 @@ def _maps(
     return maps
 
 
-def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
-    def convert(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low < value <= high:
-            raise ValueError(f"must be a number above {low:g} and at most {high:g} [{unit}]")
-        return value
-
-    return convert
-
-
 def _per_table(
     option: str,
-    values: Sequence[str],
+    texts: Sequence[str],
     names: Sequence[str],
     common_for: Sequence[str],
-    convert: Callable[[str], float],
+    limits: tuple[float, float, str],
     problems: list[str],
 ) -> dict[str, float]:
-    """Return {name: value} of an option that is given as NAME=VALUE for one of ``names``, or VALUE for ``common_for``.
+    """Return {name: number} of an option that is given as NAME=NUMBER for one of ``names``, or NUMBER for
+    ``common_for``; ``limits`` are a number below, the largest that may be, and their unit.
 
-    An unknown name, a value that ``convert`` refuses with ValueError, and one given twice go to ``problems``.
+    An unknown name, what is no such number, and one given twice go to ``problems``.
     """
+    low, high, unit = limits
     found: dict[str, float] = {}
-    for text in values:
+    for text in texts:
         name, equals, value = text.rpartition("=")
         if equals and name not in names:
             problems.append(f"{option} {text}: no table {name!r}{suggest(name, names)}")
         elif name in found:
             problems.append(f"{option} {text}: given twice{f' for {name!r}' if name else ' without a table'}")
+        elif low < (number := _number(value)) <= high:
+            found[name] = number
         else:
-            try:
-                found[name] = convert(value)
-            except ValueError as error:
-                problems.append(f"{option} {text}: {error}")
+            problems.append(f"{option} {text}: must be a number above {low:g} and at most {high:g} [{unit}]")
     common = found.pop("", None)
     return found if common is None else {**dict.fromkeys(common_for, common), **found}
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

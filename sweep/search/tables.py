@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags, Indices
+from core.arrays import Array, Indices
 from core.constants import DEGREE
 from core.table_catalogue import ALONG_RA
 from sweep.contract import SweepError
@@ -180,6 +180,8 @@ def _epoch(reader: ColumnReader, reading: Reading, numbers: dict[str, Array], ne
 
 
 def _tyc(reader: ColumnReader) -> Indices | None:
+    import pandas as pd
+
     parts = [key for key in TYC if reader.has(key)]
     if parts:
         columns = [reader.integer(key) for key in TYC if reader.require(key)]
@@ -201,7 +203,8 @@ def _tyc(reader: ColumnReader) -> Indices | None:
         limit = TYC_LIMITS[key]
         reader.check((column < 1) | (column > limit), f"a {reader.label(key)} outside 1..{limit}")
     if len(reader.problems) == n_problems:
-        reader.check(_repeated(tyc), "a Tycho identifier that stands in the table before")
+        again = pd.Index(tyc_code(tyc)).duplicated()
+        reader.check(again, "a Tycho identifier that stands in the table before")
     return tyc
 
 
@@ -214,10 +217,3 @@ def _parse_tyc(text: str) -> tuple[int, int, int]:
 def tyc_code(tyc: Indices) -> Indices:
     """Return one number for each Tycho identifier; (N, 3) becomes (N,)."""
     return np.asarray(tyc @ np.array([1_000_000, 10, 1]))
-
-
-def _repeated(tyc: Indices) -> Flags:
-    code = tyc_code(tyc)
-    first = np.zeros(len(code), dtype=bool)
-    first[np.unique(code, return_index=True)[1]] = True
-    return np.asarray(~first)
