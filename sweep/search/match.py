@@ -39,7 +39,7 @@ def read_tables(search: Search) -> tuple[tuple[SkyTable, ...], tuple[SkyTable, .
     for read, paths in ((read_stars, star_paths), (read_galaxies, list(search.galaxies))):
         for path in paths:
             try:
-                tables.append(read(path, search.readings.get(table_name(path))))
+                tables.append(read(path, search.readings[table_name(path)]))
             except SweepError as bad:
                 problems += [f"{path}: {problem}" for problem in bad.problems]
     if problems:
@@ -61,7 +61,7 @@ def match_tables(search: Search, stars: tuple[SkyTable, ...], galaxies: tuple[Sk
         GalaxyCatalogue(
             _positions(table),
             np.zeros(len(table), dtype=np.int64) if table.pgc is None else table.pgc,
-            search.radius(table.name) * ARCSEC,
+            search.radius_arcsec[table.name] * ARCSEC,
         )
         for table in galaxies
     ]

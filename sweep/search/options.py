@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -16,11 +16,6 @@ from sweep.search.tables import EPOCHS, Reading, table_name
 
 DEFAULT_RADIUS_ARCSEC = 5.0
 
-DEFAULT_EPOCH = 2000.0
-
-DEFAULT_EPOCH_DIFFERENCE_YR = 20.0
-"""The paper's: 117 and 127 mas give about 6 mas/yr."""
-
 
 @dataclass(frozen=True)
 class Search:
@@ -31,17 +26,13 @@ class Search:
 
     stars: Path
     galaxies: tuple[Path, ...]
-    supplement: Path | None = None
-    radius_arcsec: Mapping[str, float] = field(default_factory=dict)
-    readings: Mapping[str, Reading] = field(default_factory=dict)
-    epoch: float = DEFAULT_EPOCH
-    rules: Rules = field(default_factory=Rules)
-    epoch_difference_yr: float = DEFAULT_EPOCH_DIFFERENCE_YR
-    second_epoch_error_mas: float = 0.0
-
-    def radius(self, name: str) -> float:
-        """Return the match radius of a galaxy table in arcsec."""
-        return self.radius_arcsec.get(name, DEFAULT_RADIUS_ARCSEC)
+    supplement: Path | None
+    radius_arcsec: Mapping[str, float]
+    readings: Mapping[str, Reading]
+    epoch: float
+    rules: Rules
+    epoch_difference_yr: float
+    second_epoch_error_mas: float
 
 
 def plan_search(
@@ -55,12 +46,12 @@ def plan_search(
     column: Sequence[str] = (),
     unit: Sequence[str] = (),
     missing_pm: Literal["error", "zero"] = "error",
-    epoch: float = DEFAULT_EPOCH,
+    epoch: float = 2000.0,
     k_sigma: float = Rules.k_sigma,
     crowding_radius_arcsec: float = Rules.crowding_radius / ARCSEC,
     crowding_stars: int = Rules.crowding_stars,
     merge_radius_arcsec: float | None = None,
-    epoch_difference_yr: float = DEFAULT_EPOCH_DIFFERENCE_YR,
+    epoch_difference_yr: float = 20.0,  # the paper's: 117 and 127 mas give about 6 mas/yr
     second_epoch_error_mas: float = 0.0,
 ) -> Search:
     """Return the search that options as on the command line ask for; nothing is read yet.
@@ -101,7 +92,7 @@ def plan_search(
         stars,
         tuple(galaxies),
         supplement,
-        radii,
+        dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii,
         {name: Reading(columns[name], units[name], errors.get(name), epochs.get(name), missing_pm) for name in names},
         epoch,
         Rules(k_sigma, crowding_radius_arcsec * ARCSEC, crowding_stars, merge_radius),

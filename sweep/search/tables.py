@@ -46,8 +46,8 @@ class SkyTable:
     """A table of N objects: columns in the units of `UNITS`, each of shape (N,).
 
     ``numbers`` has the columns of `UNITS` that the table has; NaN is a missing magnitude or proper motion, nothing else
-    is missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier.  ``n_missing_pm``
-    rows have no proper motion.  ``names`` are those of galaxies, '' where there is none.
+    is missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier, ``names`` are those
+    of galaxies, '' where there is none.
     """
 
     path: Path
@@ -56,8 +56,7 @@ class SkyTable:
     tyc: Indices | None
     pgc: Indices | None
     source_id: Indices | None
-    n_missing_pm: int = 0
-    names: NDArray[np.str_] | None = None
+    names: NDArray[np.str_] | None
 
     def __len__(self) -> int:
         return len(self.numbers["ra"])
@@ -91,19 +90,21 @@ def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
     if len(table) == 0:
         raise SweepError("has no rows", str(path))
     numbers = _positions(reader, reading)
-    missing_pm = _motions(reader, reading, numbers) if stars else 0
-    for key in MAGNITUDES:
-        if stars and reader.has(key) and (magnitude := reader.number(key, may_miss=True)) is not None:
-            numbers[key] = magnitude
-    tyc = _tyc(reader) if stars else None
-    pgc = reader.integer("PGC", may_miss=True) if not stars and reader.has("PGC") else None
-    source_id = reader.integer("source_id") if stars and reader.has("source_id") else None
-    if pgc is not None:
-        reader.check(pgc < 0, "a negative PGC number", pgc)
-    names = reader.text(NAME) if not stars and reader.has(NAME) else None
+    tyc = pgc = source_id = names = None
+    if stars:
+        _add_motions(numbers, reader, reading)
+        for key in MAGNITUDES:
+            if reader.has(key) and (magnitude := reader.number(key, may_miss=True)) is not None:
+                numbers[key] = magnitude
+        tyc = _tyc(reader)
+        source_id = reader.integer("source_id") if reader.has("source_id") else None
+    else:
+        if reader.has("PGC") and (pgc := reader.integer("PGC", may_miss=True)) is not None:
+            reader.check(pgc < 0, "a negative PGC number", pgc)
+        names = reader.text(NAME) if reader.has(NAME) else None
     if reader.problems:
         raise SweepError(reader.problems, str(path))
-    return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, missing_pm, names)
+    return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, names)
 
 
 def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
@@ -135,10 +136,10 @@ def _with_cos_dec(reader: ColumnReader, key: str, values: Array, numbers: Mappin
     return np.asarray(values * np.cos(numbers["dec"] * DEGREE))
 
 
-def _motions(reader: ColumnReader, reading: Reading, numbers: dict[str, Array]) -> int:
-    """Read proper motions and epoch into ``numbers``; return how many rows have no proper motion."""
-    motions, n_missing = [key for key in ("pmra", "pmdec") if reader.has(key)], 0
-    if motions:
+def _add_motions(numbers: dict[str, Array], reader: ColumnReader, reading: Reading) -> None:
+    """Add the proper motions, NaN in rows that lack one of them, and the epoch of the positions."""
+    has_motions = reader.has("pmra") or reader.has("pmdec")
+    if has_motions:
         values = {key: reader.number(key, may_miss=True) for key in ("pmra", "pmdec") if reader.require(key)}
         errors = {
             key: reader.number(key, may_miss=True)
@@ -146,26 +147,17 @@ def _motions(reader: ColumnReader, reading: Reading, numbers: dict[str, Array]) 
             if reader.has(key) or key in reader.columns
         }
         missing = np.zeros(len(reader.table), dtype=bool)
-        for key, column in values.items():
+        for column in values.values():
             if column is not None:
-                numbers[key] = _with_cos_dec(reader, key, column, numbers)
                 missing |= np.isnan(column)
-        for key, column in errors.items():
+        for key, column in (values | errors).items():
             if column is not None:
-                reader.check(column < 0.0, f"a negative {reader.label(key)}", column)
-                reader.check(np.isnan(column) & ~missing, f"no {reader.label(key)}")
+                if key in errors:
+                    reader.check(column < 0.0, f"a negative {reader.label(key)}", column)
+                    reader.check(np.isnan(column) & ~missing, f"no {reader.label(key)}")
                 numbers[key] = np.where(missing, np.nan, _with_cos_dec(reader, key, column, numbers))
-        n_missing = int(missing.sum())
         if reading.missing_pm == "error":
             reader.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
-        for key in motions:
-            if key in numbers:
-                numbers[key][missing] = np.nan
-    _epoch(reader, reading, numbers, needed=bool(motions))
-    return n_missing
-
-
-def _epoch(reader: ColumnReader, reading: Reading, numbers: dict[str, Array], needed: bool) -> None:
     if reading.ref_epoch is not None:
         numbers["ref_epoch"] = np.full(len(reader.table), reading.ref_epoch)
     elif reader.has("ref_epoch"):
@@ -175,7 +167,7 @@ def _epoch(reader: ColumnReader, reading: Reading, numbers: dict[str, Array], ne
                 (epoch < low) | (epoch > high), f"a ref_epoch that is no Julian year ({low:g}..{high:g})", epoch
             )
             numbers["ref_epoch"] = epoch
-    elif needed:
+    elif has_motions:
         reader.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")
 
 
