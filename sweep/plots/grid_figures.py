@@ -9,15 +9,13 @@ from matplotlib.figure import Figure
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError, shown, suggest
-from sweep.plots.curves import draw_curves
 from sweep.plots.law import draw_law
 from sweep.plots.layout import Layout, arrange
 from sweep.plots.legends import legend_below
-from sweep.plots.lines import draw_lines
+from sweep.plots.lines import draw_lines, draw_point
 from sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
 from sweep.plots.panels import draw_panels
-from sweep.plots.point import draw_point
-from sweep.plots.points import pairs_figure, points_figure
+from sweep.plots.points import draw_curves, pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
 from sweep.plots.style import figure_size, is_narrow, is_stacked, line_inches, wanted_width, wrapped
 from sweep.studies.study import POINT

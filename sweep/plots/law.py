@@ -28,6 +28,7 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
     found = lines(dataset, variable, over)
     result = fit_power_law(dataset, variable, over)
     wanted = result["expected"].values.reshape(-1) if "expected" in result else np.full(len(found), np.nan)
+    logarithmic(upper, "x", dataset[over].values)  # of both, which share it
     guides: set[str] = set()
     for number, i in enumerate(np.flatnonzero(found.used.any(axis=1)).tolist()):
         used, style = found.used[i], {**series(number), "markersize": 3.5, "linestyle": "none"}
@@ -48,7 +49,6 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
             upper.plot(fine, guide, label="" if text in guides else text, **GUIDE)
             lower.plot(fine, 100.0 * ((fine / law.pivot) ** (expected - law.exponent) - 1.0), **GUIDE)
             guides.add(text)
-    logarithmic(upper, "x", dataset[over].values)  # of both, which share it
     logarithmic(upper, "y", dataset[variable].values)
     upper.set_ylabel(quantity_label(dataset, variable))
     lower.axhline(0.0, color="black", linewidth=0.6)

@@ -1,4 +1,6 @@
-"""Points of a table or a design, which are in no order: a quantity over each parameter, and parameters in pairs."""
+"""Points of a table or a design, which are in no order: a quantity over each parameter, parameters in pairs, and a
+series at each.
+"""
 
 import math
 from collections.abc import Collection
@@ -27,6 +29,12 @@ MOST_PAIRED = 8
 
 FEW_POINTS = 300
 """More points than these are small and without their errors."""
+
+FEW_CURVES = 12
+"""No more curves than these are drawn one by one."""
+
+BANDS = ((0.05, 0.95, 0.15, "90 % of the points"), (0.25, 0.75, 0.3, "50 % of the points"))
+"""Quantiles over the points between which a band lies, its opacity and what it is called."""
 
 SPREAD, GOLDEN = 0.5, 0.6180339887498949
 """Width over which points of one text are spread, and the step of that, by which no two stand together."""
@@ -101,11 +109,42 @@ def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> F
     return figure
 
 
+def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axes:
+    """Draw a variable of points in no order along a dimension of its own, one colour for every combination of the
+    others: the median and the bands of many points, each curve of few.
+
+    Raises SweepError where the other dimensions leave more combinations than colours.
+    """
+    along = str(dataset[over].dims[0])
+    array = dataset[variable]
+    x = dataset[over].values.astype(float)
+    many = array.sizes[POINT] > FEW_CURVES
+    for number, (place, words) in enumerate(_told_apart(dataset, variable, (POINT, along), f"beside {over}")):
+        y = array.isel(place).transpose(POINT, along).values.astype(float)
+        y, colour = y[np.isfinite(y).any(axis=1)], COLOURS[number]
+        if not many:
+            axes.plot(x, y.T, color=colour, linewidth=0.9, alpha=0.8)
+            axes.plot([], [], color=colour, label=words or "a point")
+            continue
+        for low, high, opacity, name in BANDS:
+            lower, upper = np.nanquantile(y, (low, high), axis=0)
+            axes.fill_between(x, lower, upper, color=colour, alpha=opacity, linewidth=0.0, label="" if words else name)
+        axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=words or f"median of {len(y)} points")
+    _scale(axes, "x", x, units_of(dataset[over].attrs))
+    _scale(axes, "y", array.values)
+    axes.set_xlabel(label(dataset[over], over))
+    axes.set_ylabel(quantity_label(dataset, variable))
+    finish(axes)
+    if many or array.ndim > 2:
+        legend(axes)
+    return axes
+
+
 def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
     """Draw a variable over a parameter, one colour for every combination of the other dimensions."""
     array = dataset[variable]
     error = standard_error(dataset, variable)
-    for number, (place, text) in enumerate(told_apart(dataset, variable, (POINT,), "at each point")):
+    for number, (place, text) in enumerate(_told_apart(dataset, variable, (POINT,), "at each point")):
         one = dataset.isel(place)
         y = one[variable].values.astype(float)
         x = _places(axes, dataset, parameter, "x")
@@ -119,7 +158,7 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
     finish(axes)
 
 
-def told_apart(
+def _told_apart(
     dataset: xr.Dataset, variable: str, along: Collection[str], where: str
 ) -> list[tuple[dict[str, int], str]]:
     """Return the place of every combination of the dimensions of a variable beside those it is drawn ``along``, each in
