@@ -152,16 +152,6 @@ def _ordered(dataset: xr.Dataset) -> list[str]:
     return [str(d) for d in dataset["status"].dims if d != POINT]
 
 
-def _points(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    return points_figure(dataset, variables, _chosen(dataset, over))
-
-
-def _pairs(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    if len(variables) > 1:
-        raise SweepError(f"pairs are coloured by one variable, not by {', '.join(variables)}")
-    return pairs_figure(dataset, variables[0], _chosen(dataset, over))
-
-
 def _curves(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     axis = _one_axis(dataset, variables[0], over)
     return draw_panels(
@@ -169,20 +159,15 @@ def _curves(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> F
     )
 
 
-def _chosen(dataset: xr.Dataset, over: Sequence[str]) -> list[str]:
-    known = varied_parameters(dataset)
-    if unknown := [name for name in over if name not in known]:
-        raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
-    return list(over) or known
-
-
 def _has_points(dataset: xr.Dataset, variable: str) -> bool:
     return POINT in dataset[variable].dims and bool(varied_parameters(dataset))
 
 
 LINES = GridFigure(lambda dataset, variable: bool(_ordered(dataset) or numeric_axes(dataset, variable)), _lines)
-POINTS = GridFigure(_has_points, _points)
-PAIRS = GridFigure(lambda dataset, name: _has_points(dataset, name) and len(varied_parameters(dataset)) > 1, _pairs)
+POINTS = GridFigure(_has_points, points_figure)
+PAIRS = GridFigure(
+    lambda dataset, name: _has_points(dataset, name) and len(varied_parameters(dataset)) > 1, pairs_figure
+)
 CURVES = GridFigure(lambda d, name: _has_points(d, name) and bool(numeric_axes(d, name)), _curves)
 LAW = GridFigure(lambda dataset, variable: bool(numeric_axes(dataset, variable)), _law)
 MAP = GridFigure(lambda dataset, variable: len({dataset[a].dims[0] for a in numeric_axes(dataset, variable)}) > 1, _map)

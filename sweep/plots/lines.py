@@ -12,7 +12,7 @@ from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
 from sweep.plots.labels import axis_label, quantity_label, value_text
 from sweep.plots.legends import legend
-from sweep.plots.scales import is_wide, logarithmic
+from sweep.plots.scales import fit_scale, is_wide
 from sweep.plots.style import BAND, COLOURS, finish, series
 from sweep.readable import with_micro_signs, with_unit
 
@@ -52,7 +52,15 @@ def draw_lines(
         axes.plot([], [], color=colour, label="predicted", **line)
     if any(_has(one, f"{variable}_published") for one in seen):
         axes.plot([], [], color=colour, **PUBLISHED, label="published")
-    _scales(axes, dataset, variable, over)
+    x = _positions(dataset[over])
+    if not _is_numeric(dataset[over]):
+        axes.set_xticks(x, list(map(str, dataset[over].values.tolist())))
+        axes.set_xlim(x.min() - 0.5, x.max() + 0.5)
+    else:
+        fit_scale(axes, "x", x, units_of(dataset[over].attrs))
+    fit_scale(axes, "y", dataset[variable].values)
+    axes.set_xlabel(axis_label(dataset, over))
+    axes.set_ylabel(quantity_label(dataset, variable))
     finish(axes)
     legend(axes)
     return axes
@@ -127,20 +135,6 @@ def _has(one: xr.Dataset, name: str) -> bool:
 
 def _is_numeric(axis: xr.DataArray) -> bool:
     return axis.dtype.kind in "if"
-
-
-def _scales(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
-    x = _positions(dataset[over])
-    if not _is_numeric(dataset[over]):
-        axes.set_xticks(x, list(map(str, dataset[over].values.tolist())))
-        axes.set_xlim(x.min() - 0.5, x.max() + 0.5)
-    elif is_wide(x, units_of(dataset[over].attrs)):
-        logarithmic(axes, "x", x)
-    values = dataset[variable].values
-    if is_wide(values):
-        logarithmic(axes, "y", values)
-    axes.set_xlabel(axis_label(dataset, over))
-    axes.set_ylabel(quantity_label(dataset, variable))
 
 
 def draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> Axes:
