@@ -31,7 +31,7 @@ GRID: Mapping[str, Kind] = {
 }
 """Of the results of a study: values of type `GridFigure`."""
 
-SCALING: Mapping[str, Kind] = {"scaling": Kind("sweep.plots.scaling:scaling_figure")}
+SCALING: Mapping[str, Kind] = {"scaling": Kind("sweep.plots.standalone:scaling_figure")}
 """Of what `sweep scaling` measures; a function of its dataset."""
 
 STANDALONE: Mapping[str, Kind] = {

@@ -137,7 +137,7 @@ def _is_numeric(axis: xr.DataArray) -> bool:
     return axis.dtype.kind in "if"
 
 
-def draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> Axes:
+def draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
     """Draw the value of a variable at the one point of a dataset with its one-sigma error, the prediction and the
     published value with half a unit of its last digit, each in a line of its own with its numbers.
     """
@@ -164,4 +164,3 @@ def draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> Axes:
     axes.set_xlabel(quantity_label(dataset, variable))
     finish(axes)
     axes.tick_params(axis="y", left=False, right=False)
-    return axes

@@ -112,7 +112,7 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
     return figure
 
 
-def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Axes:
+def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
     """Draw a variable of points in no order along a dimension of its own, one colour for every combination of the
     others: the median and the bands of many points, each curve of few.
 
@@ -140,7 +140,6 @@ def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> Ax
     finish(axes)
     if many or array.ndim > 2:
         legend(axes)
-    return axes
 
 
 def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
