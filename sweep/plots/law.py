@@ -28,8 +28,8 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
     found = lines(dataset, variable, over)
     result = fit_power_law(dataset, variable, over)
     wanted = result["expected"].values.reshape(-1) if "expected" in result else np.full(len(found), np.nan)
-    logarithmic(upper, "x", dataset[over].values)  # of both, which share it
     guides: set[str] = set()
+    drawn: list[tuple[Any, ...]] = []
     for number, i in enumerate(np.flatnonzero(found.used.any(axis=1)).tolist()):
         used, style = found.used[i], {**series(number), "markersize": 3.5, "linestyle": "none"}
         x, y, errors, place = found.x[used], found.value[i, used], found.errors_of(i), found.place(i)
@@ -41,22 +41,26 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
         upper.errorbar(x, y, yerr=error, label=f"{words}: {fitted}" if words else "simulated", **style)
         upper.plot(fine, curve, color=colour, linewidth=1.0, label="" if words else f"fit {fitted}")
         upper.fill_between(fine, curve - curve * relative, curve + curve * relative, color=colour, **BAND)
-        lower.fill_between(fine, -100.0 * relative, 100.0 * relative, color=colour, **BAND)
-        lower.errorbar(x, 100.0 * (y / law(x) - 1.0), yerr=100.0 * error / law(x), **style)
+        drawn.append((style, x, y, error, fine, relative, expected, law))
         if np.isfinite(expected):
             text = f"guide {_power(dataset, over, format(expected, 'g'))}"
             guide = law.amplitude * (fine / law.pivot) ** expected
             upper.plot(fine, guide, label="" if text in guides else text, **GUIDE)
-            lower.plot(fine, 100.0 * ((fine / law.pivot) ** (expected - law.exponent) - 1.0), **GUIDE)
             guides.add(text)
+    logarithmic(upper, "x", dataset[over].values)  # of both, which share it
     logarithmic(upper, "y", dataset[variable].values)
     upper.set_ylabel(quantity_label(dataset, variable))
+    finish(upper)
+    legend(upper)
+    for style, x, y, error, fine, relative, expected, law in drawn:
+        lower.fill_between(fine, -100.0 * relative, 100.0 * relative, color=style["color"], **BAND)
+        lower.errorbar(x, 100.0 * (y / law(x) - 1.0), yerr=100.0 * error / law(x), **style)
+        if np.isfinite(expected):
+            lower.plot(fine, 100.0 * ((fine / law.pivot) ** (expected - law.exponent) - 1.0), **GUIDE)
     lower.axhline(0.0, color="black", linewidth=0.6)
     lower.set_xlabel(label(dataset[over], over))
     lower.set_ylabel("residual [%]")
-    finish(upper)
     finish(lower)
-    legend(upper)
 
 
 def _power(dataset: xr.Dataset, over: str, exponent: str) -> str:

@@ -72,21 +72,20 @@ def _positions(axis: xr.DataArray) -> np.ndarray[Any, Any]:
 
 
 def _dodges(seen: list[xr.Dataset], variable: str) -> list[float]:
-    """Return by what share of the distance between points each series is moved aside, 0 where none cover another."""
-    if len(seen) < 2 or not _overlap(seen, variable):
+    """Return by what share of the distance between points each series is moved aside: 0 unless points of two are so
+    near each other, in many places, that one covers the other.
+    """
+    if len(seen) < 2:
         return [0.0] * len(seen)
-    return [DODGE * (2.0 * number / (len(seen) - 1) - 1.0) for number in range(len(seen))]
-
-
-def _overlap(seen: list[xr.Dataset], variable: str) -> bool:
-    """Return whether points of two series are so near each other, in many places, that one covers the other."""
     values = np.stack([one[variable].values.astype(float) for one in seen])
     if is_wide(values):
         values = np.log(values)
     whole = np.nanmax(values) - np.nanmin(values)
     gaps = np.diff(np.sort(values, axis=0), axis=0)
     known = gaps[np.isfinite(gaps)]
-    return bool(known.size and (known < COVERED * whole).mean() > COVERED_SHARE)
+    if not known.size or (known < COVERED * whole).mean() <= COVERED_SHARE:
+        return [0.0] * len(seen)
+    return [DODGE * (2.0 * number / (len(seen) - 1) - 1.0) for number in range(len(seen))]
 
 
 def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray[Any, Any]:

@@ -23,27 +23,24 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
 
 
 def accuracy_figure(dataset: xr.Dataset) -> Figure:
-    """Return the accuracy curves of missions, proper motions beside positions."""
+    """Return ``sigma_pm`` beside ``sigma_pos`` (model, v) against the magnitude v, a line for each mission, with a band
+    where its error is known.
+    """
     figure = Figure(figsize=figure_size(8.4, 4.0), layout="constrained")
-    for axes, variable in zip(figure.subplots(1, 2, sharex=True), ("sigma_pm", "sigma_pos"), strict=True):
-        _draw_accuracy(axes, dataset, variable)
-    return _entitled(figure, dataset)
-
-
-def _draw_accuracy(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
-    """Draw a variable (model, v) against the magnitude v, one line a model, with a band where its error is known."""
     v = dataset["v"].values
-    for number, model in enumerate(dataset["model"].values.tolist()):
-        one = dataset.sel(model=model)
-        curve, error, colour = one[variable].values, one[f"{variable}_error"].values, COLOURS[number % len(COLOURS)]
-        axes.plot(v, curve, color=colour, linestyle=LINES[number % len(LINES)], linewidth=1.2, label=str(model))
-        if np.isfinite(error).any():
-            axes.fill_between(v, curve - error, curve + error, color=colour, **BAND)
-    logarithmic(axes, "y", dataset[variable].values)
-    axes.set_xlabel(label(dataset["v"], "v"))
-    axes.set_ylabel(label(dataset[variable], variable))
-    finish(axes)
-    legend(axes)
+    for axes, variable in zip(figure.subplots(1, 2, sharex=True), ("sigma_pm", "sigma_pos"), strict=True):
+        for number, model in enumerate(dataset["model"].values.tolist()):
+            one = dataset.sel(model=model)
+            curve, error, colour = one[variable].values, one[f"{variable}_error"].values, COLOURS[number % len(COLOURS)]
+            axes.plot(v, curve, color=colour, linestyle=LINES[number % len(LINES)], linewidth=1.2, label=str(model))
+            if np.isfinite(error).any():
+                axes.fill_between(v, curve - error, curve + error, color=colour, **BAND)
+        logarithmic(axes, "y", dataset[variable].values)
+        axes.set_xlabel(label(dataset["v"], "v"))
+        axes.set_ylabel(label(dataset[variable], variable))
+        finish(axes)
+        legend(axes)
+    return _entitled(figure, dataset)
 
 
 def _entitled(figure: Figure, dataset: xr.Dataset) -> Figure:

@@ -68,12 +68,15 @@ def plan_search(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
-    _check_positive(
-        k_sigma=k_sigma,
-        crowding_radius_arcsec=crowding_radius_arcsec,
-        merge_radius_arcsec=1.0 if merge_radius_arcsec is None else merge_radius_arcsec,
-        epoch_difference_yr=epoch_difference_yr,
-    )
+    positive = {
+        "k_sigma": k_sigma,
+        "crowding_radius_arcsec": crowding_radius_arcsec,
+        "merge_radius_arcsec": 1.0 if merge_radius_arcsec is None else merge_radius_arcsec,
+        "epoch_difference_yr": epoch_difference_yr,
+    }
+    for name, value in positive.items():
+        if not 0.0 < value < math.inf:
+            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
     if not 0.0 <= second_epoch_error_mas < math.inf:
         raise SweepError(f"second_epoch_error_mas = {second_epoch_error_mas:g}: must be a finite number, 0 or above")
     if not EPOCHS[0] <= epoch <= EPOCHS[1]:
@@ -99,12 +102,6 @@ def plan_search(
         epoch_difference_yr,
         second_epoch_error_mas,
     )
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not 0.0 < value < math.inf:
-            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
 
 
 def _maps(

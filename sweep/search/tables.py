@@ -178,12 +178,12 @@ def _tyc(reader: ColumnReader) -> Indices | None:
     if parts:
         columns = [reader.integer(key) for key in TYC if reader.require(key)]
     elif reader.has("TYC") and (texts := reader.text("TYC")) is not None:
-        parsed = np.array([_parse_tyc(text) for text in texts], dtype=np.int64)
-        bad = parsed[:, 0] < 0
+        found = [_TYC_TEXT.fullmatch(text) for text in texts]
+        bad = np.array([match is None for match in found])
         reader.check(bad, f"a {reader.label('TYC')} that is no Tycho identifier like '1-13-1'")
         if bad.any():
             return None
-        columns = list(parsed.T)
+        columns = list(np.array([match.groups() for match in found if match], dtype=np.int64).T)
     else:
         return None
     good = [column for column in columns if column is not None]
@@ -198,12 +198,6 @@ def _tyc(reader: ColumnReader) -> Indices | None:
         again = pd.Index(tyc_code(tyc)).duplicated()
         reader.check(again, "a Tycho identifier that stands in the table before")
     return tyc
-
-
-def _parse_tyc(text: str) -> tuple[int, int, int]:
-    """Return the three numbers of '1-13-1' or 'TYC 1-13-1', negative ones if it is nothing like that."""
-    match = _TYC_TEXT.fullmatch(text)
-    return (int(match[1]), int(match[2]), int(match[3])) if match else (-1, -1, -1)
 
 
 def tyc_code(tyc: Indices) -> Indices:

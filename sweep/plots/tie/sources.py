@@ -94,9 +94,8 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         axes.set_xlabel(f"share of the weight in {str(name).replace('_', ' ')}")
         finish(axes)
         axes.margins(0.08)
-    grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
-    for axes in grid:
         legend(axes, loc="lower left")
+    grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
     surprise = chdtrc(np.maximum(dataset["n_observations"].values, 1.0), dataset["discrepancy"].values)
     figure.draw_without_rendering()
     for axes, own in zip(grid, share.T, strict=True):
