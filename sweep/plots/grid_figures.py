@@ -1,6 +1,7 @@
 """The figures of a study's results, by kind: whole figures with their panels, without a title."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import xarray as xr
@@ -36,15 +37,13 @@ class GridFigure(NamedTuple):
 
 def _lines(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     if all(dataset[name].size == 1 for name in variables) and not over:
-        layout = Layout((), None, None, False)
-        figure = draw_panels(dataset.squeeze(), variables, layout, draw_point, rows_named=True)
+        figure = draw_panels(dataset.squeeze(), variables, Layout(), draw_point, rows_named=True)
         width, height = figure.get_size_inches().tolist()
         figure.set_size_inches(width, max(min(height, 1.0 + 0.3 * width), POINT_LINES * line_inches()))
         return figure
     axis = _one_axis(dataset, variables[0], over)
     layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
-    numbers: dict[str, int] = {}
-    return draw_panels(dataset, variables, layout, lambda axes, part, name: draw_lines(axes, part, name, axis, numbers))
+    return draw_panels(dataset, variables, layout, partial(draw_lines, over=axis, numbers={}))
 
 
 def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
@@ -77,13 +76,7 @@ def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
     x, y = chosen
     readable = in_readable_units(dataset)
     limits = colour_limits(readable, variables[0])
-    figure = draw_panels(
-        readable,
-        variables,
-        layout,
-        lambda axes, part, name: draw_map(axes, part, name, x, y, limits),
-        one_unit=True,
-    )
+    figure = draw_panels(readable, variables, layout, partial(draw_map, x=x, y=y, limits=limits), one_unit=True)
     add_bar(figure, readable, variables[0])
     if words := accuracy_in_words(dataset, variables[0]):
         text = wrapped(words, figure)
@@ -154,9 +147,7 @@ def _ordered(dataset: xr.Dataset) -> list[str]:
 
 def _curves(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     axis = _one_axis(dataset, variables[0], over)
-    return draw_panels(
-        dataset, variables, Layout((), None, None, False), lambda axes, part, name: draw_curves(axes, part, name, axis)
-    )
+    return draw_panels(dataset, variables, Layout(), partial(draw_curves, over=axis))
 
 
 def _has_points(dataset: xr.Dataset, variable: str) -> bool:

@@ -34,8 +34,9 @@ MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
 }
 """The columns of the ECSV beside those of the star table, their units and what they mean."""
 
-COLUMN_UNITS = {STAR_MOTIONS.get(name, name): unit for name, unit in UNITS.items()} | {
-    name: unit for name, (unit, _) in MATCH_COLUMNS.items()
+COLUMNS: Mapping[str, tuple[str | None, str | None]] = {
+    **{STAR_MOTIONS.get(name, name): (unit, None) for name, unit in UNITS.items()},
+    **MATCH_COLUMNS,
 }
 
 
@@ -48,12 +49,8 @@ def matches_table(result: Result) -> Any:
     table = Table(meta={"linksweep": version("linksweep"), **summarise(result)})
     for name, values in match_columns(result).items():
         missing = np.isnan(values) if values.dtype.kind == "f" else (values == 0) & (name in (*TYC, "source_id", "PGC"))
-        table[name] = MaskedColumn(
-            values,
-            mask=missing if missing.any() else False,
-            unit=COLUMN_UNITS.get(name),
-            description=MATCH_COLUMNS[name][1] if name in MATCH_COLUMNS else None,
-        )
+        mask, (unit, meaning) = missing if missing.any() else False, COLUMNS.get(name, (None, None))
+        table[name] = MaskedColumn(values, mask=mask, unit=unit, description=meaning)
     return table
 
 
@@ -69,7 +66,7 @@ def read_matches(path: Path) -> Any:
         if name not in table.colnames:
             problems.append(f"no column {name!r}{suggest(name, table.colnames)}; this is no table of `sweep match`")
             continue
-        unit, wanted = table[name].unit, COLUMN_UNITS.get(name)
+        unit, (wanted, _) = table[name].unit, COLUMNS.get(name, (None, None))
         if (None if unit is None else str(unit)) != wanted:
             problems.append(f"column {name!r} is in {str(unit)!r}, not in {wanted!r}")
     if not problems:

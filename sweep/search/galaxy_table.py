@@ -100,13 +100,8 @@ def read_galaxy_table(path: Path) -> GalaxyTable:
     if problems:
         raise SweepError(_shortened(problems), str(path))
     columns = np.array(rows, dtype=np.float64).reshape(len(rows), 7).T  # integers of five digits are exact
-    return GalaxyTable(
-        tyc=columns[:3].T.astype(np.int64),
-        pgc=columns[3].astype(np.int64),
-        ra=columns[4],
-        dec=columns[5],
-        code=columns[6].astype(np.int64),
-    )
+    *tyc, pgc, code = columns[[0, 1, 2, 3, 6]].astype(np.int64)
+    return GalaxyTable(np.stack(tyc, axis=1), pgc, columns[4], columns[5], code)
 
 
 def _parse(line: str, number: int, problems: list[str]) -> tuple[float, ...]:

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ class Outputs:
 
     def paths(self) -> list[Path]:
         """Return those that are wanted."""
-        return [path for f in fields(self) if (path := getattr(self, f.name)) is not None]
+        return [path for path in (self.ecsv, self.table, self.sky_map) if path is not None]
 
 
 def check_outputs(outputs: Outputs, search: Search, overwrite: bool) -> None:
@@ -95,13 +95,8 @@ def write_outputs(result: Result, outputs: Outputs, overwrite: bool = False) -> 
 def galaxy_table(result: Result) -> GalaxyTable:
     """Return the matches as the paper's table, for stars that `check_for_galaxy_table` lets pass."""
     columns = match_columns(result)
-    return GalaxyTable(
-        tyc=np.stack([columns[name] for name in TYC], axis=1),
-        pgc=columns["PGC"],
-        ra=columns["ra"],
-        dec=columns["dec"],
-        code=result.matches.code,
-    )
+    tyc = np.stack([columns[name] for name in TYC], axis=1)
+    return GalaxyTable(tyc, columns["PGC"], columns["ra"], columns["dec"], result.matches.code)
 
 
 def publish(path: Path, write: Callable[[Path], Any], overwrite: bool) -> None:

@@ -46,18 +46,10 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
     axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
     for name, (marker, colour) in STYLES.items():
         ra, dec = classes.get(name, (np.empty(0), np.empty(0)))
-        axes.plot(
-            *_on_map(ra, dec),
-            linestyle="none",
-            marker=marker,
-            markersize=5.0,
-            markerfacecolor=colour,
-            markeredgecolor="white",
-            markeredgewidth=0.5,
-            clip_on=False,  # an object at the edge of the map is shown whole
-            zorder=4,
-            label=f"{name} ({_count(len(ra))})",
-        )
+        style = {"linestyle": "none", "marker": marker, "markersize": 5.0, "markerfacecolor": colour}
+        style |= {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 4}
+        # an object at the edge of the map is shown whole
+        axes.plot(*_on_map(ra, dec), **style, clip_on=False, label=f"{name} ({_count(len(ra))})")
     figure.legend(loc="lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
     return figure
 

@@ -12,7 +12,7 @@ from sweep.contract import SweepError
 from sweep.plots.scales import logarithmic
 from sweep.plots.scatter import confidence_ellipse
 from sweep.plots.style import BAND, COLOURS, figure_size, finish, is_stacked
-from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbol, vectors
+from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbols, vectors
 
 CONFIDENCE = 0.683
 NAMED = 5
@@ -26,7 +26,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     """
     if "estimate_without" not in dataset:
         raise SweepError("no solutions without each source here: they are not kept of so many sources")
-    blocks = vectors(dataset)
+    blocks, symbols = vectors(dataset), unknown_symbols(dataset)
     if not blocks:
         raise SweepError("no jackknife scatter: no block of the unknowns is a vector")
     names, without = dataset["source"].values, dataset["estimate_without"].values
@@ -43,23 +43,16 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     grid = figure.subplots(*shape, squeeze=False)
     grid = grid.T if stacked else grid
     kinds = [str(kind) for kind in dataset["error_kind"].values]
+    size = 9.0 if len(without) < 60 else 5.0 if len(without) < 300 else 2.0
+    dots: dict[str, Any] = {"color": COLOURS[0], "markersize": size, "markeredgewidth": 0.0, "alpha": 0.6}
+    dots["rasterized"] = len(without) > 2000
     drawn: list[tuple[Any, ...]] = []
     for row, places in enumerate(blocks.values()):
         factor, unit = readable(stretched[:, places], str(dataset["unit"].values[places[0]]))
         for axes, (i, j) in zip(grid[row], combinations(places, 2), strict=True):
             x, y = factor * stretched[:, [i, j]].T
             drawn.append((axes, x, y))
-            axes.plot(
-                x,
-                y,
-                ".",
-                color=COLOURS[0],
-                markersize=9.0 if len(without) < 60 else 5.0 if len(without) < 300 else 2.0,
-                markeredgewidth=0.0,
-                alpha=0.6,
-                rasterized=len(without) > 2000,
-                label="without one source, displacement × √(N − 1)",
-            )
+            axes.plot(x, y, ".", label="without one source, displacement × √(N − 1)", **dots)
             for number, kind in enumerate(kinds):
                 covariance = dataset["covariances"].values[number][np.ix_([i, j], [i, j])]
                 if np.all(np.isfinite(covariance)):
@@ -70,14 +63,13 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
                     axes.add_patch(outline)
             axes.set_aspect("equal", adjustable="datalim")
             for which, k in ((axes.set_xlabel, i), (axes.set_ylabel, j)):
-                which(f"{unknown_symbol(str(dataset['unknown'].values[k]))} [{unit}]")
+                which(f"{symbols[k]} [{unit}]")
             axes.margins(0.12)
             axes.autoscale_view()
             finish(axes)
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside lower center", ncols=1 if stacked else min(4, len(labels)), frameon=False
-    )
+    columns = 1 if stacked else min(4, len(labels))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
     figure.draw_without_rendering()
     for axes, x, y in drawn:
         name_points(axes, x[far], y[far], names[far].tolist())
@@ -88,7 +80,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     """Return each vector and chi2/dof against the step of the clip; the step that was chosen is a line."""
     if "step_estimate" not in dataset or dataset.sizes["step"] < 2:
         raise SweepError("no trajectory here: give --clip discrepancy or median:K, which go step by step")
-    blocks = vectors(dataset)
+    blocks, symbols = vectors(dataset), unknown_symbols(dataset)
     steps, chosen = np.arange(dataset.sizes["step"]), int(dataset["step_chosen"])
     dropped = [str(name) for name in dataset["step_dropped"].values]
     figure = Figure(figsize=figure_size(7.4, 1.6 + 2.0 * len(blocks) + 1.4), layout="constrained")
@@ -98,8 +90,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
         factor, unit = readable(values, str(dataset["unit"].values[places[0]]))
         for number, k in enumerate(places):
             line, error = factor * values[:, number], factor * errors[:, number]
-            label = unknown_symbol(str(dataset["unknown"].values[k]))
-            axes.plot(steps, line, ".-", color=COLOURS[number], linewidth=1.0, markersize=3.0, label=label)
+            axes.plot(steps, line, ".-", color=COLOURS[number], linewidth=1.0, markersize=3.0, label=symbols[k])
             axes.fill_between(steps, line - error, line + error, color=COLOURS[number], **BAND)
         axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
         axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -6,12 +6,12 @@ from matplotlib.figure import Figure
 
 from sweep.contract import SweepError
 from sweep.plots.style import figure_size, finish, series
-from sweep.plots.tie.names import places_by, readable, unknown_symbol
+from sweep.plots.tie.names import places_by, readable, unknown_symbols
 
 
 def solution_figure(dataset: xr.Dataset) -> Figure:
     """Return the estimates with each kind of error, one panel for each unit."""
-    panels = places_by(dataset, "unit")
+    panels, symbols = places_by(dataset, "unit"), unknown_symbols(dataset)
     widths = [len(panel) + 1 for panel in panels.values()]
     kinds = [str(kind) for kind in dataset["error_kind"].values]
     width = float(np.clip(1.6 * len(panels) + 0.16 * len(kinds) * sum(widths), 6.4, 16.0))
@@ -22,18 +22,11 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
         factor, unit = readable(values, stored)
         for number, kind in enumerate(kinds):
             shift = 0.6 * ((number + 0.5) / len(kinds) - 0.5)
-            axes.errorbar(
-                np.arange(len(panel)) + shift,
-                factor * values,
-                yerr=factor * np.nan_to_num(errors[number]),
-                linestyle="none",
-                markersize=3.5,
-                elinewidth=1.0,
-                label=kind,
-                **series(number),
-            )
+            places, error = np.arange(len(panel)) + shift, factor * np.nan_to_num(errors[number])
+            style = {**series(number), "linestyle": "none", "markersize": 3.5, "elinewidth": 1.0}
+            axes.errorbar(places, factor * values, yerr=error, label=kind, **style)
         axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
-        names = [unknown_symbol(str(dataset["unknown"].values[k])) for k in panel]
+        names = [symbols[k] for k in panel]
         upright = len(panel) > 12 or any("[" in name for name in names)
         axes.set_xticks(range(len(panel)), names, rotation=90 if upright else 0)
         axes.set_xlim(-0.7, len(panel) - 0.3)
@@ -60,15 +53,8 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
     middle = 0.5 * (left + right)
     for number, component in enumerate("xyz"):
         shift = 0.08 * (number - 1) * (right - left)
-        axes.errorbar(
-            middle + shift,
-            factor * values[:, number],
-            yerr=factor * errors[:, number],
-            linestyle="none",
-            markersize=4.5,
-            label=rf"$\omega_{component}$",
-            **series(number),
-        )
+        style = {**series(number), "linestyle": "none", "markersize": 4.5, "label": rf"$\omega_{component}$"}
+        axes.errorbar(middle + shift, factor * values[:, number], yerr=factor * errors[:, number], **style)
     for edge in sorted({*left.tolist(), *right.tolist()}):
         is_open = edge not in low and edge not in high
         axes.axvline(edge, color="0.75", linewidth=0.6, linestyle="dotted" if is_open else "solid", zorder=0)
