@@ -156,9 +156,7 @@ def _has_points(dataset: xr.Dataset, variable: str) -> bool:
 
 LINES = GridFigure(lambda dataset, variable: bool(_ordered(dataset) or numeric_axes(dataset, variable)), _lines)
 POINTS = GridFigure(_has_points, points_figure)
-PAIRS = GridFigure(
-    lambda dataset, name: _has_points(dataset, name) and len(varied_parameters(dataset)) > 1, pairs_figure
-)
+PAIRS = GridFigure(lambda d, name: _has_points(d, name) and len(varied_parameters(d)) > 1, pairs_figure)
 CURVES = GridFigure(lambda d, name: _has_points(d, name) and bool(numeric_axes(d, name)), _curves)
 LAW = GridFigure(lambda dataset, variable: bool(numeric_axes(dataset, variable)), _law)
 MAP = GridFigure(lambda dataset, variable: len({dataset[a].dims[0] for a in numeric_axes(dataset, variable)}) > 1, _map)

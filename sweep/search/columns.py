@@ -132,10 +132,8 @@ class ColumnReader:
         if values is None:
             return None
         missing = missing_values(column).tolist()
-        return np.array(
-            ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing, strict=True)],
-            dtype=np.str_,
-        )
+        texts = ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing, strict=True)]
+        return np.array(texts, dtype=np.str_)
 
     def _plain(self, key: str, column: Any, kinds: str) -> NDArray[Any] | None:
         """Return a column's values, or None and a problem if they are not of these kinds, one a row."""

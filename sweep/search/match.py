@@ -12,7 +12,7 @@ from core.sky_pairs import Positions, at_epoch
 from sweep.contract import SweepError
 from sweep.search.options import Search
 from sweep.search.outputs import Outputs, check_for_galaxy_table, check_outputs, write_outputs
-from sweep.search.result import Result
+from sweep.search.result import STAR_MOTIONS, Result
 from sweep.search.tables import SkyTable, read_galaxies, read_stars, table_name, tyc_code
 
 
@@ -82,10 +82,8 @@ def _star_positions(table: SkyTable, epoch: float) -> Positions:
     if "pmra" not in numbers:
         return positions
     none = np.zeros(len(table))
-    pmra, pmdec, pmra_error, pmdec_error = (
-        np.nan_to_num(numbers.get(key, none)) * MAS for key in ("pmra", "pmdec", "pmra_error", "pmdec_error")
-    )
-    return at_epoch(positions, pmra, pmdec, pmra_error, pmdec_error, epoch - numbers["ref_epoch"])
+    motions = {key: np.nan_to_num(numbers.get(key, none)) * MAS for key in STAR_MOTIONS}
+    return at_epoch(positions, **motions, years=epoch - numbers["ref_epoch"])
 
 
 def _check_shared_stars(stars: Sequence[SkyTable]) -> None:
