@@ -1,7 +1,6 @@
 """The caption of a figure, and a description for who cannot see it, from what is drawn and from the results."""
 
 import re
-from collections.abc import Iterable
 
 import xarray as xr
 from matplotlib.axes import Axes
@@ -67,8 +66,7 @@ def _label(axes: Axes, which: str) -> str:
 
 
 def _entries(figure: Figure) -> list[str]:
-    texts: Iterable[str] = (text for axes in figure.axes for text in axes.get_legend_handles_labels()[1])
-    return list(dict.fromkeys(texts))
+    return list(dict.fromkeys(text for axes in figure.axes for text in axes.get_legend_handles_labels()[1]))
 
 
 def plain(text: str) -> str:

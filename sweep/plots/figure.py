@@ -53,9 +53,8 @@ def draw_figure(
             raise SweepError(f"no {kind} of this; possible is {' or '.join(SCALING)}")
         figure: Figure = SCALING[kind or next(iter(SCALING))].load()(dataset)
         return figure
-    if sampled(dataset) is not None and (
-        kind == "scatter" or (kind is None and _suits_scatter(dataset, variables, over))
-    ):
+    only_samples = dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
+    if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
         return _drawn(dataset, dataset.squeeze(_single(dataset)), "scatter", list(variables), over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
@@ -86,11 +85,6 @@ def _drawn(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str],
     figure: Figure = GRID[kind].load().draw(part, variables, over)
     _title(figure, whole, part)
     return figure
-
-
-def _suits_scatter(dataset: xr.Dataset, variables: Sequence[str], over: Sequence[str]) -> bool:
-    """Return whether kept samples are all that there is to draw: one point, and no axis or variable asked for."""
-    return dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:

@@ -83,12 +83,10 @@ class ColumnReader:
 
     def require(self, key: str, hint: str = "") -> bool:
         """Return `has`, and note a column that is missing."""
-        if not self.has(key):
-            column = self.column(key)
-            if key not in self.columns:
-                self.problems.append(f"no column {column!r}{suggest(column, self.table.colnames)}{hint}")
-            return False
-        return True
+        there = self.has(key)
+        if not there and key not in self.columns:  # of a column that is named for it there is a problem already
+            self.problems.append(f"no column {key!r}{suggest(key, self.table.colnames)}{hint}")
+        return there
 
     def number(self, key: str, may_miss: bool = False) -> Array | None:
         """Return a column as float64 in its unit of `UNITS`, NaN where it is missing."""

@@ -57,14 +57,8 @@ def match_tables(search: Search, stars: tuple[SkyTable, ...], galaxies: tuple[Sk
     parts = [_star_positions(table, search.epoch) for table in stars]
     positions = Positions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Positions)))
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars])
-    catalogues = [
-        GalaxyCatalogue(
-            _positions(table),
-            np.zeros(len(table), dtype=np.int64) if table.pgc is None else table.pgc,
-            search.radius_arcsec[table.name] * ARCSEC,
-        )
-        for table in galaxies
-    ]
+    radii = [search.radius_arcsec[table.name] * ARCSEC for table in galaxies]
+    catalogues = [GalaxyCatalogue(_positions(t), t.pgc, radius) for t, radius in zip(galaxies, radii, strict=True)]
     try:
         matches = cross_match(positions, supplement, catalogues, search.rules)
     except ValueError as error:

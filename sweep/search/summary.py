@@ -127,8 +127,8 @@ def _classes_table(summary: Mapping[str, Any]) -> "Table":
 
 
 def _catalogues_table(summary: Mapping[str, Any]) -> "Table":
-    heads = ["catalogue", "entries", "radius\n[arcsec]", "pairs", "matches"]
-    chances = ["chance pairs\nuniform sky", "\nfrom surroundings"]
+    chances = ("chance pairs\nuniform sky", "\nfrom surroundings")
+    heads = ["catalogue", "entries", "radius\n[arcsec]", "pairs", "matches", *chances]
     rows = (
         (
             name,
@@ -141,7 +141,7 @@ def _catalogues_table(summary: Mapping[str, Any]) -> "Table":
         )
         for name, row in summary["catalogues"].items()
     )
-    return reading_table("", heads + chances, rows, left="catalogue")
+    return reading_table("", heads, rows, left="catalogue")
 
 
 def _plus_minus(value: Mapping[str, float | None] | None, digits: int) -> str:

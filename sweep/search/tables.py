@@ -54,7 +54,7 @@ class SkyTable:
     name: str
     numbers: Mapping[str, Array]
     tyc: Indices | None
-    pgc: Indices | None
+    pgc: Indices
     source_id: Indices | None
     names: NDArray[np.str_] | None
 
@@ -90,7 +90,8 @@ def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
     if len(table) == 0:
         raise SweepError("has no rows", str(path))
     numbers = _positions(reader, reading)
-    tyc = pgc = source_id = names = None
+    tyc = source_id = names = None
+    pgc: Indices = np.zeros(len(table), dtype=np.int64)
     if stars:
         _add_motions(numbers, reader, reading)
         for key in MAGNITUDES:
@@ -99,8 +100,9 @@ def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
         tyc = _tyc(reader)
         source_id = reader.integer("source_id") if reader.has("source_id") else None
     else:
-        if reader.has("PGC") and (pgc := reader.integer("PGC", may_miss=True)) is not None:
-            reader.check(pgc < 0, "a negative PGC number", pgc)
+        if reader.has("PGC") and (found := reader.integer("PGC", may_miss=True)) is not None:
+            reader.check(found < 0, "a negative PGC number", found)
+            pgc = found
         names = reader.text(NAME) if reader.has(NAME) else None
     if reader.problems:
         raise SweepError(reader.problems, str(path))
@@ -121,9 +123,8 @@ def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
     if reading.error_arcsec is not None:
         return {**numbers, **{key: np.full(len(reader.table), 1000.0 * reading.error_arcsec) for key in keys}}
     for key in keys:
-        if reader.require(key, "; or give its error in arcsec with --error") and (
-            (values := reader.number(key)) is not None
-        ):
+        there = reader.require(key, "; or give its error in arcsec with --error")
+        if there and (values := reader.number(key)) is not None:
             reader.check(values <= 0.0, f"a {reader.label(key)} that is not above 0", values)
             numbers[key] = _with_cos_dec(reader, key, values, numbers)
     return numbers
@@ -163,9 +164,8 @@ def _add_motions(numbers: dict[str, Array], reader: ColumnReader, reading: Readi
     elif reader.has("ref_epoch"):
         if (epoch := reader.number("ref_epoch")) is not None:
             low, high = EPOCHS
-            reader.check(
-                (epoch < low) | (epoch > high), f"a ref_epoch that is no Julian year ({low:g}..{high:g})", epoch
-            )
+            outside = (epoch < low) | (epoch > high)
+            reader.check(outside, f"a ref_epoch that is no Julian year ({low:g}..{high:g})", epoch)
             numbers["ref_epoch"] = epoch
     elif has_motions:
         reader.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")

@@ -41,8 +41,7 @@ def _titled(figure: Figure, dataset: xr.Dataset) -> Figure:
     attributes = dataset.attrs
     words = f"{Path(attributes['satellite']).name} and {Path(attributes['reference']).name}"
     if "sign" in attributes:
-        words += (
-            f"\n{attributes['sign'].replace('-', ' − ')}, epoch {attributes['epoch']:.2f}, clip {attributes['clip']}"
-        )
+        sign = attributes["sign"].replace("-", " − ")
+        words += f"\n{sign}, epoch {attributes['epoch']:.2f}, clip {attributes['clip']}"
     figure.suptitle(words, fontsize="medium")
     return figure
