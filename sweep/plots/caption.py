@@ -1,7 +1,6 @@
 """The caption of a figure, and a description for who cannot see it, from what is drawn and from the results."""
 
 import re
-from collections.abc import Iterable
 
 import xarray as xr
 from matplotlib.axes import Axes
@@ -55,20 +54,19 @@ def description(figure: Figure, dataset: xr.Dataset) -> str:
 
 
 def _of_panel(axes: Axes) -> str:
-    what, over = plain(_shared(axes.get_ylabel(), axes, "y")), plain(_shared(axes.get_xlabel(), axes, "x"))
+    what, over = _label(axes, "y"), _label(axes, "x")
     return f"{what or 'values'} against {over}" if over else what or "a picture"
 
 
-def _shared(label: str, axes: Axes, which: str) -> str:
-    """Return a label, or that of the axes that share this axis and have one."""
-    group = axes.get_shared_y_axes() if which == "y" else axes.get_shared_x_axes()
-    others = (other.get_ylabel() if which == "y" else other.get_xlabel() for other in group.get_siblings(axes))
-    return label or next(filter(None, others), "")
+def _label(axes: Axes, which: str) -> str:
+    """Return the label of an axis, or that of the axes that share it and have one."""
+    siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
+    labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
+    return plain(next(filter(None, labels), ""))
 
 
 def _entries(figure: Figure) -> list[str]:
-    texts: Iterable[str] = (text for axes in figure.axes for text in axes.get_legend_handles_labels()[1])
-    return list(dict.fromkeys(texts))
+    return list(dict.fromkeys(text for axes in figure.axes for text in axes.get_legend_handles_labels()[1]))
 
 
 def plain(text: str) -> str:

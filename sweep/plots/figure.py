@@ -13,9 +13,9 @@ from sweep.contract import SweepError, shown, suggest
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.plots.kinds import GRID, SCALING
 from sweep.plots.labels import value_text
-from sweep.plots.scaling import is_scaling
 from sweep.plots.scatter import sampled
 from sweep.plots.sensitivity import sensitivity_figure
+from sweep.plots.standalone import is_scaling
 from sweep.plots.style import wrapped
 from sweep.plots.tie.figure import draw_link, is_link
 from sweep.studies.study import POINT
@@ -53,9 +53,8 @@ def draw_figure(
             raise SweepError(f"no {kind} of this; possible is {' or '.join(SCALING)}")
         figure: Figure = SCALING[kind or next(iter(SCALING))].load()(dataset)
         return figure
-    if sampled(dataset) is not None and (
-        kind == "scatter" or (kind is None and _suits_scatter(dataset, variables, over))
-    ):
+    only_samples = dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
+    if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
         return _drawn(dataset, dataset.squeeze(_single(dataset)), "scatter", list(variables), over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
@@ -64,7 +63,9 @@ def draw_figure(
         require_quantity(dataset, name)
         _require_one_unit(dataset, name)
     if not any(np.isfinite(dataset[name].values).any() for name in names):
-        raise SweepError(_why_nothing(dataset, names))
+        unfinished = unfinished_in_words(count_status(dataset["status"].values))
+        why = f": of {dataset['status'].size} points {unfinished}" if unfinished else ""
+        raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
     part = _without_single(dataset, over)
     possible = possible_kinds(part, names[0])
     chosen = kind or _suitable(part, names[0], over)
@@ -80,21 +81,10 @@ def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
     return [name for name, kind in GRID.items() if kind.load().possible(dataset, variable)]
 
 
-def _why_nothing(dataset: xr.Dataset, names: Sequence[str]) -> str:
-    unfinished = unfinished_in_words(count_status(dataset["status"].values))
-    why = f": of {dataset['status'].size} points {unfinished}" if unfinished else ""
-    return f"{' and '.join(names)}: there is no value to draw here{why}"
-
-
 def _drawn(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
     figure: Figure = GRID[kind].load().draw(part, variables, over)
     _title(figure, whole, part)
     return figure
-
-
-def _suits_scatter(dataset: xr.Dataset, variables: Sequence[str], over: Sequence[str]) -> bool:
-    """Return whether kept samples are all that there is to draw: one point, and no axis or variable asked for."""
-    return dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:

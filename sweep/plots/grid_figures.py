@@ -1,6 +1,7 @@
 """The figures of a study's results, by kind: whole figures with their panels, without a title."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import xarray as xr
@@ -9,15 +10,13 @@ from matplotlib.figure import Figure
 from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.contract import SweepError, shown, suggest
-from sweep.plots.curves import draw_curves
 from sweep.plots.law import draw_law
 from sweep.plots.layout import Layout, arrange
 from sweep.plots.legends import legend_below
-from sweep.plots.lines import draw_lines
+from sweep.plots.lines import draw_lines, draw_point
 from sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
 from sweep.plots.panels import draw_panels
-from sweep.plots.point import draw_point
-from sweep.plots.points import pairs_figure, points_figure
+from sweep.plots.points import draw_curves, pairs_figure, points_figure
 from sweep.plots.scatter import component_dimension, draw_scatter, sampled
 from sweep.plots.style import figure_size, is_narrow, is_stacked, line_inches, wanted_width, wrapped
 from sweep.studies.study import POINT
@@ -38,15 +37,13 @@ class GridFigure(NamedTuple):
 
 def _lines(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     if all(dataset[name].size == 1 for name in variables) and not over:
-        layout = Layout((), None, None, False)
-        figure = draw_panels(dataset.squeeze(), variables, layout, draw_point, rows_named=True)
+        figure = draw_panels(dataset.squeeze(), variables, Layout(), draw_point, rows_named=True)
         width, height = figure.get_size_inches().tolist()
         figure.set_size_inches(width, max(min(height, 1.0 + 0.3 * width), POINT_LINES * line_inches()))
         return figure
     axis = _one_axis(dataset, variables[0], over)
     layout = arrange(dataset, variables[0], (str(dataset[axis].dims[0]),))
-    numbers: dict[str, int] = {}
-    return draw_panels(dataset, variables, layout, lambda axes, part, name: draw_lines(axes, part, name, axis, numbers))
+    return draw_panels(dataset, variables, layout, partial(draw_lines, over=axis, numbers={}))
 
 
 def _law(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
@@ -79,13 +76,7 @@ def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
     x, y = chosen
     readable = in_readable_units(dataset)
     limits = colour_limits(readable, variables[0])
-    figure = draw_panels(
-        readable,
-        variables,
-        layout,
-        lambda axes, part, name: draw_map(axes, part, name, x, y, limits),
-        one_unit=True,
-    )
+    figure = draw_panels(readable, variables, layout, partial(draw_map, x=x, y=y, limits=limits), one_unit=True)
     add_bar(figure, readable, variables[0])
     if words := accuracy_in_words(dataset, variables[0]):
         text = wrapped(words, figure)
@@ -154,28 +145,9 @@ def _ordered(dataset: xr.Dataset) -> list[str]:
     return [str(d) for d in dataset["status"].dims if d != POINT]
 
 
-def _points(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    return points_figure(dataset, variables, _chosen(dataset, over))
-
-
-def _pairs(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    if len(variables) > 1:
-        raise SweepError(f"pairs are coloured by one variable, not by {', '.join(variables)}")
-    return pairs_figure(dataset, variables[0], _chosen(dataset, over))
-
-
 def _curves(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     axis = _one_axis(dataset, variables[0], over)
-    return draw_panels(
-        dataset, variables, Layout((), None, None, False), lambda axes, part, name: draw_curves(axes, part, name, axis)
-    )
-
-
-def _chosen(dataset: xr.Dataset, over: Sequence[str]) -> list[str]:
-    known = varied_parameters(dataset)
-    if unknown := [name for name in over if name not in known]:
-        raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
-    return list(over) or known
+    return draw_panels(dataset, variables, Layout(), partial(draw_curves, over=axis))
 
 
 def _has_points(dataset: xr.Dataset, variable: str) -> bool:
@@ -183,8 +155,8 @@ def _has_points(dataset: xr.Dataset, variable: str) -> bool:
 
 
 LINES = GridFigure(lambda dataset, variable: bool(_ordered(dataset) or numeric_axes(dataset, variable)), _lines)
-POINTS = GridFigure(_has_points, _points)
-PAIRS = GridFigure(lambda dataset, name: _has_points(dataset, name) and len(varied_parameters(dataset)) > 1, _pairs)
+POINTS = GridFigure(_has_points, points_figure)
+PAIRS = GridFigure(lambda d, name: _has_points(d, name) and len(varied_parameters(d)) > 1, pairs_figure)
 CURVES = GridFigure(lambda d, name: _has_points(d, name) and bool(numeric_axes(d, name)), _curves)
 LAW = GridFigure(lambda dataset, variable: bool(numeric_axes(dataset, variable)), _law)
 MAP = GridFigure(lambda dataset, variable: len({dataset[a].dims[0] for a in numeric_axes(dataset, variable)}) > 1, _map)

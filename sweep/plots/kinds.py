@@ -31,7 +31,7 @@ GRID: Mapping[str, Kind] = {
 }
 """Of the results of a study: values of type `GridFigure`."""
 
-SCALING: Mapping[str, Kind] = {"scaling": Kind("sweep.plots.scaling:scaling_figure")}
+SCALING: Mapping[str, Kind] = {"scaling": Kind("sweep.plots.standalone:scaling_figure")}
 """Of what `sweep scaling` measures; a function of its dataset."""
 
 STANDALONE: Mapping[str, Kind] = {
@@ -47,23 +47,23 @@ LINK: Mapping[str, Mapping[str, Kind]] = {
             "sweep.plots.tie.residuals:residual_figure", "Differences before and residuals after the fit on the sky"
         ),
         "separations": Kind(
-            "sweep.plots.tie.separations:separation_figure",
+            "sweep.plots.tie.sources:separation_figure",
             "Normalised separations of the sources, beside the Rayleigh distribution of right errors",
         ),
         "weight": Kind(
-            "sweep.plots.tie.weights:weight_figure",
+            "sweep.plots.tie.sources:weight_figure",
             "Discrepancy of each source, for one observation, against its share of the weight",
         ),
-        "ranking": Kind("sweep.plots.tie.weights:influence_figure", "The sources that decide most"),
+        "ranking": Kind("sweep.plots.tie.sources:influence_figure", "The sources that decide most"),
         "jackknife": Kind(
-            "sweep.plots.tie.jackknife:jackknife_figure", "Solutions without each source, and ellipses of the errors"
+            "sweep.plots.tie.left_out:jackknife_figure", "Solutions without each source, and ellipses of the errors"
         ),
-        "trajectory": Kind("sweep.plots.tie.trajectory:trajectory_figure", "The solution while the clip drops sources"),
+        "trajectory": Kind("sweep.plots.tie.left_out:trajectory_figure", "The solution while the clip drops sources"),
         "spectrum": Kind(
             "sweep.plots.tie.spectrum:spectrum_figure",
             "Vector spherical harmonics by degree, beside noise, and their significance",
         ),
-        "bins": Kind("sweep.plots.tie.bins:bin_figure", "The spin in each bin"),
+        "bins": Kind("sweep.plots.tie.solution:bin_figure", "The spin in each bin"),
     },
     "forecast": {
         "epochs": Kind("sweep.plots.tie.forecasts:epoch_figure", "Formal errors against the epoch of new positions"),

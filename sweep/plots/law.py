@@ -1,16 +1,14 @@
 """A power law: points, fit with its band, guide of the expected exponent; and the residuals of the same."""
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from sweep.analysis.fits import PowerLaw, power_law
+from sweep.analysis.fits import power_law
 from sweep.analysis.laws import fit_power_law
 from sweep.analysis.lines import lines
-from sweep.contract import Array
 from sweep.formatting import with_error
 from sweep.plots.labels import label, quantity_label, symbol, value_text
 from sweep.plots.legends import legend
@@ -20,38 +18,30 @@ from sweep.plots.style import BAND, finish, series
 GUIDE: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
 
 
-class _Line(NamedTuple):
-    """What is drawn of one line: points (n,) with errors, their law at ``fine`` with its relative error, and the
-    exponent that is expected, NaN if none is.
-    """
-
-    words: str
-    style: dict[str, Any]
-    x: Array
-    y: Array
-    error: Array
-    fine: Array
-    relative: Array
-    expected: float
-    law: PowerLaw
-
-
 def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
     """Draw a variable against an axis on logarithmic scales, with the fitted power law and its one-sigma band; and
     below the same as percent above the law, where errors can be seen.
 
-    There is one colour for every combination of the other dimensions.  The dashed guide has the exponent that a claim
-    of the study states, and meets the law at its pivot.
+    There is one colour for every combination of the other dimensions that the study does not exclude everywhere.  The
+    dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
     """
-    found = list(_lines(dataset, variable, over))
+    found = lines(dataset, variable, over)
+    result = fit_power_law(dataset, variable, over)
+    wanted = result["expected"].values.reshape(-1) if "expected" in result else np.full(len(found), np.nan)
     guides: set[str] = set()
-    for words, style, x, y, error, fine, relative, expected, law in found:
-        colour, curve, spread = style["color"], law(fine), law(fine) * relative
-        exponent = with_error(law.exponent, law.exponent_error).replace(" ± ", r" \pm ")
-        fitted = _power(dataset, over, exponent)
+    drawn: list[tuple[Any, ...]] = []
+    for number, i in enumerate(np.flatnonzero(found.used.any(axis=1)).tolist()):
+        used, style = found.used[i], {**series(number), "markersize": 3.5, "linestyle": "none"}
+        x, y, errors, place = found.x[used], found.value[i, used], found.errors_of(i), found.place(i)
+        words = ", ".join(value_text(dataset, d, place[d]) for d in found.dims if found.grid.sizes[d] > 1)
+        error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
+        law, fine, expected = power_law(x, y, errors, found.samples), np.geomspace(x.min(), x.max(), 100), wanted[i]
+        colour, curve, relative = style["color"], law(fine), law.relative_error(fine)
+        fitted = _power(dataset, over, with_error(law.exponent, law.exponent_error).replace(" ± ", r" \pm "))
         upper.errorbar(x, y, yerr=error, label=f"{words}: {fitted}" if words else "simulated", **style)
         upper.plot(fine, curve, color=colour, linewidth=1.0, label="" if words else f"fit {fitted}")
-        upper.fill_between(fine, curve - spread, curve + spread, color=colour, **BAND)
+        upper.fill_between(fine, curve - curve * relative, curve + curve * relative, color=colour, **BAND)
+        drawn.append((style, x, y, error, fine, relative, expected, law))
         if np.isfinite(expected):
             text = f"guide {_power(dataset, over, format(expected, 'g'))}"
             guide = law.amplitude * (fine / law.pivot) ** expected
@@ -62,7 +52,7 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
     upper.set_ylabel(quantity_label(dataset, variable))
     finish(upper)
     legend(upper)
-    for _, style, x, y, error, fine, relative, expected, law in found:
+    for style, x, y, error, fine, relative, expected, law in drawn:
         lower.fill_between(fine, -100.0 * relative, 100.0 * relative, color=style["color"], **BAND)
         lower.errorbar(x, 100.0 * (y / law(x) - 1.0), yerr=100.0 * error / law(x), **style)
         if np.isfinite(expected):
@@ -71,20 +61,6 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
     lower.set_xlabel(label(dataset[over], over))
     lower.set_ylabel("residual [%]")
     finish(lower)
-
-
-def _lines(dataset: xr.Dataset, variable: str, over: str) -> Iterator[_Line]:
-    """Yield every line that the study does not exclude."""
-    found = lines(dataset, variable, over)
-    result = fit_power_law(dataset, variable, over)
-    wanted = result["expected"].values.reshape(-1) if "expected" in result else np.full(len(found), np.nan)
-    for number, i in enumerate(np.flatnonzero(found.used.any(axis=1)).tolist()):
-        used, style = found.used[i], {**series(number), "markersize": 3.5, "linestyle": "none"}
-        x, y, errors, place = found.x[used], found.value[i, used], found.errors_of(i), found.place(i)
-        words = ", ".join(value_text(dataset, d, place[d]) for d in found.dims if found.grid.sizes[d] > 1)
-        error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
-        law, fine = power_law(x, y, errors, found.samples), np.geomspace(x.min(), x.max(), 100)
-        yield _Line(words, style, x, y, error, fine, law.relative_error(fine), float(wanted[i]), law)
 
 
 def _power(dataset: xr.Dataset, over: str, exponent: str) -> str:

@@ -21,10 +21,10 @@ class Layout:
     ``far`` says that columns differ so much that each has a scale of its own.
     """
 
-    series: tuple[str, ...]
-    columns: str | None
-    rows: str | None
-    far: bool
+    series: tuple[str, ...] = ()
+    columns: str | None = None
+    rows: str | None = None
+    far: bool = False
 
 
 def arrange(dataset: xr.Dataset, variable: str, along: tuple[str, ...], series: bool = True) -> Layout:
@@ -45,9 +45,9 @@ def arrange(dataset: xr.Dataset, variable: str, along: tuple[str, ...], series: 
             names = ", ".join(by_separation)
             raise SweepError(f"{len(others)} dimensions are left for panels, {names}; fix some with --at AXIS=VALUE")
         columns, rows = (*by_separation, None, None)[:2]
-        layout = Layout((), columns, rows, False)
+        layout = Layout((), columns, rows)
     elif len(others) <= 1:
-        layout = Layout((), widest, None, far) if far else Layout(tuple(others), None, None, False)
+        layout = Layout(columns=widest, far=True) if far else Layout(tuple(others))
     else:
         rest = by_separation[1:]
         rows = min(rest, key=lambda d: (array[d].dtype.kind not in "if", array.sizes[d])) if len(others) > 2 else None

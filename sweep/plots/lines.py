@@ -1,4 +1,4 @@
-"""Curves: a quantity against an axis, with errors, prediction and published values."""
+"""A quantity against an axis, or at one point, with errors, prediction and published values."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,8 +12,9 @@ from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
 from sweep.plots.labels import axis_label, quantity_label, value_text
 from sweep.plots.legends import legend
-from sweep.plots.scales import is_wide, logarithmic
+from sweep.plots.scales import fit_scale, is_wide
 from sweep.plots.style import BAND, COLOURS, finish, series
+from sweep.readable import with_micro_signs, with_unit
 
 NO_LINE = {"linestyle": "none"}
 PUBLISHED: Mapping[str, Any] = NO_LINE | {"marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}
@@ -42,8 +43,7 @@ def draw_lines(
     others = [str(d) for d in dataset[variable].dims if d != dimension]
     everything = [dataset.isel(place) for place in places_along(dataset, others)]
     seen = [one for one in everything if np.isfinite(one[variable].values).any()]  # the others are excluded
-    offsets = _dodges(seen, variable)
-    for one, offset in zip(seen, offsets, strict=True):
+    for one, offset in zip(seen, _dodges(seen, variable), strict=True):
         words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if dataset.sizes[d] > 1)
         _series(axes, one, variable, over, words, numbers.setdefault(words, len(numbers)), offset)
     colour = COLOURS[0] if len(numbers) == 1 else "0.35"
@@ -52,35 +52,40 @@ def draw_lines(
         axes.plot([], [], color=colour, label="predicted", **line)
     if any(_has(one, f"{variable}_published") for one in seen):
         axes.plot([], [], color=colour, **PUBLISHED, label="published")
-    _scales(axes, dataset, variable, over)
+    x = _positions(dataset[over])
+    if not _is_numeric(dataset[over]):
+        axes.set_xticks(x, list(map(str, dataset[over].values.tolist())))
+        axes.set_xlim(x.min() - 0.5, x.max() + 0.5)
+    else:
+        fit_scale(axes, "x", x, units_of(dataset[over].attrs))
+    fit_scale(axes, "y", dataset[variable].values)
+    axes.set_xlabel(axis_label(dataset, over))
+    axes.set_ylabel(quantity_label(dataset, variable))
     finish(axes)
     legend(axes)
     return axes
 
 
-def _positions(array: xr.DataArray) -> tuple[np.ndarray[Any, Any], list[str] | None]:
-    """Return where the values of an axis stand, and their names where they are no numbers."""
-    if array.dtype.kind in "if":
-        return array.values.astype(float), None
-    return np.arange(array.size, dtype=float), [str(value) for value in array.values.tolist()]
+def _positions(axis: xr.DataArray) -> np.ndarray[Any, Any]:
+    """Return where the values of an axis stand; names one after the other."""
+    return axis.values.astype(float) if _is_numeric(axis) else np.arange(axis.size, dtype=float)
 
 
 def _dodges(seen: list[xr.Dataset], variable: str) -> list[float]:
-    """Return by what share of the distance between points each series is moved aside, 0 where none cover another."""
-    if len(seen) < 2 or not _overlap(seen, variable):
+    """Return by what share of the distance between points each series is moved aside: 0 unless points of two are so
+    near each other, in many places, that one covers the other.
+    """
+    if len(seen) < 2:
         return [0.0] * len(seen)
-    return [DODGE * (2.0 * number / (len(seen) - 1) - 1.0) for number in range(len(seen))]
-
-
-def _overlap(seen: list[xr.Dataset], variable: str) -> bool:
-    """Return whether points of two series are so near each other, in many places, that one covers the other."""
     values = np.stack([one[variable].values.astype(float) for one in seen])
     if is_wide(values):
         values = np.log(values)
     whole = np.nanmax(values) - np.nanmin(values)
     gaps = np.diff(np.sort(values, axis=0), axis=0)
     known = gaps[np.isfinite(gaps)]
-    return bool(known.size and (known < COVERED * whole).mean() > COVERED_SHARE)
+    if not known.size or (known < COVERED * whole).mean() <= COVERED_SHARE:
+        return [0.0] * len(seen)
+    return [DODGE * (2.0 * number / (len(seen) - 1) - 1.0) for number in range(len(seen))]
 
 
 def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray[Any, Any]:
@@ -94,7 +99,7 @@ def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray
 
 def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int, offset: float) -> None:
     mark = series(number)
-    colour, x = mark["color"], _positions(one[over])[0]
+    colour, x = mark["color"], _positions(one[over])
     order = np.argsort(x, kind="stable")
     one, x = one.isel({one[over].dims[0]: order}), x[order]
     y, error = one[variable].values.astype(float), standard_error(one, variable)
@@ -131,15 +136,30 @@ def _is_numeric(axis: xr.DataArray) -> bool:
     return axis.dtype.kind in "if"
 
 
-def _scales(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
-    x, names = _positions(dataset[over])
-    if names is not None:
-        axes.set_xticks(x, names)
-        axes.set_xlim(x.min() - 0.5, x.max() + 0.5)
-    elif is_wide(x, units_of(dataset[over].attrs)):
-        logarithmic(axes, "x", x)
-    values = dataset[variable].values
-    if is_wide(values):
-        logarithmic(axes, "y", values)
-    axes.set_xlabel(axis_label(dataset, over))
-    axes.set_ylabel(quantity_label(dataset, variable))
+def draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
+    """Draw the value of a variable at the one point of a dataset with its one-sigma error, the prediction and the
+    published value with half a unit of its last digit, each in a line of its own with its numbers.
+    """
+    known = standard_error(dataset, variable)
+    rounding = f"{variable}_published_rounding"
+    rows = {
+        "simulated": (variable, 0.0 if known is None else float(known.item())),
+        "predicted": (prediction_name(dataset, variable), 0.0),
+        "published": (f"{variable}_published", float(dataset[rounding].item()) if rounding in dataset else 0.0),
+    }
+    shown = {word: row for word, row in rows.items() if row[0] in dataset and bool(dataset[row[0]].notnull().all())}
+    unit = units_of(dataset[variable].attrs)
+    for number, (word, (name, error)) in enumerate(shown.items()):
+        value = float(dataset[name].item())
+        style: dict[str, Any] = {"color": COLOURS[number], "marker": "osD"[number], "linestyle": "none"}
+        if word == "published":
+            style["fillstyle"] = "none"
+        axes.errorbar(value, -number, xerr=error or None, elinewidth=1.2, markersize=5.0, label=word, **style)
+        text = with_micro_signs(with_unit(value, error if word == "simulated" else 0.0, unit))
+        axes.annotate(text, (value, -number), xytext=(0, 7), textcoords="offset points", ha="center")
+    axes.set_yticks([-number for number in range(len(shown))], list(shown))
+    axes.set_ylim(0.6 - len(shown), 0.7)
+    axes.margins(x=0.35)
+    axes.set_xlabel(quantity_label(dataset, variable))
+    finish(axes)
+    axes.tick_params(axis="y", left=False, right=False)

@@ -10,7 +10,6 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
-from numpy.typing import NDArray
 
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.attributes import units_of
@@ -60,25 +59,20 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
 
 
 def colour_limits(dataset: xr.Dataset, variable: str) -> Normalize:
-    """Return the scale of colours for all values of a variable, logarithmic where these span decades."""
+    """Return the scale of colours for all values of a variable, logarithmic where most of these, a corner near 0 does
+    not count, span more than a linear scale can show.
+    """
     values = dataset[variable].values.astype(float)
     finite = values[np.isfinite(values)]
     low, high = float(finite.min()), float(finite.max())
-    return LogNorm(low, high) if _spans_decades(values) else Normalize(low, high)
+    tenth, nine_tenths = np.quantile(finite, [0.1, 0.9])
+    return LogNorm(low, high) if low > 0.0 and nine_tenths > DECADES * tenth else Normalize(low, high)
 
 
 def add_bar(figure: Figure, dataset: xr.Dataset, variable: str) -> None:
     """Add the one bar of colours that all maps of a figure share."""
     meshes = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
     figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
-
-
-def _spans_decades(values: NDArray[np.float64]) -> bool:
-    """Return whether most values span more than a linear scale of colours can show; a corner near 0 does not count."""
-    if not np.all(values[np.isfinite(values)] > 0.0):
-        return False
-    low, high = np.nanquantile(values, [0.1, 0.9])
-    return bool(high > DECADES * low)
 
 
 def accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:

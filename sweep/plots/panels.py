@@ -90,9 +90,8 @@ def draw_panels(
         if row < lowest[column]:
             axes.tick_params(axis="x", which="both", labelbottom=False)
         _entitle(axes, panel, room, folded, row, column == across - 1 or (row, column + 1) not in places)
-    if rows_named:
-        return figure
-    if len(panels) > 1 or is_narrow() or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE:
+    many = len(panels) > 1 or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE
+    if (many or is_narrow()) and not rows_named:
         legend_below(figure)
     return figure
 

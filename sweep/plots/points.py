@@ -1,7 +1,9 @@
-"""Points of a table or a design, which are in no order: a quantity over each parameter, and parameters in pairs."""
+"""Points of a table or a design, which are in no order: a quantity over each parameter, parameters in pairs, and a
+series at each.
+"""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,16 +11,15 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import standard_error
+from sweep.analysis.quantity import standard_error, varied_parameters
 from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
-from sweep.contract import SweepError
+from sweep.contract import SweepError, shown, suggest
 from sweep.plots.labels import label, quantity_label, value_text
 from sweep.plots.legends import legend
-from sweep.plots.scales import is_wide, logarithmic
+from sweep.plots.scales import fit_scale, is_wide
 from sweep.plots.style import COLOURS, finish, series
 from sweep.studies.study import POINT
 
@@ -28,6 +29,12 @@ MOST_PAIRED = 8
 FEW_POINTS = 300
 """More points than these are small and without their errors."""
 
+FEW_CURVES = 12
+"""No more curves than these are drawn one by one."""
+
+BANDS = ((0.05, 0.95, 0.15, "90 % of the points"), (0.25, 0.75, 0.3, "50 % of the points"))
+"""Quantiles over the points between which a band lies, its opacity and what it is called."""
+
 SPREAD, GOLDEN = 0.5, 0.6180339887498949
 """Width over which points of one text are spread, and the step of that, by which no two stand together."""
 
@@ -35,12 +42,13 @@ MOST_VECTORS = 2000
 """More points than these are one image in the picture."""
 
 
-def points_figure(dataset: xr.Dataset, variables: list[str], parameters: list[str]) -> Figure:
-    """Return a figure with a row for each variable and a column for each parameter, more rows where these are many.
+def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure with a row for each variable and a column for each parameter (all, or those ``over`` which it is
+    drawn), more rows where these are many.
 
-    Raises SweepError for a variable with dimensions that leave too many series, and too many parameters.
+    Raises SweepError for a variable with dimensions that leave too many series, and unknown or too many parameters.
     """
-    _require_at_most(parameters, MOST_PARAMETERS)
+    parameters = _parameters(dataset, over, MOST_PARAMETERS)
     across = len(parameters) if len(variables) > 1 else min(len(parameters), 4)
     down = len(variables) if len(variables) > 1 else math.ceil(len(parameters) / across)
     size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
@@ -61,12 +69,15 @@ def points_figure(dataset: xr.Dataset, variables: list[str], parameters: list[st
     return figure
 
 
-def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> Figure:
+def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure of parameters in pairs, coloured by a variable; on the diagonal is the variable over each.
 
-    Raises SweepError for one parameter, for too many, and where a variable has further dimensions.
+    Raises SweepError for several variables, one parameter, unknown or too many ones, and where the variable has further
+    dimensions.
     """
-    _require_at_most(parameters, MOST_PAIRED)
+    if len(variables) > 1:
+        raise SweepError(f"pairs are coloured by one variable, not by {', '.join(variables)}")
+    variable, parameters = variables[0], _parameters(dataset, over, MOST_PAIRED)
     if len(parameters) < 2:
         raise SweepError(f"pairs need two parameters; the points differ in {', '.join(parameters)} alone")
     if further := [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]:
@@ -75,8 +86,8 @@ def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> F
     figure = Figure(figsize=(1.8 + 1.7 * n, 1.2 + 1.6 * n), layout="constrained")
     grid = figure.subplots(n, n, sharex="col", squeeze=False)
     values = dataset[variable].squeeze().values.astype(float)
-    norm = _norm(values)
     known = np.isfinite(values)
+    norm = (LogNorm if is_wide(values) else Normalize)(values[known].min(), values[known].max())
     order = np.flatnonzero(known)[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
     for row, column in np.ndindex(n, n):
         axes: Any = grid[row, column]
@@ -86,7 +97,7 @@ def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> F
         x = _places(axes, dataset, parameters[column], "x", few_ticks=True)
         if row == column:
             y = values
-            _scale(axes, "y", values, few_ticks=True)
+            fit_scale(axes, "y", values, few_ticks=True)
         else:
             y = _places(axes, dataset, parameters[row], "y", few_ticks=True)
         shades: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": norm, "linewidths": 0.0}
@@ -101,25 +112,57 @@ def pairs_figure(dataset: xr.Dataset, variable: str, parameters: list[str]) -> F
     return figure
 
 
+def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
+    """Draw a variable of points in no order along a dimension of its own, one colour for every combination of the
+    others: the median and the bands of many points, each curve of few.
+
+    Raises SweepError where the other dimensions leave more combinations than colours.
+    """
+    along = str(dataset[over].dims[0])
+    array = dataset[variable]
+    x = dataset[over].values.astype(float)
+    many = array.sizes[POINT] > FEW_CURVES
+    for number, (place, words) in enumerate(_told_apart(dataset, variable, (POINT, along), f"beside {over}")):
+        y = array.isel(place).transpose(POINT, along).values.astype(float)
+        y, colour = y[np.isfinite(y).any(axis=1)], COLOURS[number]
+        if not many:
+            axes.plot(x, y.T, color=colour, linewidth=0.9, alpha=0.8)
+            axes.plot([], [], color=colour, label=words or "a point")
+            continue
+        for low, high, opacity, name in BANDS:
+            lower, upper = np.nanquantile(y, (low, high), axis=0)
+            axes.fill_between(x, lower, upper, color=colour, alpha=opacity, linewidth=0.0, label="" if words else name)
+        axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=words or f"median of {len(y)} points")
+    fit_scale(axes, "x", x, units_of(dataset[over].attrs))
+    fit_scale(axes, "y", array.values)
+    axes.set_xlabel(label(dataset[over], over))
+    axes.set_ylabel(quantity_label(dataset, variable))
+    finish(axes)
+    if many or array.ndim > 2:
+        legend(axes)
+
+
 def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
     """Draw a variable over a parameter, one colour for every combination of the other dimensions."""
     array = dataset[variable]
     error = standard_error(dataset, variable)
-    for number, (place, text) in enumerate(told_apart(dataset, variable, (POINT,), "at each point")):
+    for number, (place, text) in enumerate(_told_apart(dataset, variable, (POINT,), "at each point")):
         one = dataset.isel(place)
         y = one[variable].values.astype(float)
         x = _places(axes, dataset, parameter, "x")
-        style = {**series(number), "label": text or variable, **_marks(len(x))}
+        size, alpha = (3.0, 0.8) if len(x) <= FEW_POINTS else (2.0, 0.4)
+        style = {**series(number), "label": text or variable, "linestyle": "none", "markersize": size, "alpha": alpha}
+        style |= {"markeredgewidth": 0.0, "rasterized": len(x) > MOST_VECTORS}
         if error is not None and len(x) <= FEW_POINTS:
             axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
         else:
             axes.plot(x, y, **style)
-    _scale(axes, "y", array.values)
+    fit_scale(axes, "y", array.values)
     axes.set_xlabel(label(dataset[parameter], parameter))
     finish(axes)
 
 
-def told_apart(
+def _told_apart(
     dataset: xr.Dataset, variable: str, along: Collection[str], where: str
 ) -> list[tuple[dict[str, int], str]]:
     """Return the place of every combination of the dimensions of a variable beside those it is drawn ``along``, each in
@@ -144,7 +187,7 @@ def _places(
     array = dataset[parameter]
     if array.dtype.kind in "if":
         x: NDArray[np.float64] = array.values.astype(float)
-        _scale(axes, which, x, units_of(array.attrs), few_ticks)
+        fit_scale(axes, which, x, units_of(array.attrs), few_ticks)
         return x
     names = sorted(set(map(str, array.values.tolist())))
     (axes.set_xticks if which == "x" else axes.set_yticks)(range(len(names)), names)
@@ -154,32 +197,15 @@ def _places(
     return np.asarray(np.array([place[str(value)] for value in array.values.tolist()]) + spread)
 
 
-def _scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bool = False) -> None:
-    if not is_wide(values, unit):
-        return
-    logarithmic(axes, which, values)
-    if few_ticks and np.nanmax(values) > 10.0 * np.nanmin(values):
-        axis = axes.xaxis if which == "x" else axes.yaxis
-        axis.set_major_locator(LogLocator(numticks=5))
-        axis.set_minor_locator(NullLocator())
-
-
-def _marks(points: int) -> dict[str, Any]:
-    size, alpha = (3.0, 0.8) if points <= FEW_POINTS else (2.0, 0.4)
-    style: dict[str, Any] = {"linestyle": "none", "markersize": size, "alpha": alpha}
-    return style | {"markeredgewidth": 0.0, "rasterized": points > MOST_VECTORS}
-
-
-def _norm(values: NDArray[np.float64]) -> Normalize:
-    known = values[np.isfinite(values)]
-    if not known.size:
-        raise SweepError("no point has a value yet")
-    return LogNorm(known.min(), known.max()) if is_wide(known) else Normalize(known.min(), known.max())
-
-
-def _require_at_most(parameters: list[str], most: int) -> None:
-    if len(parameters) > most:
+def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str]:
+    """Return the parameters that are asked for, or all in which the points differ, at most so many."""
+    known = varied_parameters(dataset)
+    if unknown := [name for name in over if name not in known]:
+        raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
+    chosen = list(over) or known
+    if len(chosen) > most:
         raise SweepError(
-            f"{len(parameters)} parameters are too many for one picture, at most {most}; choose some with --over: "
-            f"{', '.join(parameters)}"
+            f"{len(chosen)} parameters are too many for one picture, at most {most}; choose some with --over: "
+            f"{', '.join(chosen)}"
         )
+    return chosen

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
 from sweep.attributes import LOGARITHMIC_UNITS
@@ -23,6 +23,17 @@ def is_wide(values: Any, unit: str = "") -> bool:
     if unit in LOGARITHMIC_UNITS or not known.size or known.min() <= 0.0:
         return False
     return bool(known.max() > WIDE_RATIO * known.min())
+
+
+def fit_scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bool = False) -> None:
+    """Make an axis logarithmic where its numbers need it; ``few_ticks`` is for small panels."""
+    if not is_wide(values, unit):
+        return
+    logarithmic(axes, which, values)
+    if few_ticks and np.nanmax(values) > 10.0 * np.nanmin(values):
+        axis = axes.xaxis if which == "x" else axes.yaxis
+        axis.set_major_locator(LogLocator(numticks=5))
+        axis.set_minor_locator(NullLocator())
 
 
 def logarithmic(axes: Axes, which: str, values: Any) -> None:

@@ -70,14 +70,8 @@ def draw_scatter(
         for name, s, unit in zip(components, np.sqrt(np.diag(covariance)), units, strict=True)
     ]
     correlation = rf"correlation ${covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]):+.2f}$"
-    legend(
-        axes,
-        title="\n".join([*sigmas, correlation]),
-        loc="upper left",
-        bbox_to_anchor=(-0.3, -0.2) if below else (1.0, 1.0),
-        alignment="left",
-        markerscale=1.5,
-    )
+    title, at = "\n".join([*sigmas, correlation]), (-0.3, -0.2) if below else (1.0, 1.0)
+    legend(axes, title=title, loc="upper left", bbox_to_anchor=at, alignment="left", markerscale=1.5)
     return axes
 
 

@@ -23,14 +23,12 @@ def sensitivity_figure(dataset: xr.Dataset) -> Figure:
     dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
     if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):
         raise SweepError(f"indices of {' and '.join(further)} are no one picture; fix some with --at AXIS=VALUE")
+    size = (7.0, 4.4) if further else (6.4, 1.4 + 0.45 * dataset.sizes["parameter"])
+    figure = Figure(figsize=size, layout="constrained")
     if further:
-        figure = Figure(figsize=(7.0, 4.4), layout="constrained")
-        axes = figure.add_subplot()
-        _curves(axes, dataset, kinds, further[0])
+        _curves(figure.add_subplot(), dataset, kinds, further[0])
     else:
-        figure = Figure(figsize=(6.4, 1.4 + 0.45 * dataset.sizes["parameter"]), layout="constrained")
-        axes = figure.add_subplot()
-        _marks(axes, dataset, kinds)
+        _marks(figure.add_subplot(), dataset, kinds)
     about = f"sensitivity of {symbol(dataset.attrs['output'])}, by {dataset.attrs[METHOD]}"
     figure.suptitle("\n".join(filter(None, [dataset.attrs["title"], about])), fontsize="medium")
     return figure
@@ -59,21 +57,19 @@ def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
 
 
 def _curves(axes: Axes, dataset: xr.Dataset, kinds: list[str], over: str) -> None:
-    x = dataset[over].values.astype(float)
+    x, lines = dataset[over].values.astype(float), dict(zip(kinds, ("solid", "dashed"), strict=False))
     for number, name in enumerate(map(str, dataset["parameter"].values)):
         one = dataset.isel(parameter=number)
         colour = COLOURS[number % len(COLOURS)]
-        for kind, line in zip(kinds[:2], ("solid", "dashed"), strict=False):
-            y = one[kind].values
-            text = symbol(name) if line == "solid" else None
+        for kind, line in lines.items():
+            y, text = one[kind].values, symbol(name) if line == "solid" else None
             axes.plot(x, y, color=colour, linestyle=line, linewidth=1.2, label=text)
             if f"{kind}_error" in one:
                 half = np.nan_to_num(one[f"{kind}_error"].values)
                 axes.fill_between(x, y - half, y + half, color=colour, **BAND)
     axes.set_xlabel(label(dataset[over], over))
     axes.set_ylabel("share of the variance" if "first" in kinds else "effect over the range")
-    if len(kinds) > 1:
-        axes.plot([], [], color="0.35", linewidth=1.2, label=WORDS[kinds[0]])
-        axes.plot([], [], color="0.35", linewidth=1.2, linestyle="dashed", label=WORDS[kinds[1]])
+    for kind, line in lines.items() if len(lines) > 1 else ():
+        axes.plot([], [], color="0.35", linestyle=line, linewidth=1.2, label=WORDS[kind])
     finish(axes)
     legend(axes)

@@ -43,9 +43,8 @@ def add_sky(figure: Figure, place: Any = 111, frame: SkyFrame = ICRS) -> Any:
         style = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6, "path_effects": halo}
         axes.text(tick * DEGREE, 0.04, text, **style)
     latitudes = np.arange(-60.0, 61.0, 30.0)
-    axes.set_yticks(
-        latitudes * DEGREE, [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes], fontsize="x-small"
-    )
+    names = [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes]
+    axes.set_yticks(latitudes * DEGREE, names, fontsize="x-small")
     axes.set_xlabel(frame.longitude)
     axes.set_ylabel(frame.latitude)
     return axes
@@ -80,9 +79,8 @@ def _plane(axes: Any) -> None:
     x = on_map(ra / DEGREE)
     broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, dec)
     axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
-    axes.plot(
-        x[:1], dec[:1], "+", color="black", markersize=9.0, markeredgewidth=1.2, zorder=4, label="Galactic centre"
-    )
+    style = {"color": "black", "markersize": 9.0, "markeredgewidth": 1.2, "zorder": 4}
+    axes.plot(x[:1], dec[:1], "+", label="Galactic centre", **style)
 
 
 def on_map(longitude_deg: Array, frame: SkyFrame = ICRS) -> Array:

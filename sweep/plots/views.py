@@ -25,6 +25,7 @@ from sweep.studies.study import Study
 from sweep.tables.file import table_file
 
 BRIGHTEST_MAG, FAINTEST_MAG, STEP_MAG = 9.0, 21.0, 0.1
+MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 
 CALIBRATION_CATALOGUES = 50
 """Catalogues for the errors of the calibrated curves: a quarter of what `sweep calibrate` takes, for errors to 10 %."""
@@ -59,13 +60,12 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
         "sigma_pos": (pos, "mas", r"$\sigma_\mathrm{pos}$", "error of a position, per coordinate"),
         "sigma_pos_error": (pos * relative, "mas", "", "its one-sigma error, of the calibration"),
     }
-    magnitude = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
     return xr.Dataset(
         {
             name: (("model", "v"), values, {"units": unit, "symbol": symbol, "long_name": meaning})
             for name, (values, unit, symbol, meaning) in meanings.items()
         },
-        {"model": np.array(list(rows), dtype=object), "v": ("v", v, magnitude)},
+        {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)},
         {"title": "Accuracy of one object in each mission"},
     )
 
@@ -101,9 +101,8 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     catalogue = scenario(parameters).draw_catalogue(rng)
     where = ", ".join(part.strip() for text in at for part in text.split(","))
     title = f"{study.title}: the {len(catalogue)} objects of one catalogue" + (f", {where}" if where else "")
-    return _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, title).assign(
-        v_mag=("object", catalogue.v_mag, {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"})
-    )
+    sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, title)
+    return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))
 
 
 def catalogue_of_table(path: Path, columns: tuple[str, str] = ("ra", "dec")) -> xr.Dataset:

@@ -78,16 +78,15 @@ class ColumnReader:
     def check(self, bad: Flags, what: str, values: NDArray[Any] | None = None) -> None:
         """Note that rows have something wrong, where ``bad`` holds; ``values`` are shown with them."""
         if bad.any():
-            self.problems.append(rows_text(bad, what, values))
+            rows, have = ("rows", "have") if np.count_nonzero(bad) > 1 else ("row", "has")
+            self.problems.append(f"{rows} {rows_listed(bad, values)} {have} {what}")
 
     def require(self, key: str, hint: str = "") -> bool:
         """Return `has`, and note a column that is missing."""
-        if not self.has(key):
-            column = self.column(key)
-            if key not in self.columns:
-                self.problems.append(f"no column {column!r}{suggest(column, self.table.colnames)}{hint}")
-            return False
-        return True
+        there = self.has(key)
+        if not there and key not in self.columns:  # of a column that is named for it there is a problem already
+            self.problems.append(f"no column {key!r}{suggest(key, self.table.colnames)}{hint}")
+        return there
 
     def number(self, key: str, may_miss: bool = False) -> Array | None:
         """Return a column as float64 in its unit of `UNITS`, NaN where it is missing."""
@@ -131,10 +130,8 @@ class ColumnReader:
         if values is None:
             return None
         missing = missing_values(column).tolist()
-        return np.array(
-            ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing, strict=True)],
-            dtype=np.str_,
-        )
+        texts = ["" if gone else _as_text(value) for value, gone in zip(values.tolist(), missing, strict=True)]
+        return np.array(texts, dtype=np.str_)
 
     def _plain(self, key: str, column: Any, kinds: str) -> NDArray[Any] | None:
         """Return a column's values, or None and a problem if they are not of these kinds, one a row."""
@@ -145,12 +142,6 @@ class ColumnReader:
             self.problems.append(f"{self.label(key)} is not a column of {wanted} but of {kind}")
             return None
         return np.asarray(np.ma.getdata(getattr(column, "data", column)))
-
-
-def rows_text(bad: Flags, what: str, values: NDArray[Any] | None = None) -> str:
-    """Return 'row 3 has ...' or 'rows 3, 5 and 7 more have ...' for the rows (counted from 1) where ``bad`` holds."""
-    several = np.count_nonzero(bad) > 1
-    return f"row{'s' if several else ''} {rows_listed(bad, values)} {'have' if several else 'has'} {what}"
 
 
 def _as_text(value: Any) -> str:

@@ -14,34 +14,30 @@ from sweep.search.result import STAR_MOTIONS, Result, match_columns
 from sweep.search.summary import summarise
 from sweep.tables.reader import read_table
 
-COLUMN_UNITS: Mapping[str, str] = {
-    **{STAR_MOTIONS.get(name, name): unit for name, unit in UNITS.items()},
-    "offset": "arcsec",
-    "offset_ra": "arcsec",
-    "offset_dec": "arcsec",
-    "galaxy_ra": "deg",
-    "galaxy_dec": "deg",
+MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
+    "class": (None, "certain, uncertain or supplement"),
+    "reason": (None, "why it is in doubt: crowded, offset, rival; or none"),
+    "offset": ("arcsec", "angle between star and galaxy at the epoch of the search"),
+    "offset_ra": ("arcsec", "galaxy - star along ra, with cos(dec)"),
+    "offset_dec": ("arcsec", "galaxy - star along dec"),
+    "offset_sigma": (None, "offset in units of the combined position errors"),
+    "n_near": (None, "other stars within the crowding radius"),
+    "n_rival": (None, "other stars and galaxies within the match radius"),
+    "galaxy_table": (None, "catalogue of the closest entry of the galaxy"),
+    "galaxy_row": (None, "row of that entry, from 1"),
+    "galaxy_name": (None, "name of that entry in its catalogue, if that gives one"),
+    "galaxy_ra": ("deg", "position of that entry"),
+    "galaxy_dec": ("deg", "position of that entry"),
+    "found_in": (None, "all catalogues with the galaxy within their radius"),
+    "star_table": (None, "catalogue of the star"),
+    "star_row": (None, "row of the star, from 1"),
 }
+"""The columns of the ECSV beside those of the star table, their units and what they mean."""
 
-MATCH_COLUMNS = {
-    "class": "certain, uncertain or supplement",
-    "reason": "why it is in doubt: crowded, offset, rival; or none",
-    "offset": "angle between star and galaxy at the epoch of the search",
-    "offset_ra": "galaxy - star along ra, with cos(dec)",
-    "offset_dec": "galaxy - star along dec",
-    "offset_sigma": "offset in units of the combined position errors",
-    "n_near": "other stars within the crowding radius",
-    "n_rival": "other stars and galaxies within the match radius",
-    "galaxy_table": "catalogue of the closest entry of the galaxy",
-    "galaxy_row": "row of that entry, from 1",
-    "galaxy_name": "name of that entry in its catalogue, if that gives one",
-    "galaxy_ra": "position of that entry",
-    "galaxy_dec": "position of that entry",
-    "found_in": "all catalogues with the galaxy within their radius",
-    "star_table": "catalogue of the star",
-    "star_row": "row of the star, from 1",
+COLUMNS: Mapping[str, tuple[str | None, str | None]] = {
+    **{STAR_MOTIONS.get(name, name): (unit, None) for name, unit in UNITS.items()},
+    **MATCH_COLUMNS,
 }
-"""The columns of the ECSV beside those of the star table, and what they mean."""
 
 
 def matches_table(result: Result) -> Any:
@@ -53,12 +49,8 @@ def matches_table(result: Result) -> Any:
     table = Table(meta={"linksweep": version("linksweep"), **summarise(result)})
     for name, values in match_columns(result).items():
         missing = np.isnan(values) if values.dtype.kind == "f" else (values == 0) & (name in (*TYC, "source_id", "PGC"))
-        table[name] = MaskedColumn(
-            values,
-            mask=missing if missing.any() else False,
-            unit=COLUMN_UNITS.get(name),
-            description=MATCH_COLUMNS.get(name),
-        )
+        mask, (unit, meaning) = missing if missing.any() else False, COLUMNS.get(name, (None, None))
+        table[name] = MaskedColumn(values, mask=mask, unit=unit, description=meaning)
     return table
 
 
@@ -74,7 +66,7 @@ def read_matches(path: Path) -> Any:
         if name not in table.colnames:
             problems.append(f"no column {name!r}{suggest(name, table.colnames)}; this is no table of `sweep match`")
             continue
-        unit, wanted = table[name].unit, COLUMN_UNITS.get(name)
+        unit, (wanted, _) = table[name].unit, COLUMNS.get(name, (None, None))
         if (None if unit is None else str(unit)) != wanted:
             problems.append(f"column {name!r} is in {str(unit)!r}, not in {wanted!r}")
     if not problems:

@@ -14,6 +14,7 @@ Bytes  Format What
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,17 +28,19 @@ LETTERS = "GUS"
 """The class letters in order of the codes certain, uncertain, supplement."""
 
 LENGTH = 46
-FIELDS = {
-    "TYC1": slice(0, 4),
-    "TYC2": slice(5, 10),
-    "TYC3": slice(11, 12),
-    "PGC": slice(13, 18),
-    "RAdeg": slice(19, 31),
-    "DEdeg": slice(32, 44),
-    "class": slice(45, 46),
+FIELDS: Mapping[str, tuple[slice, int, int]] = {
+    "TYC1": (slice(0, 4), 1, 9999),
+    "TYC2": (slice(5, 10), 1, 99999),
+    "TYC3": (slice(11, 12), 1, 9),
+    "PGC": (slice(13, 18), 1, 99999),
+    "RAdeg": (slice(19, 31), 0, 360),
+    "DEdeg": (slice(32, 44), -90, 90),
+    "class": (slice(45, 46), 0, len(LETTERS) - 1),
 }
+"""The place in a line, the smallest and the largest number (or code) of each field."""
+
 BLANKS = (4, 10, 12, 18, 31, 44)
-LARGEST = {"TYC1": 9999, "TYC2": 99999, "TYC3": 9, "PGC": 99999}
+INTEGERS = ("TYC1", "TYC2", "TYC3", "PGC")
 PROBLEMS_NAMED = 10
 
 
@@ -69,9 +72,9 @@ def format_galaxy_table(table: GalaxyTable) -> str:
         star = f"TYC {tyc[0]}-{tyc[1]}-{tyc[2]}"
         if pgc == 0:
             problems.append(f"{star} has no PGC number")
-        for (name, largest), number in zip(LARGEST.items(), (*tyc, pgc), strict=True):
+        for name, number in zip(INTEGERS, (*tyc, pgc), strict=True):
+            field, _, largest = FIELDS[name]
             if not 0 <= number <= largest:
-                field = FIELDS[name]
                 problems.append(
                     f"{star}: {name} = {number} does not fit bytes {field.start + 1}-{field.stop}, at most {largest}"
                 )
@@ -97,13 +100,8 @@ def read_galaxy_table(path: Path) -> GalaxyTable:
     if problems:
         raise SweepError(_shortened(problems), str(path))
     columns = np.array(rows, dtype=np.float64).reshape(len(rows), 7).T  # integers of five digits are exact
-    return GalaxyTable(
-        tyc=columns[:3].T.astype(np.int64),
-        pgc=columns[3].astype(np.int64),
-        ra=columns[4],
-        dec=columns[5],
-        code=columns[6].astype(np.int64),
-    )
+    *tyc, pgc, code = columns[[0, 1, 2, 3, 6]].astype(np.int64)
+    return GalaxyTable(np.stack(tyc, axis=1), pgc, columns[4], columns[5], code)
 
 
 def _parse(line: str, number: int, problems: list[str]) -> tuple[float, ...]:
@@ -111,19 +109,17 @@ def _parse(line: str, number: int, problems: list[str]) -> tuple[float, ...]:
     if len(line) != LENGTH:
         problems.append(f"line {number} has {len(line)} bytes, not {LENGTH}")
         return (0.0,) * 7
-    stray = [byte + 1 for byte in BLANKS if line[byte] != " "]
-    if stray:
-        problems.append(f"line {number}: byte {stray[0]} is {line[stray[0] - 1]!r}, not a blank")
+    if stray := [byte for byte in BLANKS if line[byte] != " "]:
+        problems.append(f"line {number}: byte {stray[0] + 1} is {line[stray[0]]!r}, not a blank")
         return (0.0,) * 7
     values: list[float] = []
-    for name, field in FIELDS.items():
+    for name, (field, low, high) in FIELDS.items():
         text = line[field]
-        value = LETTERS.find(text) if name == "class" else _number(text, whole=name in LARGEST)
-        low, high = {"RAdeg": (0.0, 360.0), "DEdeg": (-90.0, 90.0)}.get(name, (0.0 if name == "class" else 1.0, 1e5))
+        value = LETTERS.find(text) if name == "class" else _number(text, whole=name in INTEGERS)
         if value is None or not low <= value <= high:
-            allowed = f"one of {', '.join(LETTERS)}" if name == "class" else f"a number {low:g}..{high:g}"
-            if name in LARGEST:
-                allowed = f"an integer 1..{LARGEST[name]}"
+            allowed = f"{'an integer' if name in INTEGERS else 'a number'} {low}..{high}"
+            if name == "class":
+                allowed = f"one of {', '.join(LETTERS)}"
             problems.append(
                 f"line {number}: {name} (bytes {field.start + 1}-{field.stop}) is {text!r}, must be {allowed}"
             )

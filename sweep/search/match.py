@@ -12,7 +12,7 @@ from core.sky_pairs import Positions, at_epoch
 from sweep.contract import SweepError
 from sweep.search.options import Search
 from sweep.search.outputs import Outputs, check_for_galaxy_table, check_outputs, write_outputs
-from sweep.search.result import Result
+from sweep.search.result import STAR_MOTIONS, Result
 from sweep.search.tables import SkyTable, read_galaxies, read_stars, table_name, tyc_code
 
 
@@ -39,7 +39,7 @@ def read_tables(search: Search) -> tuple[tuple[SkyTable, ...], tuple[SkyTable, .
     for read, paths in ((read_stars, star_paths), (read_galaxies, list(search.galaxies))):
         for path in paths:
             try:
-                tables.append(read(path, search.readings.get(table_name(path))))
+                tables.append(read(path, search.readings[table_name(path)]))
             except SweepError as bad:
                 problems += [f"{path}: {problem}" for problem in bad.problems]
     if problems:
@@ -57,14 +57,8 @@ def match_tables(search: Search, stars: tuple[SkyTable, ...], galaxies: tuple[Sk
     parts = [_star_positions(table, search.epoch) for table in stars]
     positions = Positions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Positions)))
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars])
-    catalogues = [
-        GalaxyCatalogue(
-            _positions(table),
-            np.zeros(len(table), dtype=np.int64) if table.pgc is None else table.pgc,
-            search.radius(table.name) * ARCSEC,
-        )
-        for table in galaxies
-    ]
+    radii = [search.radius_arcsec[table.name] * ARCSEC for table in galaxies]
+    catalogues = [GalaxyCatalogue(_positions(t), t.pgc, radius) for t, radius in zip(galaxies, radii, strict=True)]
     try:
         matches = cross_match(positions, supplement, catalogues, search.rules)
     except ValueError as error:
@@ -82,10 +76,8 @@ def _star_positions(table: SkyTable, epoch: float) -> Positions:
     if "pmra" not in numbers:
         return positions
     none = np.zeros(len(table))
-    pmra, pmdec, pmra_error, pmdec_error = (
-        np.nan_to_num(numbers.get(key, none)) * MAS for key in ("pmra", "pmdec", "pmra_error", "pmdec_error")
-    )
-    return at_epoch(positions, pmra, pmdec, pmra_error, pmdec_error, epoch - numbers["ref_epoch"])
+    motions = {key: np.nan_to_num(numbers.get(key, none)) * MAS for key in STAR_MOTIONS}
+    return at_epoch(positions, **motions, years=epoch - numbers["ref_epoch"])
 
 
 def _check_shared_stars(stars: Sequence[SkyTable]) -> None:

@@ -1,8 +1,8 @@
 """What is searched and how, from options as on the command line; nothing is read here."""
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -16,11 +16,6 @@ from sweep.search.tables import EPOCHS, Reading, table_name
 
 DEFAULT_RADIUS_ARCSEC = 5.0
 
-DEFAULT_EPOCH = 2000.0
-
-DEFAULT_EPOCH_DIFFERENCE_YR = 20.0
-"""The paper's: 117 and 127 mas give about 6 mas/yr."""
-
 
 @dataclass(frozen=True)
 class Search:
@@ -31,17 +26,13 @@ class Search:
 
     stars: Path
     galaxies: tuple[Path, ...]
-    supplement: Path | None = None
-    radius_arcsec: Mapping[str, float] = field(default_factory=dict)
-    readings: Mapping[str, Reading] = field(default_factory=dict)
-    epoch: float = DEFAULT_EPOCH
-    rules: Rules = field(default_factory=Rules)
-    epoch_difference_yr: float = DEFAULT_EPOCH_DIFFERENCE_YR
-    second_epoch_error_mas: float = 0.0
-
-    def radius(self, name: str) -> float:
-        """Return the match radius of a galaxy table in arcsec."""
-        return self.radius_arcsec.get(name, DEFAULT_RADIUS_ARCSEC)
+    supplement: Path | None
+    radius_arcsec: Mapping[str, float]
+    readings: Mapping[str, Reading]
+    epoch: float
+    rules: Rules
+    epoch_difference_yr: float
+    second_epoch_error_mas: float
 
 
 def plan_search(
@@ -55,12 +46,12 @@ def plan_search(
     column: Sequence[str] = (),
     unit: Sequence[str] = (),
     missing_pm: Literal["error", "zero"] = "error",
-    epoch: float = DEFAULT_EPOCH,
+    epoch: float = 2000.0,
     k_sigma: float = Rules.k_sigma,
     crowding_radius_arcsec: float = Rules.crowding_radius / ARCSEC,
     crowding_stars: int = Rules.crowding_stars,
     merge_radius_arcsec: float | None = None,
-    epoch_difference_yr: float = DEFAULT_EPOCH_DIFFERENCE_YR,
+    epoch_difference_yr: float = 20.0,  # the paper's: 117 and 127 mas give about 6 mas/yr
     second_epoch_error_mas: float = 0.0,
 ) -> Search:
     """Return the search that options as on the command line ask for; nothing is read yet.
@@ -77,49 +68,21 @@ def plan_search(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
-    _check_positive(
-        k_sigma=k_sigma,
-        crowding_radius_arcsec=crowding_radius_arcsec,
-        merge_radius_arcsec=1.0 if merge_radius_arcsec is None else merge_radius_arcsec,
-        epoch_difference_yr=epoch_difference_yr,
-    )
+    positive = {
+        "k_sigma": k_sigma,
+        "crowding_radius_arcsec": crowding_radius_arcsec,
+        "merge_radius_arcsec": 1.0 if merge_radius_arcsec is None else merge_radius_arcsec,
+        "epoch_difference_yr": epoch_difference_yr,
+    }
+    for name, value in positive.items():
+        if not 0.0 < value < math.inf:
+            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
     if not 0.0 <= second_epoch_error_mas < math.inf:
         raise SweepError(f"second_epoch_error_mas = {second_epoch_error_mas:g}: must be a finite number, 0 or above")
     if not EPOCHS[0] <= epoch <= EPOCHS[1]:
         raise SweepError(f"epoch {epoch:g}: must be a Julian year {EPOCHS[0]:g}..{EPOCHS[1]:g}")
-    rules = Rules(
-        k_sigma,
-        crowding_radius_arcsec * ARCSEC,
-        crowding_stars,
-        None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC,
-    )
-    radii, readings = _of_tables(star_names, galaxy_names, radius, error, ref_epoch, column, unit, missing_pm)
-    return Search(
-        stars, tuple(galaxies), supplement, radii, readings, epoch, rules, epoch_difference_yr, second_epoch_error_mas
-    )
-
-
-def _check_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not 0.0 < value < math.inf:
-            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
-
-
-def _of_tables(
-    star_names: Sequence[str],
-    galaxy_names: Sequence[str],
-    radius: Sequence[str],
-    error: Sequence[str],
-    ref_epoch: Sequence[str],
-    column: Sequence[str],
-    unit: Sequence[str],
-    missing_pm: Literal["error", "zero"],
-) -> tuple[dict[str, float], dict[str, Reading]]:
-    """Return the match radii of the galaxy tables and how each table is read; raises SweepError with all problems."""
-    names = [*star_names, *galaxy_names]
     problems: list[str] = []
-    arcsec = _between(0.0, MAX_RADIUS / ARCSEC, "arcsec")
-    years = _between(*EPOCHS, "yr")
+    arcsec, years = (0.0, MAX_RADIUS / ARCSEC, "arcsec"), (*EPOCHS, "yr")
     radii = _per_table("--radius", radius, galaxy_names, galaxy_names, arcsec, problems)
     errors = _per_table("--error", error, names, galaxy_names, arcsec, problems)
     epochs = _per_table("--ref-epoch", ref_epoch, star_names, star_names, years, problems)
@@ -127,10 +90,18 @@ def _of_tables(
     units = _maps("--unit", unit, UNITS, names, star_names, problems)
     if problems:
         raise SweepError(problems)
-    readings = {
-        name: Reading(columns[name], units[name], errors.get(name), epochs.get(name), missing_pm) for name in names
-    }
-    return radii, readings
+    merge_radius = None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC
+    return Search(
+        stars,
+        tuple(galaxies),
+        supplement,
+        dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii,
+        {name: Reading(columns[name], units[name], errors.get(name), epochs.get(name), missing_pm) for name in names},
+        epoch,
+        Rules(k_sigma, crowding_radius_arcsec * ARCSEC, crowding_stars, merge_radius),
+        epoch_difference_yr,
+        second_epoch_error_mas,
+    )
 
 
 def _maps(
@@ -162,42 +133,37 @@ def _maps(
     return maps
 
 
-def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
-    def convert(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low < value <= high:
-            raise ValueError(f"must be a number above {low:g} and at most {high:g} [{unit}]")
-        return value
-
-    return convert
-
-
 def _per_table(
     option: str,
-    values: Sequence[str],
+    texts: Sequence[str],
     names: Sequence[str],
     common_for: Sequence[str],
-    convert: Callable[[str], float],
+    limits: tuple[float, float, str],
     problems: list[str],
 ) -> dict[str, float]:
-    """Return {name: value} of an option that is given as NAME=VALUE for one of ``names``, or VALUE for ``common_for``.
+    """Return {name: number} of an option that is given as NAME=NUMBER for one of ``names``, or NUMBER for
+    ``common_for``; ``limits`` are a number below, the largest that may be, and their unit.
 
-    An unknown name, a value that ``convert`` refuses with ValueError, and one given twice go to ``problems``.
+    An unknown name, what is no such number, and one given twice go to ``problems``.
     """
+    low, high, unit = limits
     found: dict[str, float] = {}
-    for text in values:
+    for text in texts:
         name, equals, value = text.rpartition("=")
         if equals and name not in names:
             problems.append(f"{option} {text}: no table {name!r}{suggest(name, names)}")
         elif name in found:
             problems.append(f"{option} {text}: given twice{f' for {name!r}' if name else ' without a table'}")
+        elif low < (number := _number(value)) <= high:
+            found[name] = number
         else:
-            try:
-                found[name] = convert(value)
-            except ValueError as error:
-                problems.append(f"{option} {text}: {error}")
+            problems.append(f"{option} {text}: must be a number above {low:g} and at most {high:g} [{unit}]")
     common = found.pop("", None)
     return found if common is None else {**dict.fromkeys(common_for, common), **found}
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

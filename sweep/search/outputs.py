@@ -2,17 +2,13 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from core.arrays import Array
-from core.constants import DEGREE
-from core.frames import galactic
-from core.galaxy_classes import CLASS_NAMES
 from sweep.contract import SweepError
 from sweep.search.columns import TYC
 from sweep.search.ecsv import matches_table
@@ -34,7 +30,7 @@ class Outputs:
 
     def paths(self) -> list[Path]:
         """Return those that are wanted."""
-        return [path for f in fields(self) if (path := getattr(self, f.name)) is not None]
+        return [path for path in (self.ecsv, self.table, self.sky_map) if path is not None]
 
 
 def check_outputs(outputs: Outputs, search: Search, overwrite: bool) -> None:
@@ -77,7 +73,7 @@ def check_for_galaxy_table(stars: Sequence[SkyTable]) -> None:
 def write_outputs(result: Result, outputs: Outputs, overwrite: bool = False) -> None:
     """Write the matches as ECSV, as 46-byte table and as map, each in one step; nothing if one cannot be made.
 
-    Raises SweepError as `check_outputs`, and as `galaxy_table` and `format_galaxy_table`.
+    Raises SweepError as `check_outputs` and `format_galaxy_table`.
     """
     check_outputs(outputs, result.search, overwrite)
     writers: list[tuple[Path, Callable[[Path], Any]]] = []
@@ -88,6 +84,8 @@ def write_outputs(result: Result, outputs: Outputs, overwrite: bool = False) -> 
         table = matches_table(result)
         writers.append((outputs.ecsv, lambda path: table.write(path, format="ascii.ecsv")))
     if outputs.sky_map is not None:
+        from sweep.search.skymap import sky_map_of
+
         figure, kind = sky_map_of(result), outputs.sky_map.suffix[1:].lower()
         writers.append((outputs.sky_map, lambda path: figure.savefig(path, format=kind, dpi=200)))
     for path, write in writers:
@@ -95,34 +93,10 @@ def write_outputs(result: Result, outputs: Outputs, overwrite: bool = False) -> 
 
 
 def galaxy_table(result: Result) -> GalaxyTable:
-    """Return the matches as the paper's table; raises SweepError if stars have no Tycho identifiers."""
-    check_for_galaxy_table(result.stars)
+    """Return the matches as the paper's table, for stars that `check_for_galaxy_table` lets pass."""
     columns = match_columns(result)
-    return GalaxyTable(
-        tyc=np.stack([columns[name] for name in TYC], axis=1),
-        pgc=columns["PGC"],
-        ra=columns["ra"],
-        dec=columns["dec"],
-        code=result.matches.code,
-    )
-
-
-def sky_map_of(result: Result) -> Any:
-    """Return the all-sky map of a search as a matplotlib Figure."""
-    from sweep.search.skymap import sky_map
-
-    columns = match_columns(result)
-
-    def degrees(ra: Array, dec: Array) -> tuple[Array, Array]:
-        longitude, latitude = galactic(ra * DEGREE, dec * DEGREE)
-        return longitude / DEGREE, latitude / DEGREE
-
-    classes = {
-        name: degrees(columns["ra"][columns["class"] == name], columns["dec"][columns["class"] == name])
-        for name in CLASS_NAMES
-    }
-    ra, dec = (np.concatenate([table.numbers[key] for table in result.galaxies]) for key in ("ra", "dec"))
-    return sky_map(classes, degrees(ra, dec))
+    tyc = np.stack([columns[name] for name in TYC], axis=1)
+    return GalaxyTable(tyc, columns["PGC"], columns["ra"], columns["dec"], result.matches.code)
 
 
 def publish(path: Path, write: Callable[[Path], Any], overwrite: bool) -> None:
@@ -147,9 +121,7 @@ def _rename_new(part: Path, path: Path) -> None:
     """Rename a file unless its new name is taken."""
     try:
         os.link(part, path)  # unlike a rename it fails where a file came up in the meantime
-    except FileExistsError:
-        raise
-    except OSError as error:  # a file system without hard links
-        if path.exists():
+    except OSError as error:  # the name is taken, or the file system has no hard links
+        if isinstance(error, FileExistsError) or path.exists():
             raise FileExistsError(path) from error
         part.rename(path)

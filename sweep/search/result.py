@@ -33,27 +33,24 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
 
     A number that a table does not have is NaN, an identifier 0.
     """
-    matches = result.matches
-    starts = np.cumsum([0, *(len(table) for table in result.stars)])
+    stars, galaxies, matches = result.stars, result.galaxies, result.matches
+    starts = np.cumsum([0, *(len(table) for table in stars)])
     which = np.searchsorted(starts, matches.star, side="right") - 1
     row = matches.star - starts[which]
-    columns: dict[str, NDArray[Any]] = {}
-
-    if (tyc := _gathered([table.tyc for table in result.stars], which, row, 0)) is not None:
-        columns |= dict(zip(TYC, tyc.T, strict=True))
-    if (source_id := _gathered([table.source_id for table in result.stars], which, row, 0)) is not None:
-        columns["source_id"] = source_id
-    columns["PGC"] = matches.identifier
-    for name in UNITS:
-        if (number := _gathered([t.numbers.get(name) for t in result.stars], which, row, np.nan)) is not None:
-            columns[STAR_MOTIONS.get(name, name)] = number
-    entry_names = _gathered([table.names for table in result.galaxies], matches.catalogue, matches.entry, "")
-    names = np.array([table.name for table in result.galaxies])
-    there = np.empty((2, len(matches)))
-    for t, table in enumerate(result.galaxies):
-        mine = matches.catalogue == t
-        there[:, mine] = [table.numbers[key][matches.entry[mine]] for key in ("ra", "dec")]
-    return columns | {
+    tyc = _gathered([table.tyc for table in stars], which, row, 0)
+    positions = {
+        key: _gathered([table.numbers[key] for table in galaxies], matches.catalogue, matches.entry, np.nan)
+        for key in ("ra", "dec")
+    }
+    names = np.array([table.name for table in galaxies])
+    columns = {
+        **({} if tyc is None else dict(zip(TYC, tyc.T, strict=True))),
+        "source_id": _gathered([table.source_id for table in stars], which, row, 0),
+        "PGC": matches.identifier,
+        **{
+            STAR_MOTIONS.get(name, name): _gathered([table.numbers.get(name) for table in stars], which, row, np.nan)
+            for name in UNITS
+        },
         "class": np.array(CLASS_NAMES)[matches.code],
         "reason": np.array(
             [",".join(n for bit, n in REASON_NAMES.items() if r & bit) or "none" for r in matches.reason], dtype=str
@@ -66,24 +63,26 @@ def match_columns(result: Result) -> dict[str, NDArray[Any]]:
         "n_rival": matches.n_rival,
         "galaxy_table": names[matches.catalogue],
         "galaxy_row": matches.entry + 1,
-        **({} if entry_names is None else {"galaxy_name": entry_names}),
-        "galaxy_ra": there[0],
-        "galaxy_dec": there[1],
+        "galaxy_name": _gathered([table.names for table in galaxies], matches.catalogue, matches.entry, ""),
+        "galaxy_ra": positions["ra"],
+        "galaxy_dec": positions["dec"],
         "found_in": np.array([",".join(names[found]) for found in matches.found_in], dtype=str),
-        "star_table": np.array([table.name for table in result.stars])[which],
+        "star_table": np.array([table.name for table in stars])[which],
         "star_row": row + 1,
     }
+    return {name: column for name, column in columns.items() if column is not None}
 
 
 def _gathered(
     columns: Sequence[NDArray[Any] | None], which: NDArray[np.int64], row: NDArray[np.int64], missing: float | str
 ) -> NDArray[Any] | None:
     """Return rows of one column of several tables, ``missing`` where a table has no such column; None if none has."""
-    gathered: NDArray[Any] | None = None
+    known = [column for column in columns if column is not None]
+    if not known:
+        return None
+    dtype = np.result_type(*(column.dtype for column in known))  # of the longest text
+    gathered = np.full((len(row), *known[0].shape[1:]), missing, dtype=dtype)
     for t, column in enumerate(columns):
         if column is not None:
-            if gathered is None:
-                dtype = np.result_type(*(c.dtype for c in columns if c is not None))  # of the longest text
-                gathered = np.full((len(row), *column.shape[1:]), missing, dtype=dtype)
             gathered[which == t] = column[row[which == t]]
     return gathered

@@ -1,4 +1,4 @@
-"""The all-sky map of a galaxy search: arrays in, a figure out."""
+"""The all-sky map of a galaxy search."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -8,7 +8,9 @@ from matplotlib.figure import Figure
 
 from core.arrays import Array
 from core.constants import DEGREE
+from core.frames import galactic
 from sweep.plots.sky import GALACTIC, add_sky, on_map
+from sweep.search.result import Result, match_columns
 
 STYLES = {
     "certain": ("o", "#0072B2"),
@@ -22,10 +24,19 @@ MAX_BACKGROUND = 30_000
 """More background points than this fill the map; beyond it an even share of them is drawn, and the legend says so."""
 
 
+def sky_map_of(result: Result) -> Figure:
+    """Return the all-sky map of a search."""
+    columns = match_columns(result)
+    chosen = {name: columns["class"] == name for name in STYLES}
+    classes = {name: (columns["ra"][mine], columns["dec"][mine]) for name, mine in chosen.items()}
+    ra, dec = (np.concatenate([table.numbers[key] for table in result.galaxies]) for key in ("ra", "dec"))
+    return sky_map(classes, (ra, dec))
+
+
 def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array, Array]) -> Figure:
     """Return a Mollweide map in Galactic coordinates, longitude growing to the left, the Galactic centre in the middle.
 
-    ``classes`` maps each name in `STYLES` to the (l, b) of its objects in degrees, ``background`` is (l, b) of
+    ``classes`` maps each name in `STYLES` to the (ra, dec) of its objects in degrees, ``background`` is (ra, dec) of
     all entries of the galaxy catalogues.  The figure belongs to no window; save it with its ``savefig``.
     """
     figure = Figure(figsize=(8.0, 4.9))
@@ -34,19 +45,11 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
     _plot_background(axes, background)
     axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
     for name, (marker, colour) in STYLES.items():
-        longitude, latitude = classes.get(name, (np.empty(0), np.empty(0)))
-        axes.plot(
-            *_on_map(longitude, latitude),
-            linestyle="none",
-            marker=marker,
-            markersize=5.0,
-            markerfacecolor=colour,
-            markeredgecolor="white",
-            markeredgewidth=0.5,
-            clip_on=False,  # an object at the edge of the map is shown whole
-            zorder=4,
-            label=f"{name} ({_count(len(longitude))})",
-        )
+        ra, dec = classes.get(name, (np.empty(0), np.empty(0)))
+        style = {"linestyle": "none", "marker": marker, "markersize": 5.0, "markerfacecolor": colour}
+        style |= {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 4}
+        # an object at the edge of the map is shown whole
+        axes.plot(*_on_map(ra, dec), **style, clip_on=False, label=f"{name} ({_count(len(ra))})")
     figure.legend(loc="lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
     return figure
 
@@ -66,8 +69,9 @@ def _plot_background(axes: Any, background: tuple[Array, Array]) -> None:
     axes.plot([], [], **style, markersize=4.0, label=label)
 
 
-def _on_map(longitude: Array, latitude: Array) -> tuple[Array, Array]:
-    return on_map(longitude, GALACTIC), latitude * DEGREE
+def _on_map(ra: Array, dec: Array) -> tuple[Array, Array]:
+    longitude, latitude = galactic(ra * DEGREE, dec * DEGREE)
+    return on_map(longitude / DEGREE, GALACTIC), latitude
 
 
 def _count(number: int) -> str:

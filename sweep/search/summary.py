@@ -36,7 +36,7 @@ def summarise(result: Result) -> dict[str, Any]:
         "catalogues": {
             table.name: {
                 "entries": len(table),
-                "radius_arcsec": search.radius(table.name),
+                "radius_arcsec": search.radius_arcsec[table.name],
                 "pairs": chance.pairs,
                 "matches": int(matches.found_in[:, t].sum()),
                 "chance_pairs_uniform": chance.uniform,
@@ -83,8 +83,8 @@ def _notes(result: Result) -> list[str]:
     for table in result.stars:
         if "pmra" not in table.numbers:
             notes.append(f"{table.name} has no proper motions: its positions were taken as they are")
-        elif table.n_missing_pm:
-            notes.append(f"{table.n_missing_pm:,} stars of {table.name} have no proper motion; it was taken as zero")
+        elif missing := np.count_nonzero(np.isnan(table.numbers["pmra"])):
+            notes.append(f"{missing:,} stars of {table.name} have no proper motion; it was taken as zero")
     return notes
 
 
@@ -127,8 +127,8 @@ def _classes_table(summary: Mapping[str, Any]) -> "Table":
 
 
 def _catalogues_table(summary: Mapping[str, Any]) -> "Table":
-    heads = ["catalogue", "entries", "radius\n[arcsec]", "pairs", "matches"]
-    chances = ["chance pairs\nuniform sky", "\nfrom surroundings"]
+    chances = ("chance pairs\nuniform sky", "\nfrom surroundings")
+    heads = ["catalogue", "entries", "radius\n[arcsec]", "pairs", "matches", *chances]
     rows = (
         (
             name,
@@ -141,7 +141,7 @@ def _catalogues_table(summary: Mapping[str, Any]) -> "Table":
         )
         for name, row in summary["catalogues"].items()
     )
-    return reading_table("", heads + chances, rows, left="catalogue")
+    return reading_table("", heads, rows, left="catalogue")
 
 
 def _plus_minus(value: Mapping[str, float | None] | None, digits: int) -> str:

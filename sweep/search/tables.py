@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags, Indices
+from core.arrays import Array, Indices
 from core.constants import DEGREE
 from core.table_catalogue import ALONG_RA
 from sweep.contract import SweepError
@@ -46,18 +46,17 @@ class SkyTable:
     """A table of N objects: columns in the units of `UNITS`, each of shape (N,).
 
     ``numbers`` has the columns of `UNITS` that the table has; NaN is a missing magnitude or proper motion, nothing else
-    is missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier.  ``n_missing_pm``
-    rows have no proper motion.  ``names`` are those of galaxies, '' where there is none.
+    is missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier, ``names`` are those
+    of galaxies, '' where there is none.
     """
 
     path: Path
     name: str
     numbers: Mapping[str, Array]
     tyc: Indices | None
-    pgc: Indices | None
+    pgc: Indices
     source_id: Indices | None
-    n_missing_pm: int = 0
-    names: NDArray[np.str_] | None = None
+    names: NDArray[np.str_] | None
 
     def __len__(self) -> int:
         return len(self.numbers["ra"])
@@ -91,19 +90,23 @@ def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
     if len(table) == 0:
         raise SweepError("has no rows", str(path))
     numbers = _positions(reader, reading)
-    missing_pm = _motions(reader, reading, numbers) if stars else 0
-    for key in MAGNITUDES:
-        if stars and reader.has(key) and (magnitude := reader.number(key, may_miss=True)) is not None:
-            numbers[key] = magnitude
-    tyc = _tyc(reader) if stars else None
-    pgc = reader.integer("PGC", may_miss=True) if not stars and reader.has("PGC") else None
-    source_id = reader.integer("source_id") if stars and reader.has("source_id") else None
-    if pgc is not None:
-        reader.check(pgc < 0, "a negative PGC number", pgc)
-    names = reader.text(NAME) if not stars and reader.has(NAME) else None
+    tyc = source_id = names = None
+    pgc: Indices = np.zeros(len(table), dtype=np.int64)
+    if stars:
+        _add_motions(numbers, reader, reading)
+        for key in MAGNITUDES:
+            if reader.has(key) and (magnitude := reader.number(key, may_miss=True)) is not None:
+                numbers[key] = magnitude
+        tyc = _tyc(reader)
+        source_id = reader.integer("source_id") if reader.has("source_id") else None
+    else:
+        if reader.has("PGC") and (found := reader.integer("PGC", may_miss=True)) is not None:
+            reader.check(found < 0, "a negative PGC number", found)
+            pgc = found
+        names = reader.text(NAME) if reader.has(NAME) else None
     if reader.problems:
         raise SweepError(reader.problems, str(path))
-    return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, missing_pm, names)
+    return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, names)
 
 
 def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
@@ -120,9 +123,8 @@ def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
     if reading.error_arcsec is not None:
         return {**numbers, **{key: np.full(len(reader.table), 1000.0 * reading.error_arcsec) for key in keys}}
     for key in keys:
-        if reader.require(key, "; or give its error in arcsec with --error") and (
-            (values := reader.number(key)) is not None
-        ):
+        there = reader.require(key, "; or give its error in arcsec with --error")
+        if there and (values := reader.number(key)) is not None:
             reader.check(values <= 0.0, f"a {reader.label(key)} that is not above 0", values)
             numbers[key] = _with_cos_dec(reader, key, values, numbers)
     return numbers
@@ -135,10 +137,10 @@ def _with_cos_dec(reader: ColumnReader, key: str, values: Array, numbers: Mappin
     return np.asarray(values * np.cos(numbers["dec"] * DEGREE))
 
 
-def _motions(reader: ColumnReader, reading: Reading, numbers: dict[str, Array]) -> int:
-    """Read proper motions and epoch into ``numbers``; return how many rows have no proper motion."""
-    motions, n_missing = [key for key in ("pmra", "pmdec") if reader.has(key)], 0
-    if motions:
+def _add_motions(numbers: dict[str, Array], reader: ColumnReader, reading: Reading) -> None:
+    """Add the proper motions, NaN in rows that lack one of them, and the epoch of the positions."""
+    has_motions = reader.has("pmra") or reader.has("pmdec")
+    if has_motions:
         values = {key: reader.number(key, may_miss=True) for key in ("pmra", "pmdec") if reader.require(key)}
         errors = {
             key: reader.number(key, may_miss=True)
@@ -146,50 +148,42 @@ def _motions(reader: ColumnReader, reading: Reading, numbers: dict[str, Array]) 
             if reader.has(key) or key in reader.columns
         }
         missing = np.zeros(len(reader.table), dtype=bool)
-        for key, column in values.items():
+        for column in values.values():
             if column is not None:
-                numbers[key] = _with_cos_dec(reader, key, column, numbers)
                 missing |= np.isnan(column)
-        for key, column in errors.items():
+        for key, column in (values | errors).items():
             if column is not None:
-                reader.check(column < 0.0, f"a negative {reader.label(key)}", column)
-                reader.check(np.isnan(column) & ~missing, f"no {reader.label(key)}")
+                if key in errors:
+                    reader.check(column < 0.0, f"a negative {reader.label(key)}", column)
+                    reader.check(np.isnan(column) & ~missing, f"no {reader.label(key)}")
                 numbers[key] = np.where(missing, np.nan, _with_cos_dec(reader, key, column, numbers))
-        n_missing = int(missing.sum())
         if reading.missing_pm == "error":
             reader.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
-        for key in motions:
-            if key in numbers:
-                numbers[key][missing] = np.nan
-    _epoch(reader, reading, numbers, needed=bool(motions))
-    return n_missing
-
-
-def _epoch(reader: ColumnReader, reading: Reading, numbers: dict[str, Array], needed: bool) -> None:
     if reading.ref_epoch is not None:
         numbers["ref_epoch"] = np.full(len(reader.table), reading.ref_epoch)
     elif reader.has("ref_epoch"):
         if (epoch := reader.number("ref_epoch")) is not None:
             low, high = EPOCHS
-            reader.check(
-                (epoch < low) | (epoch > high), f"a ref_epoch that is no Julian year ({low:g}..{high:g})", epoch
-            )
+            outside = (epoch < low) | (epoch > high)
+            reader.check(outside, f"a ref_epoch that is no Julian year ({low:g}..{high:g})", epoch)
             numbers["ref_epoch"] = epoch
-    elif needed:
+    elif has_motions:
         reader.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")
 
 
 def _tyc(reader: ColumnReader) -> Indices | None:
+    import pandas as pd
+
     parts = [key for key in TYC if reader.has(key)]
     if parts:
         columns = [reader.integer(key) for key in TYC if reader.require(key)]
     elif reader.has("TYC") and (texts := reader.text("TYC")) is not None:
-        parsed = np.array([_parse_tyc(text) for text in texts], dtype=np.int64)
-        bad = parsed[:, 0] < 0
+        found = [_TYC_TEXT.fullmatch(text) for text in texts]
+        bad = np.array([match is None for match in found])
         reader.check(bad, f"a {reader.label('TYC')} that is no Tycho identifier like '1-13-1'")
         if bad.any():
             return None
-        columns = list(parsed.T)
+        columns = list(np.array([match.groups() for match in found if match], dtype=np.int64).T)
     else:
         return None
     good = [column for column in columns if column is not None]
@@ -201,23 +195,11 @@ def _tyc(reader: ColumnReader) -> Indices | None:
         limit = TYC_LIMITS[key]
         reader.check((column < 1) | (column > limit), f"a {reader.label(key)} outside 1..{limit}")
     if len(reader.problems) == n_problems:
-        reader.check(_repeated(tyc), "a Tycho identifier that stands in the table before")
+        again = pd.Index(tyc_code(tyc)).duplicated()
+        reader.check(again, "a Tycho identifier that stands in the table before")
     return tyc
-
-
-def _parse_tyc(text: str) -> tuple[int, int, int]:
-    """Return the three numbers of '1-13-1' or 'TYC 1-13-1', negative ones if it is nothing like that."""
-    match = _TYC_TEXT.fullmatch(text)
-    return (int(match[1]), int(match[2]), int(match[3])) if match else (-1, -1, -1)
 
 
 def tyc_code(tyc: Indices) -> Indices:
     """Return one number for each Tycho identifier; (N, 3) becomes (N,)."""
     return np.asarray(tyc @ np.array([1_000_000, 10, 1]))
-
-
-def _repeated(tyc: Indices) -> Flags:
-    code = tyc_code(tyc)
-    first = np.zeros(len(code), dtype=bool)
-    first[np.unique(code, return_index=True)[1]] = True
-    return np.asarray(~first)

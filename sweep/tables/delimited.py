@@ -3,7 +3,6 @@
 import io
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -17,17 +16,8 @@ PREFACE_LINES = 100_000
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"[-=+]+")
 _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
+_WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Names and units of the columns, what stands between them, and where the first row begins."""
-
-    names: list[str]
-    units: list[str]
-    delimiter: str
-    start: int
 
 
 def read_delimited(content: bytes) -> Any:
@@ -38,18 +28,19 @@ def read_delimited(content: bytes) -> Any:
     wrong, with rows counted from 1.
     """
     content = _utf8(content)
-    layout = _layout(content)
-    twice = sorted({name for name in layout.names if layout.names.count(name) > 1})
+    names, units, delimiter, start = _layout(content)
+    twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ValueError(f"two columns are called {', '.join(map(repr, twice))}")
-    table = read_rows(content[layout.start :], layout.names, layout.delimiter)
-    for name, unit in zip(layout.names, layout.units, strict=True):
+    table = read_rows(content[start:], names, delimiter)
+    for name, unit in zip(names, units, strict=True):
         if unit:
             table[name].unit = _unit(unit)
     return table
 
 
-def _layout(content: bytes) -> _Layout:
+def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
+    """Return names and units of the columns, what stands between them, and where the first row begins."""
     lines = _lines(content)
     comments: list[str] = []
     header, start, end = "", 0, 0
@@ -72,10 +63,10 @@ def _layout(content: bytes) -> _Layout:
                 f"its first line, {header.strip()[:60]!r}, is not one of column names (a table of CDS needs its ReadMe "
                 "beside it)"
             )
-        return _Layout(commented, [_bracketed(name) for name in commented], delimiter, start)
+        return commented, [_bracketed(name) for name in commented], delimiter, start
     units, start = _units_and_rules(lines, end, delimiter, len(names))
     names = [name or f"column {k}" for k, name in enumerate(names, start=1)]
-    return _Layout(names, units or [_bracketed(name) for name in names], delimiter, start)
+    return names, units or [_bracketed(name) for name in names], delimiter, start
 
 
 def _units_and_rules(
@@ -123,14 +114,9 @@ def _unit(text: str, strict: str = "silent") -> Any:
             return Unit(text, format=form)
         except (ValueError, TypeError):
             continue
-    return Unit(text, parse_strict="silent") if strict == "silent" else _named_angle(text)
-
-
-def _named_angle(text: str) -> Any:
-    from astropy.units import Unit
-
-    known = {"degrees": "deg", "degree": "deg", "hours": "h", "hr": "h", "radians": "rad", "MJD": "d", "years": "yr"}
-    return Unit(known[text]) if text in known else None
+    if strict == "silent":
+        return Unit(text, parse_strict="silent")
+    return Unit(_WORDS[text]) if text in _WORDS else None
 
 
 def _bracketed(name: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from sweep.contract import Array, Named, SweepError
 from sweep.tables.cds import readme_of
 from sweep.tables.columns import column_values, in_time, rows_listed
+from sweep.tables.names import first_found
 from sweep.tables.reader import read_table
 
 NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
@@ -33,8 +34,7 @@ class TableFile:
     def label(self, row: int) -> str:
         """Return what the table calls a row, counted from 0, by the first of `NAMES`; empty where it has none."""
         table = _load(self)
-        known = {column.lower(): column for column in table.colnames}
-        name = next((known[name] for name in NAMES if name in known), None)
+        name = first_found(NAMES, table.colnames)
         return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
 
     def numbers(self, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:

@@ -6,8 +6,7 @@ import io
 import lzma
 import re
 import warnings
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,18 +57,12 @@ def _read(path: Path, content: bytes) -> Any:
     if start.startswith(b"SIMPLE  ="):
         _require_one_table(content)
         return _by_astropy("fits", io.BytesIO(content) if packed else path)
-    readers: dict[bytes, Callable[[bytes], Any]] = {
-        b"PAR1": parquet_table,
-        b"<": _votable,
-        b"# %ECSV": _ecsv,
-        b"PK\3\4": _archive,
-        b"": partial(_text, path),
-    }
-    return next(read for mark, read in readers.items() if start.startswith(mark))(content)
-
-
-def _archive(content: bytes) -> Any:
-    raise SweepError("is a zip archive (or a spreadsheet): unpack or export the table in it")
+    if start.startswith(b"PK\3\4"):
+        raise SweepError("is a zip archive (or a spreadsheet): unpack or export the table in it")
+    for mark, read in ((b"PAR1", parquet_table), (b"<", _votable), (b"# %ECSV", _ecsv)):
+        if start.startswith(mark):
+            return read(content)
+    return _text(path, content)
 
 
 def _text(path: Path, content: bytes) -> Any:

@@ -18,14 +18,13 @@ def is_link(dataset: xr.Dataset) -> bool:
 def draw_link(dataset: xr.Dataset, kind: str | None = None) -> Figure:
     """Return a figure of a link or a forecast; raises SweepError for a kind that it cannot have."""
     kinds = LINK[dataset.attrs["result"]]
-    if kind is not None:
-        if kind not in kinds:
-            raise SweepError(f"no kind {shown(kind)} of a {dataset.attrs['result']}{suggest(kind, list(kinds))}")
-        return _titled(kinds[kind].load()(dataset), dataset)
-    for figure in link_figures(dataset).values():
-        return figure
-    first: Figure = next(iter(kinds.values())).load()(dataset)  # raises SweepError that says what is missing
-    return first
+    if kind is None:
+        for figure in link_figures(dataset).values():
+            return figure
+        kind = next(iter(kinds))  # whose SweepError says what is missing
+    if kind not in kinds:
+        raise SweepError(f"no kind {shown(kind)} of a {dataset.attrs['result']}{suggest(kind, list(kinds))}")
+    return _titled(kinds[kind].load()(dataset), dataset)
 
 
 def link_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
@@ -42,8 +41,7 @@ def _titled(figure: Figure, dataset: xr.Dataset) -> Figure:
     attributes = dataset.attrs
     words = f"{Path(attributes['satellite']).name} and {Path(attributes['reference']).name}"
     if "sign" in attributes:
-        words += (
-            f"\n{attributes['sign'].replace('-', ' − ')}, epoch {attributes['epoch']:.2f}, clip {attributes['clip']}"
-        )
+        sign = attributes["sign"].replace("-", " − ")
+        words += f"\n{sign}, epoch {attributes['epoch']:.2f}, clip {attributes['clip']}"
     figure.suptitle(words, fontsize="medium")
     return figure

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sweep.contract import SweepError
 from sweep.plots.legends import BEST
 from sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series
-from sweep.plots.tie.names import by_unit, readable, unknown_symbol
-from sweep.readable import written
+from sweep.plots.tie.names import places_by, readable, unknown_symbols
 
 RANKED = 20
 CURVE: dict[str, Any] = {"markersize": 4.0, "linewidth": 1.2}
@@ -24,8 +23,9 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     """Return the errors of the unknowns against the epoch of one more position of every source."""
     if "error_with_epoch" not in dataset:
         raise SweepError("no epochs here: give --add with the epochs of new observations")
-    panels = by_unit(dataset)
-    epochs = dataset["new_epoch"].values
+    panels = places_by(dataset, "unit")
+    epochs, errors_then = dataset["new_epoch"].values, dataset["error_with_epoch"].values
+    symbols = unknown_symbols(dataset)
     order = np.argsort(epochs)
     figure = Figure(figsize=figure_size(1.2 + 4.4 * len(panels), 4.4), layout="constrained")
     stages = list(zip(dataset["stage"].values, dataset["error"].values, LINES, strict=False))
@@ -33,18 +33,12 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     for axes, (stored, panel) in zip(grid, panels.items(), strict=True):
         factor, unit = readable(dataset["error"].values[:, panel], stored)
         for number, k in enumerate(panel[: len(COLOURS)]):
-            axes.plot(
-                epochs[order],
-                factor * dataset["error_with_epoch"].values[order, k],
-                label=unknown_symbol(str(dataset["unknown"].values[k])),
-                **series(number),
-                **CURVE,
-            )
+            axes.plot(epochs[order], factor * errors_then[order, k], label=symbols[k], **series(number), **CURVE)
             for _, errors, line in stages:
                 axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
         each = figure.get_figwidth() / len(panels) - 0.4
         axes.set_xlabel(in_lines("epoch of the new position of each source [yr]", each))
-        axes.set_ylabel(f"formal error [{written(unit)}]")
+        axes.set_ylabel(f"formal error [{unit}]")
         axes.ticklabel_format(axis="x", useOffset=False)
         if len(epochs) <= 8:
             axes.set_xticks(epochs[order], [f"{epoch:g}" for epoch in epochs[order]])
@@ -91,14 +85,9 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
 
 
 def _draw_steps(axes: Axes, dataset: xr.Dataset, chosen: list[str]) -> None:
-    start = dataset["step_error"].values[0]
+    errors, symbols = dataset["step_error"].values, unknown_symbols(dataset)
     for number, k in enumerate(_places_of_goal(dataset)[: len(COLOURS)]):
-        axes.plot(
-            dataset["step_error"].values[:, k] / start[k],
-            label=unknown_symbol(str(dataset["unknown"].values[k])),
-            **series(number),
-            **CURVE,
-        )
+        axes.plot(errors[:, k] / errors[0, k], label=symbols[k], **series(number), **CURVE)
     axes.set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
     axes.set_xlabel("observed, one after the other")
     axes.set_ylabel("error relative to none")

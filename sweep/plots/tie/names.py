@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from core.arrays import Array
 from sweep.plots.labels import symbol
+from sweep.readable import written
 
 MICRO_BELOW = 0.5
 """Numbers in mas that are all smaller are shown in micro-arcseconds."""
@@ -23,13 +25,16 @@ _HARMONIC = re.compile(r"vsh_(?:position|motion)_([ts])_(\d+)_(\d+)(?:_(re|im))?
 LETTER_WIDTH = 0.62
 """Of a letter's height, on average."""
 
+SIDES = ((1, 0, "left", "center"), (-1, 0, "right", "center"), (0, 1, "center", "bottom"), (0, -1, "center", "top"))
+"""Where a name may stand of its point, towards the right and up, and its alignment there; the best first."""
+
 
 def readable(values: Array, unit: str) -> tuple[float, str]:
-    """Return a factor and a unit, mas or µas (per year), in which numbers in mas have few zeros."""
+    """Return a factor and a unit, mas or µas (per year) as people write it, in which numbers in mas have few zeros."""
     known = np.abs(values[np.isfinite(values)])
     if known.size and 0.0 < known.max() < MICRO_BELOW:
-        return 1000.0, unit.replace("mas", "µas")
-    return 1.0, unit
+        return 1000.0, written(unit.replace("mas", "µas"))
+    return 1.0, written(unit)
 
 
 def unknown_symbol(label: str) -> str:
@@ -44,17 +49,20 @@ def unknown_symbol(label: str) -> str:
     return r"$\varpi_0$" if label == "parallax_zero_point" else symbol(label)
 
 
-def by_unit(dataset: xr.Dataset) -> dict[str, NDArray[np.intp]]:
-    """Return the places of the unknowns of each unit."""
-    units = dataset["unit"].values
-    return {str(unit): np.flatnonzero(units == unit) for unit in dict.fromkeys(units.tolist())}
+def unknown_symbols(dataset: xr.Dataset) -> list[str]:
+    """Return how each unknown of a solution is set."""
+    return [unknown_symbol(str(name)) for name in dataset["unknown"].values]
+
+
+def places_by(dataset: xr.Dataset, key: str) -> dict[str, list[int]]:
+    """Return the places of the unknowns of each "unit" or "block"."""
+    keys = dataset[key].values
+    return {str(one): np.flatnonzero(keys == one).tolist() for one in dict.fromkeys(keys.tolist())}
 
 
 def vectors(dataset: xr.Dataset) -> dict[str, list[int]]:
     """Return the places of the unknowns of each block that is a vector."""
-    blocks = dataset["block"].values
-    places = {str(name): np.flatnonzero(blocks == name).tolist() for name in dict.fromkeys(blocks.tolist())}
-    return {name: found for name, found in places.items() if len(found) == 3}
+    return {name: places for name, places in places_by(dataset, "block").items() if len(places) == 3}
 
 
 def kept_sources(dataset: xr.Dataset) -> NDArray[np.bool_]:
@@ -74,25 +82,17 @@ def name_points(axes: Axes, x: Array, y: Array, names: Iterable[str], size: floa
     if (legend := axes.get_legend()) is not None:
         taken.append(legend.get_window_extent())
     height, gap = 1.3 * size * dots, 4.0 * dots
+    halo = [withStroke(linewidth=2.0, foreground="white")]
+    style: dict[str, Any] = {"textcoords": "offset points", "fontsize": size, "zorder": 6, "path_effects": halo}
     for px, py, name in zip(x, y, names, strict=True):
         at = axes.transData.transform((px, py))
         width = LETTER_WIDTH * size * dots * len(name)
-        for right, up in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        for right, up, ha, va in SIDES:
             x0 = at[0] + (gap if right > 0 else -gap - width if right < 0 else -0.5 * width)
             y0 = at[1] + (gap if up > 0 else -gap - height if up < 0 else -0.5 * height)
             box = Bbox.from_bounds(x0, y0, width, height)
             fits = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
             if fits and not any(box.overlaps(other) for other in taken):
                 taken.append(box)
-                axes.annotate(
-                    name,
-                    (px, py),
-                    xytext=(right * 4.0, up * 4.0),
-                    textcoords="offset points",
-                    ha={1: "left", -1: "right", 0: "center"}[right],
-                    va={0: "center", 1: "bottom", -1: "top"}[up],
-                    fontsize=size,
-                    zorder=6,
-                    path_effects=[withStroke(linewidth=2.0, foreground="white")],
-                )
+                axes.annotate(name, (px, py), xytext=(4.0 * right, 4.0 * up), ha=ha, va=va, **style)
                 break

@@ -13,7 +13,6 @@ from sweep.contract import SweepError
 from sweep.plots.sky import add_sky, on_map
 from sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked
 from sweep.plots.tie.names import readable
-from sweep.readable import written
 
 MOST_ARROWS = 150
 """More rows than these are averaged in cells of equal area."""
@@ -110,30 +109,19 @@ def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
     cut = length > LONGEST * scale
     shown = np.where(cut, LONGEST * scale / np.maximum(length, 1e-300), 1.0)
     angles = _angles(axes, x, y, arrows.east, arrows.north)
-    drawn_length, direction = length * shown, np.radians(angles)
+    u, v = length * shown * np.cos(np.radians(angles)), length * shown * np.sin(np.radians(angles))
+    style = {"scale": scale / TYPICAL, "scale_units": "width", "units": "width", "width": 0.0028, "clip_on": False}
     for chosen, colour in ((~arrows.dropped, COLOURS[0]), (arrows.dropped, COLOURS[1])):
         if not np.any(chosen):
             continue
-        axes.scatter(x[chosen], y[chosen], s=5.0, color=colour, linewidths=0.0, zorder=3)
-        drawn = axes.quiver(
-            x[chosen],
-            y[chosen],
-            (drawn_length * np.cos(direction))[chosen],
-            (drawn_length * np.sin(direction))[chosen],
-            color=colour,
-            angles=angles[chosen],
-            scale=scale / TYPICAL,
-            scale_units="width",
-            units="width",
-            width=0.0028,
-            zorder=4,
-            clip_on=False,
-        )
+        at = x[chosen], y[chosen]
+        axes.scatter(*at, s=5.0, color=colour, linewidths=0.0, zorder=3)
+        drawn = axes.quiver(*at, u[chosen], v[chosen], angles=angles[chosen], color=colour, zorder=4, **style)
         drawn.set_in_layout(False)
         if colour == COLOURS[0] or np.all(arrows.dropped):
             factor, readable_unit = readable(np.array([scale]), unit)
             key = _round(scale)
-            text = f"{factor * key:g} {written(readable_unit)}"
+            text = f"{factor * key:g} {readable_unit}"
             axes.quiverkey(drawn, 0.04, 0.02, key, text, labelpos="E", coordinates="axes", fontproperties={"size": 8})
     words = f"; {np.sum(cut)} arrow{'s' if np.sum(cut) > 1 else ''} cut" if np.any(cut) else ""
     return words + (f"; {np.sum(arrows.dropped)} dropped in red" if np.any(arrows.dropped) else "")

@@ -20,14 +20,14 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
     if "power" not in dataset:
         raise SweepError("no spectrum here: no vector spherical harmonics are among the unknowns (--degree)")
     degree = dataset["degree"].values
-    parts = ["position", "motion"]
-    fields = {part: [str(f) for f in dataset["field"].values if str(f).startswith(part)] for part in parts}
-    parts = [part for part in parts if fields[part]]
+    names = [str(field) for field in dataset["field"].values]
+    parts = [part for part in ("position", "motion") if any(name.startswith(part) for name in names)]
     figure = Figure(figsize=figure_size(1.4 + 4.6 * len(parts), 5.4), layout="constrained")
     grid = figure.subplots(2, len(parts), sharex=True, squeeze=False, height_ratios=(3, 2))
     for column, part in enumerate(parts):
         upper, lower = grid[:, column]
-        for number, field in enumerate(fields[part]):
+        fields = [name for name in names if name.startswith(part)]
+        for number, field in enumerate(fields):
             one = dataset.sel(field=field)
             style = {**series(number), "markersize": 5.0}
             shift = 0.06 * (2 * number - 1)
@@ -38,7 +38,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
             upper.plot(degree + shift, noise, label=f"noise, {kind}", **line)
             significance = -ndtri(np.clip(one["power_probability"].values, 1e-300, 1.0))
             lower.plot(degree + shift, np.minimum(significance, MOST_SIGMA), linestyle="none", **style)
-        shown = dataset[["power", "power_noise"]].sel(field=fields[part]).to_array().values
+        shown = dataset[["power", "power_noise"]].sel(field=fields).to_array().values
         logarithmic(upper, "y", 1000.0 * np.sqrt(shown))
         upper.set_ylabel(rf"$\sqrt{{P_l}}$ of the {part}s [µas{'/yr' if part == 'motion' else ''}]")
         lower.axhline(THRESHOLD, color="0.4", linestyle="dashed", linewidth=1.0)

@@ -24,10 +24,9 @@ from sweep.plots.labels import explained_label, symbol
 from sweep.plots.layout import arrange
 from sweep.plots.lines import draw_lines
 from sweep.plots.maps import add_bar, colour_limits, draw_map
-from sweep.plots.scaling import draw_efficiency, draw_speed_up
 from sweep.plots.scatter import draw_scatter
 from sweep.plots.sky import add_sky, draw_sky
-from sweep.plots.standalone import accuracy_figure, sky_figure
+from sweep.plots.standalone import accuracy_figure, draw_scaling, sky_figure
 from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table, models_of
 from sweep.running.run import run_study
 from sweep.studies.reader import load_study, study_from_dict
@@ -325,9 +324,9 @@ def test_scaling_is_drawn_beside_the_ideal():
     assert possible_kinds(scaling_dataset(), "efficiency") == ["scaling"]
     with pytest.raises(SweepError, match="no map of this; possible is scaling"):
         draw_figure(scaling_dataset(), "map")
-    for draw in (draw_speed_up, draw_efficiency):
+    for name in ("speed-up", "efficiency"):
         with pytest.raises(SweepError, match="scaling needs the dimensions kind and workers"):
-            draw(Figure().add_subplot(), scaling_dataset().drop_vars("seconds"))
+            draw_scaling(Figure().add_subplot(), scaling_dataset().drop_vars("seconds"), name)
 
 
 # Sky

@@ -18,9 +18,9 @@ from sweep.search.ecsv import read_matches
 from sweep.search.galaxy_table import read_galaxy_table
 from sweep.search.match import find_galaxies
 from sweep.search.options import plan_search
-from sweep.search.outputs import Outputs, publish, sky_map_of
+from sweep.search.outputs import Outputs, publish
 from sweep.search.result import match_columns
-from sweep.search.skymap import MAX_BACKGROUND, sky_map
+from sweep.search.skymap import MAX_BACKGROUND, sky_map, sky_map_of
 from sweep.search.summary import summarise
 from sweep.search.tables import Reading, read_galaxies, read_stars
 from tests.documents import commands
