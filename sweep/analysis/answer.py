@@ -7,14 +7,11 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.conclusion import conclusion_in_words
-from sweep.analysis.quantity import (
-    headlines,
-    main_quantity,
-)
+from sweep.analysis.long_table import own_dimensions
+from sweep.analysis.quantity import headlines
 from sweep.analysis.selection import place_in_words, places_along
 from sweep.analysis.sentences import sentences
 from sweep.attributes import meaning_of, units_of
-from sweep.contract import SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.readable import with_unit
 
@@ -37,33 +34,24 @@ def answer_in_short(dataset: xr.Dataset) -> list[str]:
     """
     if found := conclusion_in_words(dataset):
         return found
-    ranges = [answer for answer in answers(dataset) if answer.sentences]
-    return [f"{_named(answer)}: {answer.sentences[0]}" for answer in ranges[:MOST_SHORT]]
-
-
-def _named(answer: "Answer") -> str:
-    return f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name
-
-
-def headline(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that a study is about: those its experiment calls headline, or the first one there is."""
-    try:
-        return headlines(dataset) or [main_quantity(dataset)]
-    except SweepError:
-        return []
+    ranges = [answer for answer in answers(dataset) if answer.sentences][:MOST_SHORT]
+    names = [f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name for answer in ranges]
+    return [f"{name}: {answer.sentences[0]}" for name, answer in zip(names, ranges, strict=True)]
 
 
 def answers(dataset: xr.Dataset) -> list[Answer]:
     """Return what the results say of each headline quantity, of each of its components where it has any."""
     found = []
-    for variable in headline(dataset):
-        meaning = meaning_of(dataset[variable].attrs)
-        if array := _own_axes(dataset, variable):
-            found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, array)]))
+    for variable in headlines(dataset):
+        meaning, own = meaning_of(dataset[variable].attrs), own_dimensions(dataset, variable)
+        if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, and no components
+            found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue
-        if found and not _varies(dataset[variable]):
+        values = dataset[variable].values
+        finite = values[np.isfinite(values)]
+        if found and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
-        parts = _components(dataset, variable)
+        parts = _components(dataset, variable, own)
         found += [Answer(name, meaning, list(sentences(part, variable, unit))) for name, unit, part in parts]
     return found
 
@@ -82,17 +70,6 @@ def completeness(dataset: xr.Dataset) -> list[str]:
     return []
 
 
-def failed(dataset: xr.Dataset) -> int:
-    """Return the number of points that failed."""
-    return int(np.sum(dataset["status"].values == Status.FAILED))
-
-
-def _own_axes(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return the dimensions of a variable along which it is a function of numbers, and not a list of components."""
-    own = [str(d) for d in dataset[variable].dims if d not in dataset["status"].dims]
-    return own if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own) else []
-
-
 def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     array = dataset[variable]
     values = array.values.astype(float)
@@ -108,9 +85,8 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
 
 
-def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
+def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterator[tuple[str, str, xr.Dataset]]:
     """Yield name, unit and dataset of a variable with one value a point: itself, or each of its components."""
-    extra = [str(d) for d in dataset[variable].dims if d not in dataset["status"].dims]
     unit = units_of(dataset[variable].attrs)
     for place in places_along(dataset, extra):
         part = dataset.isel(place)
@@ -118,8 +94,3 @@ def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, 
         units = [str(part[f"{d}_unit"].item()) for d in extra if f"{d}_unit" in part.coords]
         own = units[0] if "," in unit and len(units) == 1 else unit
         yield f"{variable} ({', '.join(labels)})" if extra else variable, own, part
-
-
-def _varies(array: xr.DataArray) -> bool:
-    finite = array.values[np.isfinite(array.values)]
-    return not finite.size or finite.size == 1 or bool(finite.min() < finite.max())

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
+from sweep.analysis.long_table import own_dimensions
 from sweep.analysis.quantity import ERROR_SUFFIXES
 from sweep.contract import Array
 from sweep.formatting import WIDTH
@@ -68,11 +69,10 @@ def _done(dataset: xr.Dataset) -> Iterator[xr.Dataset]:
 
 def _quantity(dataset: xr.Dataset) -> str | None:
     """Return the first variable with errors and one dimension beside the axes."""
-    axes = set(dataset["status"].dims)
-    for name, variable in dataset.data_vars.items():
+    for name in map(str, dataset.data_vars):
         errors = [f"{name}_{suffix}" for suffix in ERROR_SUFFIXES]
-        if len(set(variable.dims) - axes) == 1 and any(error in dataset for error in errors):
-            return str(name)
+        if len(own_dimensions(dataset, name)) == 1 and any(error in dataset for error in errors):
+            return name
     return None
 
 

@@ -43,13 +43,12 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> L
 
 def array_outputs(dataset: xr.Dataset) -> list[str]:
     """Return the outputs of a plain function that have dimensions of their own."""
-    axes = set(axes_of(dataset))
-    return [str(n) for n, v in dataset.data_vars.items() if set(v.dims) - axes] if FUNCTION in dataset.attrs else []
+    return [n for n in map(str, dataset.data_vars) if own_dimensions(dataset, n)] if FUNCTION in dataset.attrs else []
 
 
 def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
     """Return the dimensions of an output that are no axes of the study."""
-    return [str(d) for d in dataset[name].dims if d not in axes_of(dataset)]
+    return [str(d) for d in dataset[name].dims if d not in dataset["status"].dims]
 
 
 def _listed(values: Any) -> list[Any]:

@@ -11,13 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sweep.analysis.fits import power_law
-from sweep.analysis.quantity import (
-    covariance_along,
-    error_of_sum,
-    samples_of,
-    shares_random_numbers,
-    standard_error,
-)
+from sweep.analysis.quantity import covariance_along, error_of_sum, samples_along, standard_error
 from sweep.analysis.selection import coordinates_along, place_in_words, places_along
 from sweep.analysis.verdicts import Measured
 from sweep.attributes import units_of
@@ -166,14 +160,11 @@ class Points:
             return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(x)}")
         if not (np.all(x > 0.0) and np.all(np.isfinite(y)) and np.all(y > 0.0)):
             return Measured(where, broken="there are values that are not above 0, which have no power law")
-        errors, samples = self.error[dict(line)].values[used], math.inf
+        errors = self.error[dict(line)].values[used]
         if (covariance := covariance_along(self.dataset, self.variable, dimension)) is not None:
-            square = covariance.isel(dict(line)).transpose(dimension, f"{dimension}_other").values
-            errors, samples = square[np.ix_(used, used)], samples_of(covariance)
-        elif shares_random_numbers(self.dataset, [dimension]):
-            samples = math.nan
+            errors = covariance.isel(dict(line)).transpose(dimension, f"{dimension}_other").values[np.ix_(used, used)]
         try:
-            law = power_law(x, y, errors, samples)
+            law = power_law(x, y, errors, samples_along(self.dataset, dimension, covariance))
         except ValueError as error:
             return Measured(where, missing=str(error))
         return Measured(where, law.exponent, law.exponent_error)

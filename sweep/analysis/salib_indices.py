@@ -8,6 +8,9 @@ import numpy as np
 from sweep.contract import Array
 from sweep.studies.designs import MORRIS_LEVELS, salib, unit_cube
 
+EFFECTS: tuple[str, ...] = ("mu_star", "mu_star_error", "mu", "sigma")
+"""What `morris_effects` returns."""
+
 RESAMPLES = 200
 ONE_SIGMA = 0.6826894921370859
 """Probability within one sigma, for which SALib gives half the width of its intervals."""
@@ -15,10 +18,12 @@ ONE_SIGMA = 0.6826894921370859
 
 def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> tuple[Array, Array, Array, Array]:
     """Return first-order and total indices with one-sigma errors, each (parameters,), of values (points,) in the order
-    of the design.  Raises SweepError without SALib.
+    of the design; NaN where these do not vary.  Raises SweepError without SALib.
 
     Source: Saltelli et al. 2010, Computer Physics Communications 181, 259.
     """
+    if not np.ptp(values) > 0.0:
+        return (np.full(parameters, np.nan),) * 4
     salib()
     from SALib.analyze import sobol
 
@@ -28,7 +33,7 @@ def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> tuple[Arr
     return first, first_error, total, total_error
 
 
-def morris_effects(values: Array, places: Array, seed: int = 0) -> dict[str, Array]:
+def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
     """Return the mean of absolute elementary effects with its error, the mean effect, and their standard deviation,
     each (parameters,), of values (points,) at ``places`` (points, parameters) of the unit cube.
 
@@ -42,5 +47,4 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> dict[str, Arr
         warnings.simplefilter("ignore")  # of groups that there are none
         options: dict[str, Any] = {"num_levels": MORRIS_LEVELS, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
         found = morris.analyze(unit_cube(places.shape[1]), places, values, seed=seed + 1, **options)
-    names = {"mu_star": "mu_star", "mu_star_error": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
-    return {name: np.ma.getdata(found[key]).astype(float) for name, key in names.items()}
+    return [np.ma.getdata(found[key]).astype(float) for key in ("mu_star", "mu_star_conf", "mu", "sigma")]

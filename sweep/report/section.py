@@ -11,18 +11,19 @@ from typing import Any
 import xarray as xr
 
 from sweep.analysis import sensitivity_tables as tables
-from sweep.analysis.answer import Answer, answer_in_short, answers, completeness, failed, headline
+from sweep.analysis.answer import Answer, answer_in_short, answers, completeness
 from sweep.analysis.columns import Column
 from sweep.analysis.compare import compare, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
 from sweep.analysis.headline_table import headline_columns, rows_left_out, warnings_of
-from sweep.analysis.quantity import varied_parameters
+from sweep.analysis.quantity import headlines, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.sensitivity import sensitivity
 from sweep.analysis.verdicts import Comparison, in_readable_unit
 from sweep.contract import SweepError
+from sweep.planning.point_status import Status, count_status
 from sweep.readable import with_micro_signs, written
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, drawn, pictures
@@ -100,7 +101,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
 
     Raises SweepError for a dataset whose claims cannot be read.
     """
-    names = headline(dataset)
+    names = headlines(dataset)
     comparisons = compare(dataset)
     explored, numbers, left_out = explorer(in_readable_units(dataset), names, room)
     indices = _indices(dataset, names)
@@ -141,7 +142,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
             *remarks(dataset),
         ],
         failures=failures,
-        failures_not_named=failed(dataset) - len(failures),
+        failures_not_named=count_status(dataset["status"].values)[Status.FAILED] - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},
         study=str(attributes.get("study", ""))  # a run from Python has no file
         or json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1),
