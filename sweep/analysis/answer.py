@@ -51,8 +51,8 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
         finite = values[np.isfinite(values)]
         if found and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
-        parts = _components(dataset, variable, own)
-        found += [Answer(name, meaning, list(sentences(part, variable, unit))) for name, unit, part in parts]
+        for name, unit, part in _components(dataset, variable, own):
+            found.append(Answer(name, meaning, list(filter(None, sentences(part, variable, unit)))))
     return found
 
 

@@ -91,20 +91,12 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
         jacobian = approx_fprime(found, derived)
         sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
     sigmas = np.where(np.isfinite(values), sigmas, np.nan)
-    squares = scale**2 * np.exp(found[:2])
+    names = ("plateau", "rate", "end_fall", "limit")
+    estimates = dict(zip(names, map(float, values), strict=True))
+    errors_of = {f"{name}_error": float(sigma) for name, sigma in zip(names, sigmas, strict=True)}
+    start, end = (scale**2 * np.exp(found[:2])).tolist()
     return Levelling(
-        plateau=float(values[0]),
-        plateau_error=float(sigmas[0]),
-        rate=float(values[1]),
-        rate_error=float(sigmas[1]),
-        end_fall=float(values[2]),
-        end_fall_error=float(sigmas[2]),
-        limit=float(values[3]),
-        limit_error=float(sigmas[3]),
-        chi2=chi2,
-        dof=dof,
-        ends=(float(x[0]), float(x[-1])),
-        squares=(float(squares[0]), float(squares[1])),
+        **estimates, **errors_of, chi2=chi2, dof=dof, ends=(float(x[0]), float(x[-1])), squares=(start, end)
     )
 
 
