@@ -21,7 +21,7 @@ class Levelling:
 
     ``plateau`` is NaN where the points do not level off.  ``end_fall`` is -d ln y / dx at the last point.  ``limit``
     is the x beyond which y falls more slowly than was asked for: -inf if it does so everywhere, inf if nowhere; it may
-    lie beyond the points.  ``squares`` are y^2 of the law at both ``ends``.
+    lie beyond the points.
     """
 
     plateau: float
@@ -34,13 +34,6 @@ class Levelling:
     limit_error: float
     chi2: float
     dof: int
-    ends: tuple[float, float]
-    squares: tuple[float, float]
-
-    def __call__(self, x: Array) -> Array:
-        """Return the law at x between its ends, same shape."""
-        first, last = self.ends
-        return np.sqrt(_square((x - first) / (last - first), *self.squares, self.rate * (last - first)))
 
 
 def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = np.inf) -> Levelling:
@@ -91,13 +84,8 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
         jacobian = approx_fprime(found, derived)
         sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
     sigmas = np.where(np.isfinite(values), sigmas, np.nan)
-    names = ("plateau", "rate", "end_fall", "limit")
-    estimates = dict(zip(names, map(float, values), strict=True))
-    errors_of = {f"{name}_error": float(sigma) for name, sigma in zip(names, sigmas, strict=True)}
-    start, end = (scale**2 * np.exp(found[:2])).tolist()
-    return Levelling(
-        **estimates, **errors_of, chi2=chi2, dof=dof, ends=(float(x[0]), float(x[-1])), squares=(start, end)
-    )
+    estimates = np.stack([values, sigmas], axis=1).reshape(-1).tolist()
+    return Levelling(*estimates, chi2, dof)
 
 
 def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Array, Array, float] | None:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.given_data import first_order
 from sweep.analysis.lines import require_done
 from sweep.analysis.quantity import (
     main_quantity,
@@ -17,8 +16,7 @@ from sweep.analysis.quantity import (
     standard_error,
     varied_parameters,
 )
-from sweep.analysis.salib_indices import EFFECTS, morris_effects, saltelli_indices
-from sweep.analysis.variance_grid import indices_of_grid
+from sweep.analysis.sensitivity_indices import EFFECTS, first_order, indices_of_grid, morris_effects, saltelli_indices
 from sweep.attributes import described, units_of
 from sweep.contract import Array, SweepError
 from sweep.planning.point_status import Status

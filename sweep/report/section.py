@@ -131,9 +131,12 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         explorer=explored | {"title": title},
         not_explored=left_out,
         numbers=numbers,
-        results=_results(headline_columns(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
+        results=_table(headline_columns(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
         caption="Headline results, ± their one-sigma errors",
-        tables={f"Sensitivity of {name}: {tables.notes(one)[0]}": _sensitivity(one) for name, one in indices.items()},
+        tables={
+            f"Sensitivity of {name}: {tables.notes(one)[0]}": _table(tables.columns_of(one))
+            for name, one in indices.items()
+        },
         comparison=_comparison(comparisons) if comparisons else None,
         notes=[
             *warnings_of(dataset),
@@ -160,16 +163,6 @@ def _indices(dataset: xr.Dataset, names: list[str]) -> dict[str, xr.Dataset]:
     return found
 
 
-def _sensitivity(result: xr.Dataset) -> Table:
-    cells = tables.columns_of(result)
-    values = ([row[name.partition(" ")[0]] for row in tables.rows(result)] for name in cells)
-    rows = zip(
-        *(list(zip(texts, numbers, strict=True)) for texts, numbers in zip(cells.values(), values, strict=True)),
-        strict=True,
-    )
-    return Table(list(cells), [list(row) for row in rows])
-
-
 def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
     """Return what an attribute is called, in the words of its experiment."""
     if FUNCTION in attributes:
@@ -177,7 +170,7 @@ def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
     return label.replace("catalogue", outer_draw_of(attributes))
 
 
-def _results(columns: list[Column], left_out: int) -> Table:
+def _table(columns: list[Column], left_out: int = 0) -> Table:
     repeated = Counter(c.name for c in columns)
     names = [f"{c.of} {c.name}" if repeated[c.name] > 1 and c.of != c.name else c.name for c in columns]
     headings = [f"{name} [{written(c.unit)}]" if c.unit else name for name, c in zip(names, columns, strict=True)]
