@@ -73,10 +73,10 @@ def _printed(dataset: xr.Dataset, name: str, here: Mapping[str, int]) -> Publish
         raise SweepError("was written by an earlier version; `sweep run` the study again (nothing is computed anew)")
     number, attributes = float(published[here]), published.attrs
     rounding = float(dataset[f"{name}_published_rounding"][here])
-    has_error = standard_error(dataset, name) is not None
-    counted = not has_error and rounding == 0.5 and number.is_integer()
-    tolerance, reason = float(attributes.get("tolerance", 0.0)), str(attributes.get("tolerance_reason", ""))
-    return PublishedNumber(number, rounding, str(attributes["source"]), tolerance, reason, counted)
+    source, reason = str(attributes["source"]), str(attributes.get("tolerance_reason", ""))
+    if rounding == 0.5 and number.is_integer() and standard_error(dataset, name) is None:
+        return PublishedNumber(number, 0.0, source)  # a number of things
+    return PublishedNumber(number, rounding, source, float(attributes.get("tolerance", 0.0)), reason)
 
 
 def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:

@@ -35,14 +35,10 @@ def component_lines(dataset: xr.Dataset) -> list[str]:
     name = _quantity(dataset)
     if name is None:
         return []
-    points = list(_done(dataset))
-    lines = []
-    for number, point in enumerate(sorted(points, key=_condition, reverse=True)):
-        if number == MOST_POINTS:
-            left = len(points) - number
-            lines.append(f"... and {left} point{'s' if left > 1 else ''} with a better condition")
-            break
-        lines += _lines(point, name, _place(dataset, point))
+    points = sorted(_done(dataset), key=_condition, reverse=True)
+    lines = [line for point in points[:MOST_POINTS] for line in _lines(point, name, _place(dataset, point))]
+    if (left := len(points) - MOST_POINTS) > 0:
+        lines.append(f"... and {left} point{'s' if left > 1 else ''} with a better condition")
     return lines
 
 

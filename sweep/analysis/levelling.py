@@ -84,8 +84,9 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
         jacobian = approx_fprime(found, derived)
         sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
     sigmas = np.where(np.isfinite(values), sigmas, np.nan)
-    estimates = np.stack([values, sigmas], axis=1).reshape(-1).tolist()
-    return Levelling(*estimates, chi2, dof)
+    estimates = dict(zip(("plateau", "rate", "end_fall", "limit"), values.tolist(), strict=True))
+    errors_of = {f"{name}_error": sigma for name, sigma in zip(estimates, sigmas.tolist(), strict=True)}
+    return Levelling(**estimates, **errors_of, chi2=chi2, dof=dof)
 
 
 def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Array, Array, float] | None:

@@ -123,21 +123,20 @@ def _sum(values: Array, weights: Sequence[Array]) -> float:
     return float(values)
 
 
-def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> tuple[Array, Array, Array, Array]:
+def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> list[Array]:
     """Return first-order and total indices with one-sigma errors, each (parameters,), of values (points,) in the order
     of the design; NaN where these do not vary.  Raises SweepError without SALib.
 
     Source: Saltelli et al. 2010, Computer Physics Communications 181, 259.
     """
     if not np.ptp(values) > 0.0:
-        return (np.full(parameters, np.nan),) * 4
+        return [np.full(parameters, np.nan)] * 4
     salib()
     from SALib.analyze import sobol
 
     options = {"calc_second_order": False, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
     found = sobol.analyze(unit_cube(parameters), values, seed=seed + 1, **options)  # SALib takes 0 for no seed
-    first, first_error, total, total_error = (np.asarray(found[key]) for key in ("S1", "S1_conf", "ST", "ST_conf"))
-    return first, first_error, total, total_error
+    return [np.asarray(found[key]) for key in ("S1", "S1_conf", "ST", "ST_conf")]
 
 
 def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:

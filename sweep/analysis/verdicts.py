@@ -63,7 +63,7 @@ def in_readable_unit(comparison: Comparison) -> Comparison:
 
 @dataclass(frozen=True)
 class PublishedNumber:
-    """One number that was published; ``counted`` is a number of things, which has neither rounding nor tolerance.
+    """One number that was published, with its ``rounding`` and its relative ``tolerance``.
 
     ``null`` is what there would be without the effect that the number shows: a verdict must tell the two apart.
     ``not_comparable`` says why there can be no verdict.
@@ -74,7 +74,6 @@ class PublishedNumber:
     source: str
     tolerance: float = 0.0
     reason: str = ""
-    counted: bool = False
     null: float | None = None
     not_comparable: str = ""
 
@@ -100,13 +99,11 @@ class Measured:
 
 def judged(study: str, what: str, quantity: str, unit: str, ours: Measured, published: PublishedNumber) -> Comparison:
     """Return the comparison of our number with the published one."""
-    rounding = 0.0 if published.counted else published.rounding
-    tolerance = 0.0 if published.counted else published.tolerance * abs(published.number)
-    allowance = rounding + MC_ERRORS_ALLOWED * ours.error
-    detectable = allowance + tolerance + FOUND * ours.error if math.isfinite(ours.value) else math.nan
-    if published.not_comparable:
-        detectable = math.nan
-    verdict, reason = _verdict(ours, published, rounding, tolerance)
+    allowance = published.rounding + MC_ERRORS_ALLOWED * ours.error
+    tolerance = published.tolerance * abs(published.number)
+    is_found = math.isfinite(ours.value) and not published.not_comparable
+    detectable = allowance + tolerance + FOUND * ours.error if is_found else math.nan
+    verdict, reason = _verdict(ours, published, allowance, tolerance)
     return Comparison(
         study=study,
         what=what,
@@ -116,7 +113,7 @@ def judged(study: str, what: str, quantity: str, unit: str, ours: Measured, publ
         value=ours.value,
         mc_error=ours.error,
         published=published.number,
-        rounding=rounding,
+        rounding=published.rounding,
         allowance=allowance,
         difference=ours.value - published.number,
         detectable=detectable,
@@ -127,7 +124,7 @@ def judged(study: str, what: str, quantity: str, unit: str, ours: Measured, publ
     )
 
 
-def _verdict(ours: Measured, published: PublishedNumber, rounding: float, tolerance: float) -> tuple[Verdict, str]:
+def _verdict(ours: Measured, published: PublishedNumber, allowance: float, tolerance: float) -> tuple[Verdict, str]:
     if ours.missing:
         return "incomplete", ours.missing
     if ours.broken or not math.isfinite(ours.value):
@@ -136,19 +133,19 @@ def _verdict(ours: Measured, published: PublishedNumber, rounding: float, tolera
         return "not comparable", published.not_comparable
     if not math.isfinite(ours.error):
         return "incomplete", "the error of our number is not known (docs/errors.md)"
-    return _verdict_on_numbers(ours, published, rounding, tolerance)
+    return _verdict_on_numbers(ours, published, allowance, tolerance)
 
 
 def _verdict_on_numbers(
-    ours: Measured, published: PublishedNumber, rounding: float, tolerance: float
+    ours: Measured, published: PublishedNumber, allowance: float, tolerance: float
 ) -> tuple[Verdict, str]:
     """Return a verdict where both numbers have what it takes: one that passes must have been able to fail."""
-    allowance, most = rounding + MC_ERRORS_ALLOWED * ours.error, published.most_unseen
     off = abs(ours.value - published.number) - ARITHMETIC * abs(published.number)
+    most = published.most_unseen
     apart = f"more than {most:.3g}, which it must find"
     if off > allowance + tolerance:
         return "NOT reproduced", ""
-    if (passes := rounding + tolerance) > most:
+    if (passes := published.rounding + tolerance) > most:
         return "not comparable", f"rounding and tolerance let pass a deviation of {passes:.3g}, {apart}"
     if (passes := allowance + tolerance + FOUND * ours.error) > most:
         needed = "more realisations or catalogues are needed"
