@@ -1,19 +1,31 @@
-"""The answer to a study's question in words: its conclusion, and what can be said of any results."""
+"""The answer to a study's question in words: its conclusion with its values, and what can be said of any results."""
 
+import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from string import Formatter
 
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.conclusion import conclusion_in_words
 from sweep.analysis.long_table import own_dimensions
+from sweep.analysis.measured_claims import OutsideGridError, in_words, measure, unit_of
 from sweep.analysis.quantity import headlines
 from sweep.analysis.selection import place_in_words, places_along
 from sweep.analysis.sentences import sentences
+from sweep.analysis.verdicts import ARITHMETIC, MC_ERRORS_ALLOWED, Measured
 from sweep.attributes import meaning_of, units_of
+from sweep.contract import SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
-from sweep.readable import with_unit
+from sweep.readable import in_short, with_unit
+from sweep.studies.form import Conclusion, ConclusionValue
+
+CONCLUSION = "conclusion"
+"""The attribute of a dataset that holds it, as JSON."""
+
+PLUS_MINUS = " ± "
+"""Between two values of a sentence: the second is the error of the first."""
 
 MOST_SHORT = 3
 """A short answer has at most so many quantities."""
@@ -94,3 +106,91 @@ def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterato
         units = [str(part[f"{d}_unit"].item()) for d in extra if f"{d}_unit" in part.coords]
         own = units[0] if "," in unit and len(units) == 1 else unit
         yield f"{variable} ({', '.join(labels)})" if extra else variable, own, part
+
+
+def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
+    """Return the sentences of the study's conclusion that this grid can fill, with the numbers of its results.
+
+    A number that is not known yet is ``[not done yet]``.  A sentence whose condition is not met is not said; another
+    says so instead, and another again where the error of a number with a condition is not known.  Sentences about
+    points that this grid does not have are left out.  Raises SweepError for a conclusion that cannot be read.
+    """
+    if CONCLUSION not in dataset.attrs:
+        return []
+    try:
+        conclusion = Conclusion.model_validate_json(dataset.attrs[CONCLUSION])
+    except (ValueError, TypeError) as error:
+        raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
+    sentences = []
+    for sentence in conclusion.sentences:
+        with suppress(OutsideGridError):
+            sentences.append(_filled(dataset, conclusion, sentence))
+    return sentences
+
+
+def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
+    pieces: list[str] = []
+    unmet: list[str] = []
+    unjudged: list[str] = []
+    before: tuple[float, str] | None = None  # a number that is known, and its unit: the next one may be its error
+    for text, name, form, _ in Formatter().parse(sentence):
+        pieces.append(text)
+        if name is None:
+            continue
+        value = conclusion.values[name]
+        measured, quantity = _measured(dataset, value), value.quantity()
+        unit = unit_of(dataset, quantity)
+        if before is not None and text == PLUS_MINUS and not form and before[1] == unit and measured.value > 0.0:
+            pieces[-2:] = [with_unit(before[0], measured.value, unit)]
+        else:
+            pieces.append(_number(measured, unit, form or ""))
+        before = None if form or measured.missing else (measured.value, unit)
+        if measured.missing or not value.has_bounds:
+            continue
+        if not math.isfinite(measured.error):
+            unjudged.append(in_words(quantity))
+        elif bound := _broken_bound(value, measured):
+            unmet.append(f"{in_words(quantity)} is {in_short(measured.value, measured.error, unit)}, not {bound}")
+    text = "".join(pieces)
+    if unmet:
+        return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})."
+    if unjudged:
+        return f"Not judged: “{text}” (the error of {', '.join(dict.fromkeys(unjudged))} is not known)."
+    return text
+
+
+def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
+    """Return the one number that a value stands for, finite or missing; raises OutsideGridError where this grid does not
+    have it.
+    """
+    places = measure(dataset, value, value.quantity())
+    measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
+    if not measured:
+        return Measured({}, missing="not done yet")
+    if missing := [one for one in measured if one.missing or not math.isfinite(one.value)]:
+        return missing[0] if missing[0].missing else Measured({}, missing="not a finite number")
+    pick = max if value.choose == "largest" else min
+    return pick(measured, key=lambda one: one.value)
+
+
+def _number(measured: Measured, unit: str, form: str) -> str:
+    if measured.missing:
+        return f"[{measured.missing.partition(':')[0]}]"
+    if form == "%":
+        return f"{in_short(100.0 * measured.value, 100.0 * measured.error)} %"
+    if form == "error":
+        return with_unit(measured.value, measured.error, unit)
+    return in_short(measured.value, measured.error, unit)
+
+
+def _broken_bound(value: ConclusionValue, measured: Measured) -> str:
+    """Return which bound a number does not keep, in words; '' where it keeps both."""
+    number = measured.value
+    allowed = MC_ERRORS_ALLOWED * measured.error + ARITHMETIC * abs(number)
+    if value.above is not None and not number + allowed > value.above:
+        return f"above {value.above:g}"
+    if value.below is not None and not number - allowed < value.below:
+        return f"below {value.below:g}"
+    if value.equals is not None and not abs(number - value.equals) <= allowed:
+        return f"{value.equals:g} within {MC_ERRORS_ALLOWED:g} of its errors"
+    return ""

@@ -16,7 +16,7 @@ from sweep.analysis.quantity import OLD_ERRORS, has_old_errors, standard_error, 
 from sweep.analysis.verdicts import VERDICTS, Comparison, Measured, PublishedNumber, Verdict, judged
 from sweep.attributes import units_of
 from sweep.contract import SweepError
-from sweep.studies.form import Reading, printed_rounding
+from sweep.studies.form import printed_rounding
 
 
 def compare(dataset: xr.Dataset) -> list[Comparison]:
@@ -92,10 +92,9 @@ def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
             null=claim.null,
             not_comparable=claim.not_comparable or "",
         )
-        unit = unit_of(dataset, quantity) if isinstance(quantity, Reading) else ""
         try:
             measured = list(measure(dataset, claim, quantity))
         except OutsideGridError as error:
             measured = [Measured(claim.where, missing=str(error))]
         for one in measured:
-            yield judged(study, claim.text, in_words(quantity), unit, one, published)
+            yield judged(study, claim.text, in_words(quantity), unit_of(dataset, quantity), one, published)

@@ -44,9 +44,11 @@ def in_words(quantity: Slope | Ratio | Reading) -> str:
     return name
 
 
-def unit_of(dataset: xr.Dataset, quantity: Reading) -> str:
-    """Return the unit of a result, or of its component where these differ; '' for one that is not there."""
-    if quantity.variable not in dataset:
+def unit_of(dataset: xr.Dataset, quantity: Slope | Ratio | Reading) -> str:
+    """Return the unit of a result, or of its component where these differ; '' for one that is not there, and for what
+    is derived.
+    """
+    if not isinstance(quantity, Reading) or quantity.variable not in dataset:
         return ""
     variable = dataset[quantity.variable]
     units = f"{variable.dims[-1]}_unit" if quantity.component is not None else ""
