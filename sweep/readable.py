@@ -128,7 +128,6 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
         base, power = _base(token[0])
         if [power for power in whole.powers if power > 0] != [1] or base in NEVER:
             return ()
-        units.Unit(f"m{base}" if base in ONLY_SMALLER else f"k{base}")  # raises ValueError if it takes no prefix
         found = []
         for prefix, exponent in STEPS.items():
             if (

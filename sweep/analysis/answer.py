@@ -160,9 +160,7 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
 
 
 def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
-    """Return the one number that a value stands for, finite or missing; raises OutsideGridError where this grid does not
-    have it.
-    """
+    """Return the finite number that a value stands for, or what is missing; raises OutsideGridError as `measure`."""
     places = measure(dataset, value, value.quantity())
     measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
     if not measured:

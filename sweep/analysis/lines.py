@@ -108,6 +108,7 @@ def lines(
     error = standard_error(ordered, variable)
     covariance = _covariance(ordered, variable, dimension, order, covariance)
     samples = samples_along(dataset, dimension, covariance)
+    along = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
     found = Lines(
         title=str(dataset.attrs.get("title", "")),
         variable=variable,
@@ -119,7 +120,7 @@ def lines(
         used=_rows(status, others, dimension) != Status.EXCLUDED,
         covariance=None if covariance is None else _rows(covariance, others, dimension, f"{dimension}_other"),
         dims=tuple(others),
-        grid=_grid(dataset, others),
+        grid=xr.Dataset(coords=along | {d: dataset[d].variable for d in others}),
         unit=_units(dataset, variable, others),
         errors=_errors_in_words(dataset, error is not None, covariance is not None, samples),
         samples=samples,
@@ -145,11 +146,6 @@ def _rows(array: xr.DataArray, others: Sequence[str], *last: str) -> NDArray[Any
     """Return values of shape (lines, *last)."""
     values = array.transpose(*others, *last).values
     return values.reshape(-1, *values.shape[len(others) :])
-
-
-def _grid(dataset: xr.Dataset, others: Sequence[str]) -> xr.Dataset:
-    names = [n for n, c in dataset.coords.items() if set(c.dims) <= set(others)]
-    return xr.Dataset(coords={n: dataset.coords[n].variable for n in names} | {d: dataset[d].variable for d in others})
 
 
 def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> tuple[str, ...]:

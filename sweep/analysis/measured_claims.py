@@ -85,6 +85,7 @@ class Points:
     variable: str
     value: xr.DataArray
     error: xr.DataArray
+    status: xr.DataArray
 
     @classmethod
     def of(cls, dataset: xr.Dataset, variable: str, component: str | None = None) -> "Points":
@@ -95,12 +96,7 @@ class Points:
         known = standard_error(part, variable)
         status = part["status"]
         error = xr.zeros_like(status, dtype=float) if known is None else known
-        return cls(part, variable, part[variable].broadcast_like(status), error.broadcast_like(status))
-
-    @property
-    def status(self) -> xr.DataArray:
-        """Status of every point."""
-        return self.dataset["status"]
+        return cls(part, variable, part[variable].broadcast_like(status), error.broadcast_like(status), status)
 
     def index(self, places: Mapping[str, Any]) -> dict[str, int]:
         """Return the index along the dimensions that values of axes fix."""
