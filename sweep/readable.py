@@ -163,14 +163,13 @@ def _base(name: str) -> tuple[str, int]:
 def _with_micro_sign(token: str) -> str:
     if not re.fullmatch(r"u[A-Za-z]+", token):
         return token
-    if token in ANGLES:
-        return "µ" + token[1:]
-    from astropy import units
+    if token not in ANGLES:
+        from astropy import units
 
-    try:
-        units.Unit(token)
-    except ValueError:
-        return token
+        try:
+            units.Unit(token)
+        except ValueError:
+            return token
     return "µ" + token[1:]
 
 

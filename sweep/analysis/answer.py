@@ -9,12 +9,12 @@ from string import Formatter
 import numpy as np
 import xarray as xr
 
+from sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
 from sweep.analysis.long_table import own_dimensions
-from sweep.analysis.measured_claims import OutsideGridError, in_words, measure, unit_of
+from sweep.analysis.measured_claims import Measured, OutsideGridError, in_words, measure, unit_of
 from sweep.analysis.quantity import headlines
 from sweep.analysis.selection import place_in_words, places_along
 from sweep.analysis.sentences import sentences
-from sweep.analysis.verdicts import ARITHMETIC, MC_ERRORS_ALLOWED, Measured
 from sweep.attributes import meaning_of, units_of
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words

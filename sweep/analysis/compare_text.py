@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
+from sweep.analysis.compare import Comparison, in_readable_unit
 from sweep.analysis.compare_tables import POWER, numbers_in_words, power_in_words
 from sweep.analysis.selection import place_in_words
-from sweep.analysis.verdicts import Comparison, in_readable_unit
 from sweep.readable import in_ascii
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from numpy.linalg import LinAlgError
 from scipy.optimize import approx_fprime, least_squares
 from scipy.special import exprel
 
-from sweep.analysis.fits import are_known, chi2_about, largest_error, relative_covariance, weigh
+from sweep.analysis.fits import chi2_about, relative_covariance, weigh
 from sweep.contract import Array, small_sample_factor
 
 STARTS = (0.5, 2.0, 6.0)
@@ -47,8 +47,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     y^2 is positive between whatever they are.
     Raises ValueError where it does not converge, or for a covariance that is not positive definite.
     """
-    known = are_known(errors)
-    relative = relative_covariance(y, errors) if known else np.eye(len(x))
+    relative, known = relative_covariance(y, errors)
     whiten, covariance = weigh(relative, samples)
     first, length, scale = x[0], x[-1] - x[0], y[-1]
     z, target = (x - first) / length, np.log(y / scale)
@@ -69,7 +68,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     if misfit_squared > dof or not known:
         spread = spread * misfit_squared / dof
     judge = known and not np.isnan(samples)
-    chi2 = chi2_about(misfit(found), slopes, covariance, largest_error(relative, samples)) if judge else np.nan
+    chi2 = chi2_about(misfit(found), slopes, covariance, relative, samples) if judge else np.nan
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from sweep.analysis.fits import power_law
 from sweep.analysis.quantity import covariance_along, error_of_sum, samples_along, standard_error
 from sweep.analysis.selection import coordinates_along, place_in_words, places_along
-from sweep.analysis.verdicts import Measured
 from sweep.attributes import units_of
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status
@@ -24,6 +23,17 @@ Index = Mapping[str, int]
 
 class OutsideGridError(Exception):
     """A claim speaks of a place that this grid does not have."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Our number at one place, or why there is none: ``missing`` if it was not computed, ``broken`` if it cannot be."""
+
+    where: Mapping[str, Any]
+    value: float = math.nan
+    error: float = 0.0
+    missing: str = ""
+    broken: str = ""
 
 
 def claims_of(dataset: xr.Dataset) -> list[Claim]:

@@ -4,8 +4,7 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from sweep.analysis.compare import compare, remarks
-from sweep.analysis.verdicts import Comparison
+from sweep.analysis.compare import Comparison, compare, remarks
 from sweep.contract import SweepError
 from sweep.running.run import plan_study
 from sweep.stores.location import Where, located, reading

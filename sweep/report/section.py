@@ -13,7 +13,7 @@ import xarray as xr
 from sweep.analysis import sensitivity_tables as tables
 from sweep.analysis.answer import Answer, answer_in_short, answers, completeness
 from sweep.analysis.columns import Column
-from sweep.analysis.compare import compare, remarks
+from sweep.analysis.compare import Comparison, compare, in_readable_unit, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
 from sweep.analysis.headline_table import headline_columns, rows_left_out, warnings_of
@@ -21,7 +21,6 @@ from sweep.analysis.quantity import headlines, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.sensitivity import sensitivity
-from sweep.analysis.verdicts import Comparison, in_readable_unit
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status, count_status
 from sweep.readable import with_micro_signs, written
