@@ -137,8 +137,7 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
                 or (base == "arcsec" and exponent < SMALLEST_ANGLE)
             ):
                 continue
-            name = SPELLED.get(prefix + base, prefix + base)
-            new = name + rest
+            new = SPELLED.get(prefix + base, prefix + base) + rest
             factor = 10.0 ** (power - exponent)
             if abs(float(whole.to(units.Unit(new))) / factor - 1.0) < 1e-9:
                 found.append(Prefixed(new, factor))

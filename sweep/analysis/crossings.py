@@ -134,15 +134,11 @@ def interpolate(
         value = np.exp(weights @ u) if logarithm else weights @ u
         rows[line] = value, _error(weights, spread, found.samples) * (value if logarithm else 1.0)
     attributes = dataset[variable].attrs
-    unit = units_of(attributes)
-    place = xr.Variable((), at, dataset[over].attrs)
-    error = f"one-sigma error of {variable}"
-    return found.grid.assign_coords({over: place}).assign(
-        {
-            variable: (found.dims, rows[:, 0].reshape(found.shape), attributes),
-            f"{variable}_mc_error": (found.dims, rows[:, 1].reshape(found.shape), described(unit, error)),
-        }
-    )
+    of_error = described(units_of(attributes), f"one-sigma error of {variable}")
+    result = found.grid.assign_coords({over: xr.Variable((), at, dataset[over].attrs)})
+    result[variable] = found.dims, rows[:, 0].reshape(found.shape), attributes
+    result[f"{variable}_mc_error"] = found.dims, rows[:, 1].reshape(found.shape), of_error
+    return result
 
 
 def _thresholds(limit: Limit, found: Lines) -> list[float]:

@@ -99,8 +99,7 @@ def lines(
     dimension = str(dataset[over].dims[0])
     if dimension == POINT:  # a table may repeat a point
         dataset = dataset.isel({POINT: np.unique(dataset[over].values, return_index=True)[1]})
-    value = dataset[variable]
-    others = [str(d) for d in value.dims if d != dimension]
+    others = [str(d) for d in dataset[variable].dims if d != dimension]
     order = np.argsort(dataset[over].values, kind="stable")
     ordered = dataset.isel({dimension: order})
     template = ordered[variable].astype(float)  # of integers and truth values too, whose errors may be NaN

@@ -160,9 +160,10 @@ class Points:
         where, dimension = self.places(line), str(self.dataset[over].dims[0])
         status = self.status[dict(line)].values
         used = status != Status.EXCLUDED
-        if np.any(status[used] != Status.DONE):
-            some = f"{np.count_nonzero(status[used] != Status.DONE)} of {np.count_nonzero(used)} points"
-            return Measured(where, missing=_why(set(status[used & (status != Status.DONE)].tolist()), some))
+        undone = used & (status != Status.DONE)
+        if undone.any():
+            some = f"{np.count_nonzero(undone)} of {np.count_nonzero(used)} points"
+            return Measured(where, missing=_why(set(status[undone].tolist()), some))
         x, y = (np.asarray(v, dtype=float)[used] for v in (self.dataset[over].values, self.value[dict(line)].values))
         if len(x) < 2:
             return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(x)}")
