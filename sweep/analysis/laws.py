@@ -221,11 +221,11 @@ def _require_positive(found: Lines, axis_too: bool = False) -> None:
     for line, (values, used) in enumerate(zip(found.value, found.used, strict=True)):
         if not np.all(values[used] > 0.0):
             at, value = next((x, v) for x, v in zip(found.x[used], values[used], strict=True) if not v > 0.0)
-            problems.append(f"{found.variable} must be above 0; it is {value:g}{_at(found, line, **{found.over: at})}")
+            problems.append(f"{found.variable} must be above 0; it is {value:g}{_at(found, line, {found.over: at})}")
     if problems:
         raise SweepError(problems[:FEW])
 
 
-def _at(found: Lines, line: int, **more: Any) -> str:
-    words = place_in_words(found.place(line) | more)
+def _at(found: Lines, line: int, more: Mapping[str, Any] | None = None) -> str:
+    words = place_in_words(found.place(line) | dict(more or {}))
     return f" at {words}" if words else ""
