@@ -21,6 +21,9 @@ ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 PREDICTION_SUFFIXES = ("rms_predicted", "predicted")
 """Outputs NAME_SUFFIX beside NAME predict it; the first there is predicts all of it, the others may be a part."""
 
+BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
+"""Variables NAME_SUFFIX that belong to NAME and are in its unit."""
+
 COVARIANCE_SUFFIX = "mc_covariance"
 """A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
 points along the axis OVER, where these share random numbers.  It has all of their error: it stands for both error
@@ -169,8 +172,7 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
     covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
-    attached = (*ERROR_SUFFIXES, *covariances, *PREDICTION_SUFFIXES, "published", "published_rounding")
-    beside = {f"{name}_{suffix}" for name in numbers for suffix in attached}
+    beside = {f"{name}_{suffix}" for name in numbers for suffix in (*BESIDE, *covariances)}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
 
 
