@@ -128,7 +128,6 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
         base, power = _base(token[0])
         if [power for power in whole.powers if power > 0] != [1] or base in NEVER:
             return ()
-        units.Unit(f"m{base}" if base in ONLY_SMALLER else f"k{base}")  # raises ValueError if it takes no prefix
         found = []
         for prefix, exponent in STEPS.items():
             if (
@@ -138,8 +137,7 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
                 or (base == "arcsec" and exponent < SMALLEST_ANGLE)
             ):
                 continue
-            name = SPELLED.get(prefix + base, prefix + base)
-            new = name + rest
+            new = SPELLED.get(prefix + base, prefix + base) + rest
             factor = 10.0 ** (power - exponent)
             if abs(float(whole.to(units.Unit(new))) / factor - 1.0) < 1e-9:
                 found.append(Prefixed(new, factor))
@@ -164,14 +162,13 @@ def _base(name: str) -> tuple[str, int]:
 def _with_micro_sign(token: str) -> str:
     if not re.fullmatch(r"u[A-Za-z]+", token):
         return token
-    if token in ANGLES:
-        return "µ" + token[1:]
-    from astropy import units
+    if token not in ANGLES:
+        from astropy import units
 
-    try:
-        units.Unit(token)
-    except ValueError:
-        return token
+        try:
+            units.Unit(token)
+        except ValueError:
+            return token
     return "µ" + token[1:]
 
 

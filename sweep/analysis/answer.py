@@ -1,22 +1,31 @@
-"""The answer to a study's question in words: its conclusion, and what can be said of any results."""
+"""The answer to a study's question in words: its conclusion with its values, and what can be said of any results."""
 
+import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from string import Formatter
 
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.conclusion import conclusion_in_words
-from sweep.analysis.quantity import (
-    headlines,
-    main_quantity,
-)
+from sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
+from sweep.analysis.long_table import own_dimensions
+from sweep.analysis.measured_claims import Measured, OutsideGridError, in_words, measure, unit_of
+from sweep.analysis.quantity import headlines
 from sweep.analysis.selection import place_in_words, places_along
 from sweep.analysis.sentences import sentences
 from sweep.attributes import meaning_of, units_of
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
-from sweep.readable import with_unit
+from sweep.readable import in_short, with_unit
+from sweep.studies.form import Conclusion, ConclusionValue
+
+CONCLUSION = "conclusion"
+"""The attribute of a dataset that holds it, as JSON."""
+
+PLUS_MINUS = " ± "
+"""Between two values of a sentence: the second is the error of the first."""
 
 MOST_SHORT = 3
 """A short answer has at most so many quantities."""
@@ -37,34 +46,25 @@ def answer_in_short(dataset: xr.Dataset) -> list[str]:
     """
     if found := conclusion_in_words(dataset):
         return found
-    ranges = [answer for answer in answers(dataset) if answer.sentences]
-    return [f"{_named(answer)}: {answer.sentences[0]}" for answer in ranges[:MOST_SHORT]]
-
-
-def _named(answer: "Answer") -> str:
-    return f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name
-
-
-def headline(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that a study is about: those its experiment calls headline, or the first one there is."""
-    try:
-        return headlines(dataset) or [main_quantity(dataset)]
-    except SweepError:
-        return []
+    ranges = [answer for answer in answers(dataset) if answer.sentences][:MOST_SHORT]
+    names = [f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name for answer in ranges]
+    return [f"{name}: {answer.sentences[0]}" for name, answer in zip(names, ranges, strict=True)]
 
 
 def answers(dataset: xr.Dataset) -> list[Answer]:
     """Return what the results say of each headline quantity, of each of its components where it has any."""
     found = []
-    for variable in headline(dataset):
-        meaning = meaning_of(dataset[variable].attrs)
-        if array := _own_axes(dataset, variable):
-            found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, array)]))
+    for variable in headlines(dataset):
+        meaning, own = meaning_of(dataset[variable].attrs), own_dimensions(dataset, variable)
+        if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, and no components
+            found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue
-        if found and not _varies(dataset[variable]):
+        values = dataset[variable].values
+        finite = values[np.isfinite(values)]
+        if found and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
-        parts = _components(dataset, variable)
-        found += [Answer(name, meaning, list(sentences(part, variable, unit))) for name, unit, part in parts]
+        for name, unit, part in _components(dataset, variable, own):
+            found.append(Answer(name, meaning, list(filter(None, sentences(part, variable, unit)))))
     return found
 
 
@@ -82,17 +82,6 @@ def completeness(dataset: xr.Dataset) -> list[str]:
     return []
 
 
-def failed(dataset: xr.Dataset) -> int:
-    """Return the number of points that failed."""
-    return int(np.sum(dataset["status"].values == Status.FAILED))
-
-
-def _own_axes(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return the dimensions of a variable along which it is a function of numbers, and not a list of components."""
-    own = [str(d) for d in dataset[variable].dims if d not in dataset["status"].dims]
-    return own if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own) else []
-
-
 def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     array = dataset[variable]
     values = array.values.astype(float)
@@ -108,9 +97,8 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
 
 
-def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
+def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterator[tuple[str, str, xr.Dataset]]:
     """Yield name, unit and dataset of a variable with one value a point: itself, or each of its components."""
-    extra = [str(d) for d in dataset[variable].dims if d not in dataset["status"].dims]
     unit = units_of(dataset[variable].attrs)
     for place in places_along(dataset, extra):
         part = dataset.isel(place)
@@ -120,6 +108,87 @@ def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, 
         yield f"{variable} ({', '.join(labels)})" if extra else variable, own, part
 
 
-def _varies(array: xr.DataArray) -> bool:
-    finite = array.values[np.isfinite(array.values)]
-    return not finite.size or finite.size == 1 or bool(finite.min() < finite.max())
+def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
+    """Return the sentences of the study's conclusion that this grid can fill, with the numbers of its results.
+
+    A number that is not known yet is ``[not done yet]``.  A sentence whose condition is not met is not said; another
+    says so instead, and another again where the error of a number with a condition is not known.  Sentences about
+    points that this grid does not have are left out.  Raises SweepError for a conclusion that cannot be read.
+    """
+    if CONCLUSION not in dataset.attrs:
+        return []
+    try:
+        conclusion = Conclusion.model_validate_json(dataset.attrs[CONCLUSION])
+    except (ValueError, TypeError) as error:
+        raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
+    sentences = []
+    for sentence in conclusion.sentences:
+        with suppress(OutsideGridError):
+            sentences.append(_filled(dataset, conclusion, sentence))
+    return sentences
+
+
+def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
+    pieces: list[str] = []
+    unmet: list[str] = []
+    unjudged: list[str] = []
+    before: tuple[float, str] | None = None  # a number that is known, and its unit: the next one may be its error
+    for text, name, form, _ in Formatter().parse(sentence):
+        pieces.append(text)
+        if name is None:
+            continue
+        value = conclusion.values[name]
+        measured, quantity = _measured(dataset, value), value.quantity()
+        unit = unit_of(dataset, quantity)
+        if before is not None and text == PLUS_MINUS and not form and before[1] == unit and measured.value > 0.0:
+            pieces[-2:] = [with_unit(before[0], measured.value, unit)]
+        else:
+            pieces.append(_number(measured, unit, form or ""))
+        before = None if form or measured.missing else (measured.value, unit)
+        if measured.missing or not value.has_bounds:
+            continue
+        if not math.isfinite(measured.error):
+            unjudged.append(in_words(quantity))
+        elif bound := _broken_bound(value, measured):
+            unmet.append(f"{in_words(quantity)} is {in_short(measured.value, measured.error, unit)}, not {bound}")
+    text = "".join(pieces)
+    if unmet:
+        return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})."
+    if unjudged:
+        return f"Not judged: “{text}” (the error of {', '.join(dict.fromkeys(unjudged))} is not known)."
+    return text
+
+
+def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
+    """Return the finite number that a value stands for, or what is missing; raises OutsideGridError as `measure`."""
+    places = measure(dataset, value, value.quantity())
+    measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
+    if not measured:
+        return Measured({}, missing="not done yet")
+    if missing := [one for one in measured if one.missing or not math.isfinite(one.value)]:
+        return missing[0] if missing[0].missing else Measured({}, missing="not a finite number")
+    pick = max if value.choose == "largest" else min
+    return pick(measured, key=lambda one: one.value)
+
+
+def _number(measured: Measured, unit: str, form: str) -> str:
+    if measured.missing:
+        return f"[{measured.missing.partition(':')[0]}]"
+    if form == "%":
+        return f"{in_short(100.0 * measured.value, 100.0 * measured.error)} %"
+    if form == "error":
+        return with_unit(measured.value, measured.error, unit)
+    return in_short(measured.value, measured.error, unit)
+
+
+def _broken_bound(value: ConclusionValue, measured: Measured) -> str:
+    """Return which bound a number does not keep, in words; '' where it keeps both."""
+    number = measured.value
+    allowed = MC_ERRORS_ALLOWED * measured.error + ARITHMETIC * abs(number)
+    if value.above is not None and not number + allowed > value.above:
+        return f"above {value.above:g}"
+    if value.below is not None and not number - allowed < value.below:
+        return f"below {value.below:g}"
+    if value.equals is not None and not abs(number - value.equals) <= allowed:
+        return f"{value.equals:g} within {MC_ERRORS_ALLOWED:g} of its errors"
+    return ""

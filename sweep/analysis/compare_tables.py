@@ -4,9 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 
-from sweep.analysis.compare import summary
+from sweep.analysis.compare import PROBABILITY, Comparison, summary
 from sweep.analysis.selection import place_in_words
-from sweep.analysis.verdicts import PROBABILITY, Comparison
 from sweep.formatting import finite_or, rounded, to_csv, to_json, with_error
 
 CHANCE = f"with a probability of {100 * PROBABILITY:g} %"
@@ -46,7 +45,9 @@ def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> s
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     """Return value, published, difference, that in percent, and allowance, with the digits that count."""
-    decimals = _decimals(2.0 * c.rounding) if c.rounding > 0.0 else 0
+    decimals = 0  # those that half a unit of the last printed digit needs
+    if c.rounding > 0.0:
+        decimals = min(300, max(0, -math.floor(math.log10(2.0 * c.rounding) + 1e-9)))
     exact = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than ours needs
     published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else exact
     if not math.isfinite(c.value):
@@ -57,11 +58,12 @@ def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
         value, difference = (f"{number:.{decimals + 1}f}" for number in (c.value, c.difference))
     else:
         value, difference = rounded(c.value), rounded(c.difference)
+    allowance = f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
     if c.difference == 0.0:
-        return value, published, "none", "", _allowance(c)
+        return value, published, "none", "", allowance
     percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
     sign = "+" if c.difference > 0.0 else ""
-    return value, published, sign + difference, percent.replace("-0.0", "0.0").replace("+0.0", "0.0"), _allowance(c)
+    return value, published, sign + difference, percent.replace("-0.0", "0.0").replace("+0.0", "0.0"), allowance
 
 
 def power_in_words(c: Comparison) -> str:
@@ -71,12 +73,3 @@ def power_in_words(c: Comparison) -> str:
     if c.detectable == 0.0:
         return "any"
     return f"{100.0 * c.power:.2g} %" if c.published else f"{c.detectable:.2g}"
-
-
-def _allowance(c: Comparison) -> str:
-    return f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
-
-
-def _decimals(unit: float) -> int:
-    """Return the decimal places that a number with this least significant unit needs."""
-    return min(300, max(0, -math.floor(math.log10(unit) + 1e-9)))

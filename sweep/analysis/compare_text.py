@@ -4,23 +4,20 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from sweep.analysis.compare import Comparison, in_readable_unit
 from sweep.analysis.compare_tables import POWER, numbers_in_words, power_in_words
 from sweep.analysis.selection import place_in_words
-from sweep.analysis.verdicts import Comparison, Verdict, in_readable_unit
 from sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.text import Text
 
-COLOURS: Mapping[Verdict, str] = MappingProxyType(
-    {
-        **{"reproduced": "green", "within tolerance": "yellow", "NOT reproduced": "bold red"},
-        **{"not comparable": "dim", "incomplete": "yellow"},
-    }
-)
+COLOURS: Mapping[str, str] = {
+    **{"reproduced": "green", "within tolerance": "yellow", "NOT reproduced": "bold red"},
+    **{"not comparable": "dim", "incomplete": "yellow"},
+}
 """Of verdicts, on a terminal."""
 
 HEADINGS = ("verdict", "at", "computed", "published", "difference", "power", "allowance")
@@ -36,15 +33,13 @@ SHORT_PLACE = 16
 
 @dataclass(frozen=True)
 class _Block:
-    """What was published of one thing: the lines above its rows, rows of cells, and the reasons of verdicts.
-
-    ``origin`` is study and source: neighbours that share it have the source once.
+    """What was published of one thing: the line above its rows, study and source, rows of cells that begin with the
+    verdict, and the reasons of verdicts.
     """
 
     heading: str
-    origin: str
-    source: str
-    rows: list[tuple[Verdict, tuple[str, ...]]]
+    origin: tuple[str, str]
+    rows: list[tuple[str, ...]]
     reasons: list[str]
 
 
@@ -55,7 +50,7 @@ def as_text(comparisons: Sequence[Comparison], width: int) -> "Text":
     from rich.text import Text
 
     blocks = list(_blocks(comparisons))
-    rows = [HEADINGS, *(cells for block in blocks for _, cells in block.rows)]
+    rows = [HEADINGS, *(row for block in blocks for row in block.rows)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(HEADINGS))]
     longest = max(len(word) for row in rows for word in row[1].split(" "))
     used = len(HEADINGS)
@@ -67,9 +62,9 @@ def as_text(comparisons: Sequence[Comparison], width: int) -> "Text":
     for before, block, after in zip([None, *blocks], blocks, [*blocks[1:], None], strict=False):
         text.append("\n" + textwrap.fill(block.heading, width) + "\n", "bold")
         if before is None or before.origin != block.origin:
-            text.append(textwrap.fill(block.source, width) + "\n", "dim")
-        for verdict, cells in block.rows:
-            text.append_text(_row(cells, widths, COLOURS[verdict]))
+            text.append(textwrap.fill(block.origin[1], width) + "\n", "dim")
+        for row in block.rows:
+            text.append_text(_row(row, widths, COLOURS[row[0]]))
         for reason in block.reasons if after is None or after.reasons != block.reasons else ():
             text.append(textwrap.fill(reason, width, initial_indent=INDENT, subsequent_indent=INDENT) + "\n")
     left_out = f"left out to fit {width} columns: {', '.join(HEADINGS[used:])}; --format csv has them"
@@ -87,7 +82,7 @@ def _blocks(comparisons: Sequence[Comparison]) -> Iterator[_Block]:
             common = _common([c.where for c in found])
             heading = f"{name}, {place_in_words(common)}" if common else name
             reasons = dict.fromkeys(f"{c.verdict}: {c.reason}" for c in found if c.reason)
-            yield _Block(heading, f"{study}: {source}", source, list(_rows(found, common)), list(reasons))
+            yield _Block(heading, (study, source), list(_rows(found, common)), list(reasons))
 
 
 def _with_short_places(found: list[Comparison]) -> Iterator[list[Comparison]]:
@@ -108,17 +103,17 @@ def _common(places: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {k: v for k, v in places[0].items() if all(k in place and place[k] == v for place in places)}
 
 
-def _rows(found: Sequence[Comparison], common: Mapping[str, Any]) -> Iterator[tuple[Verdict, tuple[str, ...]]]:
-    """Yield verdict and cells of each comparison; of several that all agree exactly one row in all."""
+def _rows(found: Sequence[Comparison], common: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Yield the cells of each comparison; of several that all agree exactly one row in all."""
     if _all_agree(found):
-        verdict = found[0].verdict
-        yield verdict, (verdict, f"all {len(found)} places", "exactly", "", "none", power_in_words(found[0]), "none")
+        power = power_in_words(found[0])
+        yield found[0].verdict, f"all {len(found)} places", "exactly", "", "none", power, "none"
         return
     for c in found:
         where = {name: value for name, value in c.where.items() if name not in common}
         value, published, difference, percent, allowance = numbers_in_words(c)
         numbers = (value, published, percent or difference, power_in_words(c), allowance)
-        yield c.verdict, (c.verdict, place_in_words(where), *numbers)
+        yield c.verdict, place_in_words(where), *numbers
 
 
 def _all_agree(found: Sequence[Comparison]) -> bool:

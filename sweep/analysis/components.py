@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
+from sweep.analysis.long_table import own_dimensions
 from sweep.analysis.quantity import ERROR_SUFFIXES
 from sweep.contract import Array
 from sweep.formatting import WIDTH
@@ -34,14 +35,10 @@ def component_lines(dataset: xr.Dataset) -> list[str]:
     name = _quantity(dataset)
     if name is None:
         return []
-    points = list(_done(dataset))
-    lines = []
-    for number, point in enumerate(sorted(points, key=_condition, reverse=True)):
-        if number == MOST_POINTS:
-            left = len(points) - number
-            lines.append(f"... and {left} point{'s' if left > 1 else ''} with a better condition")
-            break
-        lines += _lines(point, name, _place(dataset, point))
+    points = sorted(_done(dataset), key=_condition, reverse=True)
+    lines = [line for point in points[:MOST_POINTS] for line in _lines(point, name, _place(dataset, point))]
+    if (left := len(points) - MOST_POINTS) > 0:
+        lines.append(f"... and {left} point{'s' if left > 1 else ''} with a better condition")
     return lines
 
 
@@ -68,11 +65,10 @@ def _done(dataset: xr.Dataset) -> Iterator[xr.Dataset]:
 
 def _quantity(dataset: xr.Dataset) -> str | None:
     """Return the first variable with errors and one dimension beside the axes."""
-    axes = set(dataset["status"].dims)
-    for name, variable in dataset.data_vars.items():
+    for name in map(str, dataset.data_vars):
         errors = [f"{name}_{suffix}" for suffix in ERROR_SUFFIXES]
-        if len(set(variable.dims) - axes) == 1 and any(error in dataset for error in errors):
-            return str(name)
+        if len(own_dimensions(dataset, name)) == 1 and any(error in dataset for error in errors):
+            return name
     return None
 
 

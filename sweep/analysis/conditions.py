@@ -4,7 +4,6 @@ import math
 import operator
 import re
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Literal, cast
 
 import numpy as np
@@ -14,7 +13,7 @@ from sweep.contract import Array, SweepError, shown
 
 Sign = Literal["<", "<=", ">", ">="]
 
-_COMPARE = MappingProxyType({"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge})
+_COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 
 _LIMIT = re.compile(
     r"\s*(?P<variable>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<number>[-+.\w]*\d[-+.\w]*?)(?:\s+(?P<unit>\S.*))?"

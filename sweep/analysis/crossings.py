@@ -56,7 +56,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     found = lines(dataset, limit.variable, over, covariance)
     thresholds = _thresholds(limit, found)
     rows = np.array([_cross(found, line, limit, threshold) for line, threshold in enumerate(thresholds)])
-    where, value = found.over_unit, found.unit[0] if len(set(found.unit)) == 1 else ""
+    where = found.over_unit
     columns = {
         "met": ("", "when the condition is met"),
         "crossings": ("", "how often the limit is crossed"),
@@ -64,14 +64,13 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
         "first_error": (where, "its one-sigma error"),
         "last": (where, f"{over} at the last crossing"),
         "last_error": (where, "its one-sigma error"),
-        "nearest": (value, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
+        "nearest": (found.common_unit, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
         "nearest_at": (where, f"{over} of the nearest"),
     }
     result = found.with_variables({name: (rows[:, i], *columns[name]) for i, name in enumerate(columns)})
     result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs)
     result["met"].attrs |= {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
-    about = {"title": str(dataset.attrs.get("title", "")), "variable": limit.variable, "over": over}
-    return result.assign_attrs(about, condition=str(limit), errors=found.errors)
+    return result.assign_attrs(condition=str(limit), errors=found.errors)
 
 
 def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
@@ -135,15 +134,11 @@ def interpolate(
         value = np.exp(weights @ u) if logarithm else weights @ u
         rows[line] = value, _error(weights, spread, found.samples) * (value if logarithm else 1.0)
     attributes = dataset[variable].attrs
-    unit = units_of(attributes)
-    place = xr.Variable((), at, dataset[over].attrs)
-    error = f"one-sigma error of {variable}"
-    return found.grid.assign_coords({over: place}).assign(
-        {
-            variable: (found.dims, rows[:, 0].reshape(found.shape), attributes),
-            f"{variable}_mc_error": (found.dims, rows[:, 1].reshape(found.shape), described(unit, error)),
-        }
-    )
+    of_error = described(units_of(attributes), f"one-sigma error of {variable}")
+    result = found.grid.assign_coords({over: xr.Variable((), at, dataset[over].attrs)})
+    result[variable] = found.dims, rows[:, 0].reshape(found.shape), attributes
+    result[f"{variable}_mc_error"] = found.dims, rows[:, 1].reshape(found.shape), of_error
+    return result
 
 
 def _thresholds(limit: Limit, found: Lines) -> list[float]:

@@ -49,8 +49,7 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> Pow
     leave out how points go together: they give weights, and the errors of the law are NaN.
     Raises ValueError for a covariance that is not positive definite.
     """
-    known = are_known(errors)
-    relative = relative_covariance(y, errors) if known else np.eye(len(x))
+    relative, known = relative_covariance(y, errors)
     whiten, covariance = weigh(relative, samples)
     ones, u, v = whiten(np.ones_like(x)), whiten(np.log(x)), whiten(np.log(y))
     total = ones @ ones
@@ -60,7 +59,7 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> Pow
     exponent = u @ v / information
     residual = v - exponent * u
     dof = len(x) - 2
-    chi2 = chi2_about(residual, np.stack([ones, u], axis=1), covariance, largest_error(relative, samples))
+    chi2 = chi2_about(residual, np.stack([ones, u], axis=1), covariance, relative, samples)
     unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
     solve = np.stack([u / information, ones / total])
     spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
@@ -84,31 +83,33 @@ def weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], 
     and is all that weighs; that of points weighed by their own errors, where it is known from ``samples``.
     Raises ValueError for a covariance that is not positive definite, or from samples with points of no error.
     """
-    if not np.isfinite(samples):
-        return _inverse_root_of(covariance), np.eye(len(covariance))
-    own = np.sqrt(np.diag(covariance))
-    if not np.all(own > 0.0):
-        raise ValueError("the covariance between the points has points without error")
-    return (lambda vector: vector / own), covariance / np.outer(own, own)
+    if np.isfinite(samples):
+        own = np.sqrt(np.diag(covariance))
+        if not np.all(own > 0.0):
+            raise ValueError("the covariance between the points has points without error")
+        return (lambda vector: vector / own), covariance / np.outer(own, own)
+    try:
+        root = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        root = np.full_like(covariance, np.nan)
+    if not np.all(np.isfinite(root)):  # NaN in is NaN out, without an error
+        raise ValueError("the covariance between the points is not positive definite")
+    return (lambda vector: np.linalg.solve(root, vector)), np.eye(len(covariance))
 
 
-def chi2_about(residual: Array, design: Array, covariance: Array, error: float) -> float:
+def chi2_about(residual: Array, design: Array, covariance: Array, relative: Array, samples: float) -> float:
     """Return the sum of squared residuals of weighed points in units of their errors, about a law with so many
-    parameters.  NaN where points go together so closely that what is left is not known: the logarithm of a value with
-    this relative ``error`` has a second order, of about the error's square.
+    parameters.  NaN where points with a ``relative`` covariance from ``samples`` go together so closely that what is
+    left is not known: the logarithm of a value has a second order, of about the square of its relative error.
     """
     rest = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     free = rest.T @ covariance @ rest
     if not free.size:
         return 0.0
+    error = float(np.sqrt(np.max(np.diag(relative)))) if np.isfinite(samples) else 0.0
     if np.linalg.eigvalsh(free)[0] < (FIRST_ORDER * error) ** 2:
         return np.nan
     return float(residual @ rest @ np.linalg.solve(free, rest.T @ residual))
-
-
-def largest_error(relative: Array, samples: float) -> float:
-    """Return the largest relative error of points whose covariance was estimated from samples, else 0."""
-    return float(np.sqrt(np.max(np.diag(relative)))) if np.isfinite(samples) else 0.0
 
 
 def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
@@ -124,24 +125,11 @@ def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
     return float(fdtrc(dof, left, chi2 * left / (dof * (samples - 1.0)))) if dof > 0 < left else np.nan
 
 
-def are_known(errors: Array) -> bool:
-    """Return whether points can be weighed: by a covariance (n, n), or errors (n,) that are all finite and positive."""
-    return errors.ndim == 2 or bool(np.all((errors > 0.0) & np.isfinite(errors)))
-
-
-def relative_covariance(y: Array, errors: Array) -> Array:
-    """Return the covariance of log y to first order, (n, n), from errors (n,) or a covariance (n, n) of y."""
-    return np.diag((errors / y) ** 2) if errors.ndim == 1 else errors / np.outer(y, y)
-
-
-def _inverse_root_of(covariance: Array) -> Callable[[Array], Array]:
-    """Return the function that multiplies with the inverse of the Cholesky factor of a covariance (n, n): it makes
-    errors independent and one.  Raises ValueError if there is none.
+def relative_covariance(y: Array, errors: Array) -> tuple[Array, bool]:
+    """Return the covariance of log y to first order, (n, n), from errors (n,) or a covariance (n, n) of y, and whether
+    it is known: unless errors (n,) are all finite and positive it is that of points that weigh the same.
     """
-    try:
-        root = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
-        root = np.full_like(covariance, np.nan)
-    if not np.all(np.isfinite(root)):  # NaN in is NaN out, without an error
-        raise ValueError("the covariance between the points is not positive definite")
-    return lambda vector: np.linalg.solve(root, vector)
+    if errors.ndim == 2:
+        return errors / np.outer(y, y), True
+    known = bool(np.all((errors > 0.0) & np.isfinite(errors)))
+    return np.diag((errors / y) ** 2) if known else np.eye(len(y)), known

@@ -64,11 +64,10 @@ def exactly_published(dataset: xr.Dataset) -> list[str]:
 
 
 def _is_exact(dataset: xr.Dataset, name: str) -> bool:
-    published = dataset.get(f"{name}_published")
-    if published is None:
+    if f"{name}_published" not in dataset:
         return False
-    known = published.notnull()
-    return bool(known.any() and (dataset[name].where(known) == published).where(known, True).all())
+    published = dataset[f"{name}_published"]
+    return bool(published.notnull().any() and ((dataset[name] == published) | published.isnull()).all())
 
 
 def warnings_of(dataset: xr.Dataset) -> list[str]:

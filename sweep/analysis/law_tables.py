@@ -64,21 +64,17 @@ def as_text(result: xr.Dataset, width: int | None = None) -> "Table":
 
 
 def fitting_columns(result: xr.Dataset, width: int | None = None) -> tuple[list[Column], list[Column]]:
-    """Return the columns of a table of a width, in which conclusions may take several lines, and those left out."""
-    columns = columns_of(result)
-    words = [column for column in columns if column.name == CONCLUSION]
-    room = None if width is None else width - sum(min(column.width, FEWEST_LETTERS + GAP) for column in words)
-    kept, left_out = fitting([column for column in columns if column not in words], room)
-    return [*kept, *words], left_out
-
-
-def columns_of(result: xr.Dataset) -> list[Column]:
-    """Return the columns for reading: places on the axes, the law or the crossings, and what follows."""
+    """Return the columns of a table of a width: places on the axes, the law or the crossings, and what follows, which
+    may take several lines; and those left out.
+    """
     everything = rows(result)
     places = axis_coordinates(result, _dims(result))
     own = [_column(name, _unit(result, name), [plain(row[name]) for row in everything]) for name in places]
-    words = [conclusion(result, row) for row in everything]
-    return [*own, *_columns(result, everything), *([_column(CONCLUSION, "", words)] if any(words) else [])]
+    conclusions = [conclusion(result, row) for row in everything]
+    words = [_column(CONCLUSION, "", conclusions)] if any(conclusions) else []
+    room = None if width is None else width - sum(min(column.width, FEWEST_LETTERS + GAP) for column in words)
+    kept, left_out = fitting([*own, *_columns(result, everything)], room)
+    return [*kept, *words], left_out
 
 
 def notes(result: xr.Dataset) -> list[str]:

@@ -4,7 +4,7 @@ Every function works along one axis for all combinations of the others at once, 
 found by the names that `sweep.analysis.quantity` describes, expected exponents in the claims of the study.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -59,24 +59,20 @@ def fit_power_law(
     """
     found = lines(dataset, variable, over, covariance)
     _require_positive(found, axis_too=True)
-    fits = _fit_each(found, power_law)
-    unit = _common_unit(found)
     columns = {
         "exponent": ("", f"exponent of {variable} over {over}"),
-        "exponent_error": ("", "its one-sigma error"),
-        "amplitude": (unit, f"{variable} of the law at the pivot"),
-        "amplitude_error": (unit, "its one-sigma error"),
+        "amplitude": (found.common_unit, f"{variable} of the law at the pivot"),
         "correlation": ("", "correlation of the errors of exponent and amplitude"),
         "pivot": (found.over_unit, f"{over} of the amplitude"),
     }
-    result = _collect(found, fits, columns)
+    result = _fitted(found, columns, power_law)
     wanted = [_expected(dataset, found, line) if expected is None else expected for line in range(len(found))]
     if np.isfinite(wanted).any():
         result["expected"] = (found.dims, np.reshape(wanted, found.shape), described("", "exponent expected"))
         error = result["exponent_error"]
         result["deviation"] = (result["exponent"] - result["expected"]) / error.where(error > 0.0)
         result["deviation"].attrs = described("", "exponent - expected, in errors of the exponent")
-    return result.assign_attrs(_about(dataset, found), law="power")
+    return result.assign_attrs(law="power")
 
 
 def fit_levelling(
@@ -113,20 +109,15 @@ def fit_levelling(
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
     found = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
     _require_positive(found)
-    fits = _fit_each(found, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
-    unit, per_step = _common_unit(found), f"1 / ({found.over_unit})" if found.over_unit else ""
+    per_step = f"1 / ({found.over_unit})" if found.over_unit else ""
     columns = {
-        "plateau": (unit, f"{variable} that the law tends to; NaN if it does not level off"),
-        "plateau_error": (unit, "its one-sigma error"),
+        "plateau": (found.common_unit, f"{variable} that the law tends to; NaN if it does not level off"),
         "limit": (found.over_unit, f"{over} beyond which {variable} falls by less than {100 * fall:g} % a unit"),
-        "limit_error": (found.over_unit, "its one-sigma error"),
         "end_fall": (per_step, f"relative fall at the last {over}"),
-        "end_fall_error": (per_step, "its one-sigma error"),
         "rate": (per_step, "rate at which the square of the variable levels off"),
-        "rate_error": (per_step, "its one-sigma error"),
     }
-    about = _about(dataset, found) | {"law": "levelling", "fall": fall, "last": float(found.x[-1])}
-    return _collect(found, fits, columns).assign_attrs(about)
+    result = _fitted(found, columns, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
+    return result.assign_attrs(law="levelling", fall=fall, last=float(found.x[-1]))
 
 
 def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
@@ -172,10 +163,14 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     return result
 
 
-def _fit_each(
-    found: Lines, fit: Callable[[Array, Array, Array, float], PowerLaw | Levelling]
-) -> list[PowerLaw | Levelling | None]:
-    """Return the fit of every line, None for those that the study excludes; raises SweepError for all that fail."""
+def _fitted(
+    found: Lines,
+    columns: Mapping[str, tuple[str, str]],
+    fit: Callable[[Array, Array, Array, float], PowerLaw | Levelling],
+) -> xr.Dataset:
+    """Return the fields of the fit of every line, with unit and meaning, the errors of those that have one, and how
+    good the fits are; NaN for lines that the study excludes.  Raises SweepError for all fits that fail.
+    """
     fits: list[PowerLaw | Levelling | None] = []
     problems = []
     for line, used in enumerate(found.used):
@@ -186,25 +181,25 @@ def _fit_each(
             problems.append(f"{error}: {found.variable} over {found.over}{_at(found, line)}")
     if problems:
         raise SweepError(problems[:FEW])
-    return fits
 
+    def values(name: str) -> list[float]:
+        return [np.nan if one is None else float(getattr(one, name)) for one in fits]
 
-def _collect(
-    found: Lines, fits: Sequence[PowerLaw | Levelling | None], columns: Mapping[str, tuple[str, str]]
-) -> xr.Dataset:
-    """Return the fields of fits as variables with unit and meaning, and how good the fits are."""
-    values = {name: [np.nan if fit is None else getattr(fit, name) for fit in fits] for name in (*columns, "chi2")}
-    values["dof"] = [np.nan if fit is None else float(fit.dof) for fit in fits]
-    values["p_value"] = [np.nan if fit is None else p_value(fit.chi2, fit.dof, found.samples) for fit in fits]
-    values["points"] = found.used.sum(axis=1).astype(float).tolist()
-    meanings = {
-        **columns,
-        "chi2": ("", "sum of squared residuals in units of their errors"),
-        "dof": ("", "degrees of freedom of chi2"),
-        "p_value": ("", "probability of a chi2 at least as large, if the law holds"),
-        "points": ("", "points of the fit"),
-    }
-    return found.with_variables({name: (values[name], *meaning) for name, meaning in meanings.items()})
+    variables: dict[str, tuple[Any, str, str]] = {}
+    for name, (unit, meaning) in columns.items():
+        variables[name] = values(name), unit, meaning
+        if any(hasattr(one, f"{name}_error") for one in fits):
+            variables[f"{name}_error"] = values(f"{name}_error"), unit, "its one-sigma error"
+    p_values = [np.nan if one is None else p_value(one.chi2, one.dof, found.samples) for one in fits]
+    return found.with_variables(
+        variables
+        | {
+            "chi2": (values("chi2"), "", "sum of squared residuals in units of their errors"),
+            "dof": (values("dof"), "", "degrees of freedom of chi2"),
+            "p_value": (p_values, "", "probability of a chi2 at least as large, if the law holds"),
+            "points": (found.used.sum(axis=1).astype(float), "", "points of the fit"),
+        }
+    ).assign_attrs(errors=found.errors)
 
 
 def _expected(dataset: xr.Dataset, found: Lines, line: int) -> float:
@@ -234,13 +229,3 @@ def _require_positive(found: Lines, axis_too: bool = False) -> None:
 def _at(found: Lines, line: int, more: Mapping[str, Any] | None = None) -> str:
     words = place_in_words(found.place(line) | dict(more or {}))
     return f" at {words}" if words else ""
-
-
-def _common_unit(found: Lines) -> str:
-    """Return the unit of all lines; '' where they differ: then the coordinate of the components' units names it."""
-    return found.unit[0] if len(set(found.unit)) == 1 else ""
-
-
-def _about(dataset: xr.Dataset, found: Lines) -> dict[str, Any]:
-    title = str(dataset.attrs.get("title", ""))
-    return {"title": title, "variable": found.variable, "over": found.over, "errors": found.errors}

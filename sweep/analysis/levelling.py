@@ -8,7 +8,7 @@ from numpy.linalg import LinAlgError
 from scipy.optimize import approx_fprime, least_squares
 from scipy.special import exprel
 
-from sweep.analysis.fits import are_known, chi2_about, largest_error, relative_covariance, weigh
+from sweep.analysis.fits import chi2_about, relative_covariance, weigh
 from sweep.contract import Array, small_sample_factor
 
 STARTS = (0.5, 2.0, 6.0)
@@ -21,7 +21,7 @@ class Levelling:
 
     ``plateau`` is NaN where the points do not level off.  ``end_fall`` is -d ln y / dx at the last point.  ``limit``
     is the x beyond which y falls more slowly than was asked for: -inf if it does so everywhere, inf if nowhere; it may
-    lie beyond the points.  ``squares`` are y^2 of the law at both ``ends``.
+    lie beyond the points.
     """
 
     plateau: float
@@ -34,13 +34,6 @@ class Levelling:
     limit_error: float
     chi2: float
     dof: int
-    ends: tuple[float, float]
-    squares: tuple[float, float]
-
-    def __call__(self, x: Array) -> Array:
-        """Return the law at x between its ends, same shape."""
-        first, last = self.ends
-        return np.sqrt(_square((x - first) / (last - first), *self.squares, self.rate * (last - first)))
 
 
 def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = np.inf) -> Levelling:
@@ -54,8 +47,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     y^2 is positive between whatever they are.
     Raises ValueError where it does not converge, or for a covariance that is not positive definite.
     """
-    known = are_known(errors)
-    relative = relative_covariance(y, errors) if known else np.eye(len(x))
+    relative, known = relative_covariance(y, errors)
     whiten, covariance = weigh(relative, samples)
     first, length, scale = x[0], x[-1] - x[0], y[-1]
     z, target = (x - first) / length, np.log(y / scale)
@@ -76,7 +68,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     if misfit_squared > dof or not known:
         spread = spread * misfit_squared / dof
     judge = known and not np.isnan(samples)
-    chi2 = chi2_about(misfit(found), slopes, covariance, largest_error(relative, samples)) if judge else np.nan
+    chi2 = chi2_about(misfit(found), slopes, covariance, relative, samples) if judge else np.nan
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
@@ -91,21 +83,9 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
         jacobian = approx_fprime(found, derived)
         sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
     sigmas = np.where(np.isfinite(values), sigmas, np.nan)
-    squares = scale**2 * np.exp(found[:2])
-    return Levelling(
-        plateau=float(values[0]),
-        plateau_error=float(sigmas[0]),
-        rate=float(values[1]),
-        rate_error=float(sigmas[1]),
-        end_fall=float(values[2]),
-        end_fall_error=float(sigmas[2]),
-        limit=float(values[3]),
-        limit_error=float(sigmas[3]),
-        chi2=chi2,
-        dof=dof,
-        ends=(float(x[0]), float(x[-1])),
-        squares=(float(squares[0]), float(squares[1])),
-    )
+    estimates = dict(zip(("plateau", "rate", "end_fall", "limit"), values.tolist(), strict=True))
+    errors_of = {f"{name}_error": sigma for name, sigma in zip(estimates, sigmas.tolist(), strict=True)}
+    return Levelling(**estimates, **errors_of, chi2=chi2, dof=dof)
 
 
 def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Array, Array, float] | None:

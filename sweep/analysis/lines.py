@@ -14,8 +14,7 @@ from sweep.analysis.quantity import (
     covariance_along,
     has_old_errors,
     require_axis,
-    samples_of,
-    shares_random_numbers,
+    samples_along,
     standard_error,
 )
 from sweep.analysis.selection import place_in_words
@@ -37,6 +36,7 @@ class Lines:
     points are independent, NaN where they share random numbers and their covariance is not known.
     """
 
+    title: str
     variable: str
     over: str
     over_unit: str
@@ -65,13 +65,18 @@ class Lines:
         """Length of each of ``dims``."""
         return tuple(self.grid.sizes[d] for d in self.dims)
 
+    @property
+    def common_unit(self) -> str:
+        """The unit of all lines; '' where they differ: then the coordinate of the components' units names it."""
+        return self.unit[0] if len(set(self.unit)) == 1 else ""
+
     def with_variables(self, columns: Mapping[str, tuple[Any, str, str]]) -> xr.Dataset:
-        """Return the grid with variables of values (lines,), unit and meaning each."""
+        """Return the grid with variables of values (lines,), unit and meaning each, and what it is about."""
         variables = {
             name: (self.dims, np.reshape(values, self.shape), described(unit, meaning))
             for name, (values, unit, meaning) in columns.items()
         }
-        return self.grid.assign(variables)
+        return self.grid.assign(variables).assign_attrs(title=self.title, variable=self.variable, over=self.over)
 
     def errors_of(self, line: int) -> Array:
         """Return the errors (k,) or the covariance (k, k) of the k used points of a line."""
@@ -94,16 +99,17 @@ def lines(
     dimension = str(dataset[over].dims[0])
     if dimension == POINT:  # a table may repeat a point
         dataset = dataset.isel({POINT: np.unique(dataset[over].values, return_index=True)[1]})
-    value = dataset[variable]
-    others = [str(d) for d in value.dims if d != dimension]
+    others = [str(d) for d in dataset[variable].dims if d != dimension]
     order = np.argsort(dataset[over].values, kind="stable")
     ordered = dataset.isel({dimension: order})
     template = ordered[variable].astype(float)  # of integers and truth values too, whose errors may be NaN
     status = ordered["status"].broadcast_like(template)
     error = standard_error(ordered, variable)
     covariance = _covariance(ordered, variable, dimension, order, covariance)
-    unknown = covariance is None and shares_random_numbers(dataset, [dimension])
+    samples = samples_along(dataset, dimension, covariance)
+    along = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
     found = Lines(
+        title=str(dataset.attrs.get("title", "")),
         variable=variable,
         over=over,
         over_unit=units_of(dataset[over].attrs),
@@ -113,10 +119,10 @@ def lines(
         used=_rows(status, others, dimension) != Status.EXCLUDED,
         covariance=None if covariance is None else _rows(covariance, others, dimension, f"{dimension}_other"),
         dims=tuple(others),
-        grid=_grid(dataset, others),
+        grid=xr.Dataset(coords=along | {d: dataset[d].variable for d in others}),
         unit=_units(dataset, variable, others),
-        errors=_errors_in_words(dataset, error is not None, covariance, unknown),
-        samples=np.nan if unknown else np.inf if covariance is None else samples_of(covariance),
+        errors=_errors_in_words(dataset, error is not None, covariance is not None, samples),
+        samples=samples,
     )
     require_done(dataset)
     if problems := _unusable(found, least):
@@ -141,25 +147,15 @@ def _rows(array: xr.DataArray, others: Sequence[str], *last: str) -> NDArray[Any
     return values.reshape(-1, *values.shape[len(others) :])
 
 
-def _grid(dataset: xr.Dataset, others: Sequence[str]) -> xr.Dataset:
-    names = [n for n, c in dataset.coords.items() if set(c.dims) <= set(others)]
-    return xr.Dataset(coords={n: dataset.coords[n].variable for n in names} | {d: dataset[d].variable for d in others})
-
-
 def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> tuple[str, ...]:
     """Return the unit of each line: that of the variable, or of the components that its own unit lists."""
-    shape = tuple(dataset.sizes[d] for d in others)
     own = units_of(dataset[variable].attrs)
-    unit = np.full(shape, own, dtype=object)
-    kinds = [n for n in map(str, dataset.coords) if n.endswith("_unit")] if "," in own else []
-    parts = []
-    for kind in kinds:
-        values, dims = dataset[kind].values.astype(object), dataset[kind].dims
-        if set(dims) <= set(others):
-            parts.append(np.broadcast_to(values.reshape([-1 if d in dims else 1 for d in others]), shape))
-    if parts:
-        unit = parts[0] if len(parts) == 1 else sum(("(" + part + ") " for part in parts), np.full(shape, ""))
-    return tuple(str(each).strip() for each in np.asarray(unit, dtype=object).reshape(-1))
+    listed = [c.variable.astype(object) for n, c in dataset.coords.items() if str(n).endswith("_unit")]
+    parts = [part for part in listed if set(part.dims) <= set(others)] if "," in own else []
+    unit = xr.Variable(others, np.full([dataset.sizes[d] for d in others], "" if parts else own, dtype=object))
+    for part in parts:
+        unit = unit + (part if len(parts) == 1 else "(" + part + ") ")
+    return tuple(str(each).strip() for each in unit.values.reshape(-1))
 
 
 def _covariance(
@@ -179,13 +175,12 @@ def _covariance(
     return found.broadcast_like(dataset[variable].expand_dims({other: found.sizes[other]}))
 
 
-def _errors_in_words(dataset: xr.Dataset, known: bool, covariance: xr.DataArray | None, unknown: bool) -> str:
+def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples: float) -> str:
     if has_old_errors(dataset):
         return OLD_ERRORS
-    if covariance is not None:
-        samples = samples_of(covariance)
+    if correlated:
         return "covariance between points" + (f", from {samples:.0f} samples" if np.isfinite(samples) else "")
-    if unknown:
+    if np.isnan(samples):
         return (
             "not known, as points share random numbers and the store has no covariance of them "
             f"(it needs {FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`)"

@@ -24,17 +24,13 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> L
     """
     rows = slice(None) if places is None else places
     dimensions = axes_of(dataset)
-    flat = dataset[[str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]]
+    flat = [str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dimensions)]
     columns: Long = {}
     template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
-    for name in [*axis_coordinates(dataset, dimensions), *flat.data_vars]:
-        variable = dataset[name]
-        values = variable.broadcast_like(template).transpose(*dimensions).values.reshape(-1)[rows]
-        columns[str(name)] = (variable.attrs.get("units", ""), _listed(values))
-    for name in array_outputs(dataset):
-        variable = dataset[name].transpose(*dimensions, ...)
+    for name in [*axis_coordinates(dataset, dimensions), *flat, *array_outputs(dataset)]:
+        variable = dataset[name].broadcast_like(template).transpose(*dimensions, ...)
         values = variable.values.reshape(-1, *variable.shape[len(dimensions) :])[rows]
-        columns[name] = (variable.attrs.get("units", ""), _listed(values))
+        columns[name] = (dataset[name].attrs.get("units", ""), _listed(values))
     status = columns["status"][1]
     words = [code.word for code in Status]
     columns["status"] = ("", [words[code] for code in status])
@@ -43,13 +39,12 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> L
 
 def array_outputs(dataset: xr.Dataset) -> list[str]:
     """Return the outputs of a plain function that have dimensions of their own."""
-    axes = set(axes_of(dataset))
-    return [str(n) for n, v in dataset.data_vars.items() if set(v.dims) - axes] if FUNCTION in dataset.attrs else []
+    return [n for n in map(str, dataset.data_vars) if own_dimensions(dataset, n)] if FUNCTION in dataset.attrs else []
 
 
 def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
     """Return the dimensions of an output that are no axes of the study."""
-    return [str(d) for d in dataset[name].dims if d not in axes_of(dataset)]
+    return [str(d) for d in dataset[name].dims if d not in dataset["status"].dims]
 
 
 def _listed(values: Any) -> list[Any]:

@@ -11,15 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sweep.analysis.fits import power_law
-from sweep.analysis.quantity import (
-    covariance_along,
-    error_of_sum,
-    samples_of,
-    shares_random_numbers,
-    standard_error,
-)
+from sweep.analysis.quantity import covariance_along, error_of_sum, samples_along, standard_error
 from sweep.analysis.selection import coordinates_along, place_in_words, places_along
-from sweep.analysis.verdicts import Measured
 from sweep.attributes import units_of
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status
@@ -30,6 +23,17 @@ Index = Mapping[str, int]
 
 class OutsideGridError(Exception):
     """A claim speaks of a place that this grid does not have."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Our number at one place, or why there is none: ``missing`` if it was not computed, ``broken`` if it cannot be."""
+
+    where: Mapping[str, Any]
+    value: float = math.nan
+    error: float = 0.0
+    missing: str = ""
+    broken: str = ""
 
 
 def claims_of(dataset: xr.Dataset) -> list[Claim]:
@@ -50,9 +54,11 @@ def in_words(quantity: Slope | Ratio | Reading) -> str:
     return name
 
 
-def unit_of(dataset: xr.Dataset, quantity: Reading) -> str:
-    """Return the unit of a result, or of its component where these differ; '' for one that is not there."""
-    if quantity.variable not in dataset:
+def unit_of(dataset: xr.Dataset, quantity: Slope | Ratio | Reading) -> str:
+    """Return the unit of a result, or of its component where these differ; '' for one that is not there, and for what
+    is derived.
+    """
+    if not isinstance(quantity, Reading) or quantity.variable not in dataset:
         return ""
     variable = dataset[quantity.variable]
     units = f"{variable.dims[-1]}_unit" if quantity.component is not None else ""
@@ -89,6 +95,7 @@ class Points:
     variable: str
     value: xr.DataArray
     error: xr.DataArray
+    status: xr.DataArray
 
     @classmethod
     def of(cls, dataset: xr.Dataset, variable: str, component: str | None = None) -> "Points":
@@ -99,12 +106,7 @@ class Points:
         known = standard_error(part, variable)
         status = part["status"]
         error = xr.zeros_like(status, dtype=float) if known is None else known
-        return cls(part, variable, part[variable].broadcast_like(status), error.broadcast_like(status))
-
-    @property
-    def status(self) -> xr.DataArray:
-        """Status of every point."""
-        return self.dataset["status"]
+        return cls(part, variable, part[variable].broadcast_like(status), error.broadcast_like(status), status)
 
     def index(self, places: Mapping[str, Any]) -> dict[str, int]:
         """Return the index along the dimensions that values of axes fix."""
@@ -158,22 +160,20 @@ class Points:
         where, dimension = self.places(line), str(self.dataset[over].dims[0])
         status = self.status[dict(line)].values
         used = status != Status.EXCLUDED
-        if np.any(status[used] != Status.DONE):
-            some = f"{np.count_nonzero(status[used] != Status.DONE)} of {np.count_nonzero(used)} points"
-            return Measured(where, missing=_why(set(status[used & (status != Status.DONE)].tolist()), some))
+        undone = used & (status != Status.DONE)
+        if undone.any():
+            some = f"{np.count_nonzero(undone)} of {np.count_nonzero(used)} points"
+            return Measured(where, missing=_why(set(status[undone].tolist()), some))
         x, y = (np.asarray(v, dtype=float)[used] for v in (self.dataset[over].values, self.value[dict(line)].values))
         if len(x) < 2:
             return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(x)}")
         if not (np.all(x > 0.0) and np.all(np.isfinite(y)) and np.all(y > 0.0)):
             return Measured(where, broken="there are values that are not above 0, which have no power law")
-        errors, samples = self.error[dict(line)].values[used], math.inf
+        errors = self.error[dict(line)].values[used]
         if (covariance := covariance_along(self.dataset, self.variable, dimension)) is not None:
-            square = covariance.isel(dict(line)).transpose(dimension, f"{dimension}_other").values
-            errors, samples = square[np.ix_(used, used)], samples_of(covariance)
-        elif shares_random_numbers(self.dataset, [dimension]):
-            samples = math.nan
+            errors = covariance.isel(dict(line)).transpose(dimension, f"{dimension}_other").values[np.ix_(used, used)]
         try:
-            law = power_law(x, y, errors, samples)
+            law = power_law(x, y, errors, samples_along(self.dataset, dimension, covariance))
         except ValueError as error:
             return Measured(where, missing=str(error))
         return Measured(where, law.exponent, law.exponent_error)

@@ -21,6 +21,9 @@ ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 PREDICTION_SUFFIXES = ("rms_predicted", "predicted")
 """Outputs NAME_SUFFIX beside NAME predict it; the first there is predicts all of it, the others may be a part."""
 
+BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
+"""Variables NAME_SUFFIX that belong to NAME and are in its unit."""
+
 COVARIANCE_SUFFIX = "mc_covariance"
 """A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
 points along the axis OVER, where these share random numbers.  It has all of their error: it stands for both error
@@ -68,9 +71,11 @@ def headline_variables(dataset: xr.Dataset) -> list[str]:
 
 
 def headlines(dataset: xr.Dataset) -> list[str]:
-    """Return those of `headline_variables` that are quantities with values."""
+    """Return the quantities that a study is about: those with values that its experiment calls headline, or the first
+    one there is.
+    """
     known = quantities(dataset)
-    return with_values(dataset, [name for name in headline_variables(dataset) if name in known])
+    return with_values(dataset, [name for name in headline_variables(dataset) if name in known]) or known[:1]
 
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -115,9 +120,13 @@ def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.D
     return None if old else dataset[name]
 
 
-def samples_of(covariance: xr.DataArray) -> float:
-    """Return from how many independent samples a covariance was estimated, infinity where it is exact."""
-    return float(covariance.attrs.get("samples", np.inf))
+def samples_along(dataset: xr.Dataset, dimension: str, covariance: xr.DataArray | None) -> float:
+    """Return from how many independent samples the covariance of points along a dimension was estimated: infinity where
+    it is exact or points are independent, NaN where they share random numbers and it is not known.
+    """
+    if covariance is not None:
+        return float(covariance.attrs.get("samples", np.inf))
+    return np.nan if shares_random_numbers(dataset, [dimension]) else np.inf
 
 
 def error_of_sum(
@@ -143,7 +152,8 @@ def error_of_sum(
         i, j = one[dimension], other[dimension]
         part = {(a, b): pair.isel({dimension: a, f"{dimension}_other": b}, drop=True) for a in (i, j) for b in (i, j)}
         variance = first**2 * part[i, i] + second**2 * part[j, j] + 2.0 * first * second * part[i, j]
-        variance = xr.DataArray(variance * float(small_sample_factor(samples_of(found)))).clip(min=0.0)
+        factor = float(small_sample_factor(samples_along(dataset, dimension, found)))
+        variance = xr.DataArray(variance * factor).clip(min=0.0)
     else:
         variance = xr.DataArray((first * errors[0]) ** 2 + (second * errors[1]) ** 2)
         if shares_random_numbers(dataset, differing):
@@ -162,8 +172,7 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
     covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
-    attached = (*ERROR_SUFFIXES, *covariances, *PREDICTION_SUFFIXES, "published", "published_rounding")
-    beside = {f"{name}_{suffix}" for name in numbers for suffix in attached}
+    beside = {f"{name}_{suffix}" for name in numbers for suffix in (*BESIDE, *covariances)}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
 
 
@@ -175,23 +184,18 @@ def _is_number(dataset: xr.Dataset, name: str) -> bool:
 
 def main_quantity(dataset: xr.Dataset) -> str:
     """Return the variable to use where none is named: the first headline with an error, headline, or quantity."""
-    names = quantities(dataset)
-    if not names:
-        raise SweepError("holds no results that are numbers")
-    return (headlines(dataset) or names)[0]
+    if names := headlines(dataset):
+        return names[0]
+    raise SweepError("holds no results that are numbers")
 
 
 def require_quantity(dataset: xr.Dataset, variable: str) -> None:
     """Raise SweepError unless a variable is one of the dataset's quantities."""
     names = quantities(dataset)
     if variable not in names:
-        if variable in dataset.data_vars and dataset[variable].dtype.kind not in "biufc":
-            raise SweepError(f"{variable} has no numbers, but {_kind_in_words(dataset[variable])}")
+        if variable in dataset.data_vars and (kind := dataset[variable].dtype.kind) not in "biufc":
+            raise SweepError(f"{variable} has no numbers, but {'times' if kind in 'Mm' else 'texts'}")
         raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names) if names else '; there are none'}")
-
-
-def _kind_in_words(variable: xr.DataArray) -> str:
-    return "times" if variable.dtype.kind in "Mm" else "texts"
 
 
 def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:

@@ -7,12 +7,9 @@ from typing import Any
 
 import xarray as xr
 
-from sweep.analysis.quantity import COVARIANCE_SUFFIX, ERROR_SUFFIXES, PREDICTION_SUFFIXES, quantities
+from sweep.analysis.quantity import BESIDE, COVARIANCE_SUFFIX, quantities
 from sweep.attributes import units_of
 from sweep.readable import prefixed
-
-BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
-"""Variables NAME_SUFFIX that are in the unit of NAME."""
 
 
 def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:

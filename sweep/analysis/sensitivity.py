@@ -2,12 +2,12 @@
 
 import json
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.given_data import first_order
 from sweep.analysis.lines import require_done
 from sweep.analysis.quantity import (
     main_quantity,
@@ -16,8 +16,7 @@ from sweep.analysis.quantity import (
     standard_error,
     varied_parameters,
 )
-from sweep.analysis.salib_indices import morris_effects, saltelli_indices
-from sweep.analysis.variance_grid import indices_of_grid
+from sweep.analysis.sensitivity_indices import EFFECTS, first_order, indices_of_grid, morris_effects, saltelli_indices
 from sweep.attributes import described, units_of
 from sweep.contract import Array, SweepError
 from sweep.planning.point_status import Status
@@ -28,7 +27,7 @@ from sweep.studies.study import POINT, POINT_TABLE
 METHOD = "sensitivity_method"
 """The attribute of a dataset of indices that says how they were made."""
 
-INDICES = ("first", "first_error", "total", "total_error")
+INDICES: tuple[str, ...] = ("first", "first_error", "total", "total_error")
 
 MEANINGS = {
     "first": "first-order index: share of the variance that the parameter makes by itself",
@@ -46,12 +45,13 @@ CORRELATED = 0.3
 
 
 class _Method(NamedTuple):
-    """What makes indices of the values, and their errors, over some dimensions of a variable; and in words."""
+    """What makes indices, by these names, of the values and their errors over some dimensions of a variable."""
 
     name: str
     parameters: list[str]
     over: list[str]
-    estimate: Callable[[Array, Array | None], dict[str, Array]]
+    indices: Sequence[str]
+    estimate: Callable[[Array, Array | None], Sequence[Array]]
     notes: list[str]
 
 
@@ -99,19 +99,18 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     error = standard_error(dataset, output)
     errors = None if error is None else error.transpose(*others, *method.over).values
     shape = values.shape[: len(others)]
-    made = {i: method.estimate(values[i], None if errors is None else errors[i]) for i in np.ndindex(*shape)}
-    names = list(next(iter(made.values())))
-    if unknown := sum(bool(np.isnan(one[names[0]]).all()) for one in made.values()):
+    made = [method.estimate(values[i], None if errors is None else errors[i]) for i in np.ndindex(*shape)]
+    if unknown := sum(bool(np.isnan(one[0]).all()) for one in made):
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         method.notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
-    unit = "" if "first" in names else units_of(array.attrs)
+    unit = units_of(array.attrs) if method.indices is EFFECTS else ""
     variables = {
         name: (
             (*others, "parameter"),
-            np.array([one[name] for one in made.values()]).reshape(*shape, len(method.parameters)),
+            np.array([one[k] for one in made]).reshape(*shape, len(method.parameters)),
             described(unit, MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}")),
         )
-        for name in names
+        for k, name in enumerate(method.indices)
     }
     coordinates = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
     about: dict[str, Any] = {"title": str(dataset.attrs.get("title", "")), "output": output, METHOD: method.name}
@@ -127,41 +126,31 @@ def is_sensitivity(dataset: xr.Dataset) -> bool:
 
 def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     told = json.loads(dataset.attrs.get(POINT_TABLE, "{}"))
-    design = told.get("design", "")
+    design, ranges = told.get("design", ""), told.get("ranges", {})
     parameters = [n for n in told.get("ranges", told.get("parameters", [])) if n in dataset.coords]
     whole = design in DESIGNS and DESIGNS[design].size(told["n"], len(parameters)) == dataset.sizes[POINT]
     if design in ("saltelli", "morris") and not whole:
         raise SweepError(f"indices of a {design} design need all of its points")
-    if design == "saltelli":
-
-        def of_pairs(values: Array, _errors: Array | None) -> dict[str, Array]:
-            if not np.ptp(values) > 0.0:
-                return dict.fromkeys(INDICES, np.full(len(parameters), np.nan))
-            return dict(zip(INDICES, saltelli_indices(values, len(parameters), seed), strict=True))
-
-        notes = ["Monte-Carlo errors of the points count as interactions: they are in the total indices"]
-        return _Method("SALib, of a saltelli design", parameters, [POINT], of_pairs, notes)
-    ranges = told.get("ranges", {})
-    if design == "morris":
-        places = [_places(dataset, name, ranges.get(name)) for name in parameters]
-
-        def effects(values: Array, _errors: Array | None) -> dict[str, Array]:
-            return morris_effects(values, np.stack(places, axis=1), seed)
-
-        notes = ["effects are over the whole range of each parameter; they rank parameters, and are no shares"]
-        return _Method("SALib, of a morris design", parameters, [POINT], effects, notes)
-    parameters = [name for name in varied_parameters(dataset) if name in parameters]
-    if not parameters:
-        raise SweepError("the points do not differ in any parameter")
+    if design not in ("saltelli", "morris"):
+        parameters = [name for name in varied_parameters(dataset) if name in parameters]
+        if not parameters:
+            raise SweepError("the points do not differ in any parameter")
     places = [_places(dataset, name, ranges.get(name)) for name in parameters]
-    even = bool(design) and design != "random"
-
-    def given(values: Array, _errors: Array | None) -> dict[str, Array]:
-        return dict(zip(INDICES[:2], first_order(values, places, even, seed), strict=True))
-
-    notes = ["total indices need a full grid or a saltelli design"]
-    notes += [] if design else _correlated(parameters, places)
-    return _Method(f"regression on each parameter, of {design or 'given'} points", parameters, [POINT], given, notes)
+    estimate: Callable[[Array], Sequence[Array]]
+    if design == "saltelli":
+        words, indices = "SALib, of a saltelli design", INDICES
+        estimate = partial(saltelli_indices, parameters=len(parameters), seed=seed)
+        notes = ["Monte-Carlo errors of the points count as interactions: they are in the total indices"]
+    elif design == "morris":
+        words, indices = "SALib, of a morris design", EFFECTS
+        estimate = partial(morris_effects, places=np.stack(places, axis=1), seed=seed)
+        notes = ["effects are over the whole range of each parameter; they rank parameters, and are no shares"]
+    else:
+        words, indices = f"regression on each parameter, of {design or 'given'} points", INDICES[:2]
+        estimate = partial(first_order, places=places, even=design not in ("", "random"), seed=seed)
+        notes = ["total indices need a full grid or a saltelli design"]
+        notes += [] if design else _correlated(parameters, places)
+    return _Method(words, parameters, [POINT], indices, lambda values, _: estimate(values), notes)
 
 
 def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:
@@ -174,11 +163,10 @@ def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:
     continuous = [len(joint[d]) == 1 and d in dataset.coords and dataset[d].dtype.kind == "f" for d in over]
     shared = shares_random_numbers(dataset, over)
 
-    def estimate(values: Array, errors: Array | None) -> dict[str, Array]:
-        found = dict(zip(INDICES, indices_of_grid(values, errors, continuous, seed), strict=True))
-        if shared:
-            found |= {name: np.full(len(over), np.nan) for name in ("first_error", "total_error")}
-        return found
+    def estimate(values: Array, errors: Array | None) -> Sequence[Array]:
+        first, first_error, total, total_error = indices_of_grid(values, errors, continuous, seed)
+        unknown = np.full(len(over), np.nan)
+        return (first, unknown, total, unknown) if shared else (first, first_error, total, total_error)
 
     notes = ["every value of an axis counts the same: of real numbers they are midpoints of equal cells"]
     notes += [f"{n} goes along with the others of its zipped axes" for n in parameters if "+" in n]
@@ -189,18 +177,17 @@ def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:
         )
     if shared:
         notes.append("points share random numbers, so that the errors are not known")
-    return _Method("analysis of variance of the grid", parameters, over, estimate, notes)
+    return _Method("analysis of variance of the grid", parameters, over, INDICES, estimate, notes)
 
 
 def _places(dataset: xr.Dataset, name: str, spec: Any) -> Array:
     """Return the places of a parameter's values in the unit interval: by its range in the design, or by their order."""
     array = dataset[name]
-    whole = array.dtype.kind == "i"
     if isinstance(spec, list):
-        return Range(name, spec[0], spec[1], whole=whole).places(array.values)
+        spec = {"low": spec[0], "high": spec[1]}
     if isinstance(spec, dict) and "low" in spec:
         log = spec.get("spacing") == "log"
-        return Range(name, spec["low"], spec["high"], log, whole).places(array.values)
+        return Range(name, spec["low"], spec["high"], log, whole=array.dtype.kind == "i").places(array.values)
     values = array.values.astype(str) if array.dtype.kind == "O" else array.values
     _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
     before = np.cumsum(counts) - counts

@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
+from sweep.analysis.columns import Column
 from sweep.analysis.selection import places_along
 from sweep.analysis.sensitivity import METHOD
 from sweep.attributes import units_of
-from sweep.formatting import plain, reading_table, rounded, to_csv, to_json, with_error
+from sweep.formatting import plain, reading_table, to_csv, to_json, with_error
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,19 +27,22 @@ def as_text(result: xr.Dataset) -> "Table":
     """Return a table for reading: each index with its error."""
     columns = columns_of(result)
     title = f"{result.attrs['title']}: sensitivity of {result.attrs['output']}"
-    return reading_table(title, list(columns), zip(*columns.values(), strict=True), left="parameter")
+    cells = zip(*(column.cells for column in columns), strict=True)
+    return reading_table(title, [column.name for column in columns], cells, left="parameter")
 
 
-def columns_of(result: xr.Dataset) -> dict[str, list[str]]:
-    """Return the cells of each column by its heading."""
+def columns_of(result: xr.Dataset) -> list[Column]:
+    """Return the columns for reading, their units in their names: places, parameters, and indices with their errors."""
     everything = rows(result)
-    names = [name for name in everything[0] if not name.endswith("_error")]
-    columns = {}
-    for name in names:
+    columns = []
+    for name in everything[0]:
+        if name.endswith("_error"):
+            continue
         unit = units_of(result[name].attrs) if name in result else ""
-        columns[f"{name} [{unit}]" if unit else name] = [
-            _cell(row, name, name in result.data_vars) for row in everything
-        ]
+        values = [row[name] for row in everything]
+        errors = [row.get(f"{name}_error", 0.0) for row in everything]
+        cells = list(map(with_error, values, errors)) if name in result.data_vars else list(map(plain, values))
+        columns.append(Column(f"{name} [{unit}]" if unit else name, "", cells, values))
     return columns
 
 
@@ -57,10 +61,3 @@ def as_json(result: xr.Dataset) -> str:
 def notes(result: xr.Dataset) -> list[str]:
     """Return sentences that belong below the table."""
     return [f"by {result.attrs[METHOD]}, from {result.attrs['points']:,} points", *json.loads(result.attrs["notes"])]
-
-
-def _cell(row: dict[str, Any], name: str, index: bool) -> str:
-    if not index:
-        return plain(row[name])
-    error = row.get(f"{name}_error")
-    return rounded(row[name]) if error is None else with_error(row[name], error)

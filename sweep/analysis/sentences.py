@@ -32,7 +32,7 @@ quantity: a corner of the grid without errors would make it a number that nobody
 
 
 def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
-    """Yield sentences about a variable with one value a point, in a unit."""
+    """Yield sentences about a variable with one value a point, in a unit; '' for one with nothing to say."""
     dims = [str(d) for d in part["status"].dims]
     values = part[variable].transpose(*dims).values.astype(float)
     known = standard_error(part, variable)
@@ -42,14 +42,12 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         yield "No point has a value yet."
         return
     values = np.where(finite, values, np.nan)
-    yield _range(part, values, errors, unit)
-    if sentence := _what_changes_it(dims, values):
-        yield sentence
     of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
     known_ones = [words for words, error in of.items() if error is not None and bool(error.notnull().any())]
     origin = " and ".join(known_ones).replace("catalogue", outer_draw_of(part.attrs))
-    if sentence := _accuracy(values[finite], errors[finite], origin):
-        yield sentence
+    yield _range(part, values, errors, unit)
+    yield _what_changes_it(dims, values)
+    yield _accuracy(values[finite], errors[finite], origin)
     for whole in unknown_parts(part, variable):
         sentence = whole.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
@@ -58,8 +56,7 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
         without_bias = whole_name not in part and errors_alone in part and "bias" in part
         left_out = ", which leaves a bias out" if without_bias else ""
-        if sentence := _agreement(values, errors, predicted.transpose(*dims).values, left_out):
-            yield sentence
+        yield _agreement(values, errors, predicted.transpose(*dims).values, left_out)
     if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
         points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
         yield f"At {points} done it is not a finite number."

@@ -7,24 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from core.calibration import (
-    CONSTANTS,
-    DIVA_SIGMA_MAS_YR,
-    DIVA_V_MAG,
-    IN_CODE,
-    MODEL_ERROR,
-    PAPER_MC_ERROR,
-    Fit,
-    Model,
-    PublishedSigma,
-    all_skies,
-    chi2_of,
-    constants_of,
-    constrained,
-    curve_of,
-    fit,
-    published_model,
-)
+from core import calibration
+from core.calibration import CONSTANTS, IN_CODE, Fit, Model, PublishedSigma
 from core.catalogue import N_GALAXIES
 from core.spin_variance import Kind, Skies
 from sweep.formatting import WIDTH, reading_table
@@ -62,8 +46,8 @@ def calibration_report(n_cat: int = 200) -> dict[str, Any]:
     ``n_cat`` sets how many catalogues the closed form is averaged over.
     """
     return {
-        "model_error": MODEL_ERROR,
-        "paper_mc_error": float(PAPER_MC_ERROR),
+        "model_error": calibration.MODEL_ERROR,
+        "paper_mc_error": float(calibration.PAPER_MC_ERROR),
         "curves": {model: _curve_report(model, n_cat) for model in CONSTANTS},
     }
 
@@ -78,10 +62,8 @@ def as_text(report: dict[str, Any]) -> "Group":
         f"and {100 * report['model_error']:.0f} % for the model itself. Uncertainties: from the curvature of chi2, "
         "scaled by chi2/dof where that is above one. Equal weights: fitted to the quasars alone."
     )
-    parts: list[Any] = [textwrap.fill(about, WIDTH)]
-    for model, curve in report["curves"].items():
-        parts += _curve_text(model, curve)
-    return Group(*parts)
+    curves = (part for model, curve in report["curves"].items() for part in _curve_text(model, curve))
+    return Group(textwrap.fill(about, WIDTH), *curves)
 
 
 def _rows(name: str) -> list[dict[str, str]]:
@@ -95,29 +77,27 @@ def _number(kind: Kind, n_obj: int, printed: str, reference_error_scale: float =
 
 
 def _curve_report(model: Model, n_cat: int) -> dict[str, Any]:
-    numbers = published_numbers(model)
-    skies = all_skies(model, n_cat)
-    found = fit(model, list(numbers.values()), skies)
-    chosen = constrained(found, list(numbers.values()), skies)
-    in_code, _ = published_model(list(numbers.values()), skies, IN_CODE[model], "inverse-variance")
+    numbers, skies = published_numbers(model), calibration.all_skies(model, n_cat)
+    printed = list(numbers.values())
+    found = calibration.fit(model, printed, skies)
+    chosen = calibration.constrained(found, printed, skies)
+    in_code, _ = calibration.published_model(printed, skies, IN_CODE[model], "inverse-variance")
+    rows = _compared(numbers, found.sigma_mas_yr)
     report = {
         "formula": FORMULA[model],
         **_constants(found),
         "chosen": dict(zip(CONSTANTS[model], chosen.tolist(), strict=True)),
-        "in_code_chi2": chi2_of(list(numbers.values()), in_code, found.relative_error),
+        "in_code_chi2": calibration.chi2_of(printed, in_code, found.relative_error),
         "in_code_distance2": found.distance(IN_CODE[model]),
-        "numbers": [
-            row | {"in_code": float(code)}
-            for row, code in zip(_compared(numbers, found.sigma_mas_yr), in_code, strict=True)
-        ],
+        "numbers": [row | {"in_code": float(code)} for row, code in zip(rows, in_code, strict=True)],
         "equal_weights": _equal_weights(model, numbers, skies),
     }
     if model == "amex":
-        at_v = np.array([DIVA_V_MAG])
+        at_v = np.array([calibration.DIVA_V_MAG])
         report["independent_check"] = {
             "what": "DIVA's published proper-motion error",
-            "v_mag": DIVA_V_MAG,
-            "published": DIVA_SIGMA_MAS_YR,
+            "v_mag": calibration.DIVA_V_MAG,
+            "published": calibration.DIVA_SIGMA_MAS_YR,
             "fitted": float(found.curve(at_v)[0]),
             "in_code": float(IN_CODE[model](at_v)[0]),
         }
@@ -125,21 +105,13 @@ def _curve_report(model: Model, n_cat: int) -> dict[str, Any]:
 
 
 def _constants(found: Fit) -> dict[str, Any]:
-    fitted, errors = found.constants, found.standard_error
-    in_code = constants_of(IN_CODE[found.model])
-    return {
-        "constants": {
-            name: {
-                "unit": "mas / yr" if name.startswith("amplitude") else "1 / mag",
-                "fitted": float(fitted[i]),
-                "standard_error": float(errors[i]),
-                "in_code": float(in_code[i]),
-            }
-            for i, name in enumerate(CONSTANTS[found.model])
-        },
-        "chi2": found.chi2,
-        "dof": found.dof,
+    columns = found.constants, found.standard_error, calibration.constants_of(IN_CODE[found.model])
+    constants = {
+        name: {"unit": "mas / yr" if name.startswith("amplitude") else "1 / mag"}
+        | dict(zip(("fitted", "standard_error", "in_code"), map(float, row), strict=True))
+        for name, *row in zip(CONSTANTS[found.model], *columns, strict=True)
     }
+    return {"constants": constants, "chi2": found.chi2, "dof": found.dof}
 
 
 def _equal_weights(model: Model, numbers: dict[str, PublishedSigma], skies: dict[Kind, Skies]) -> dict[str, Any]:
@@ -147,13 +119,13 @@ def _equal_weights(model: Model, numbers: dict[str, PublishedSigma], skies: dict
     below which no curve can come.
     """
     quasars_only = [number for number in numbers.values() if number.kind == "quasars"]
-    found = fit(model, quasars_only, skies, "equal")
-    predicted, _ = published_model(list(numbers.values()), skies, found.curve, "equal")
+    found = calibration.fit(model, quasars_only, skies, "equal")
+    predicted, _ = calibration.published_model(list(numbers.values()), skies, found.curve, "equal")
     report = {"fitted_to": "quasars", **_constants(found), "numbers": _compared(numbers, predicted)}
     stars = {label: number for label, number in numbers.items() if number.kind == "radio-stars"}
     if stars:
-        nothing = curve_of(model, np.zeros(len(CONSTANTS[model])))
-        floor, _ = published_model(list(stars.values()), skies, nothing, "equal")
+        nothing = calibration.curve_of(model, np.zeros(len(CONSTANTS[model])))
+        floor, _ = calibration.published_model(list(stars.values()), skies, nothing, "equal")
         report["perfect_satellite"] = _compared(stars, floor)
     return report
 
@@ -213,8 +185,7 @@ def _agreement(curve: dict[str, Any]) -> str:
     return (
         "In the code are the constants of smallest chi2 with every number within its limit "
         f"({100 * off:.1f} % from those found here). Their squared distance from the free fit is {distance:.1f} in "
-        "units of its covariance, where "
-        f"{count} are expected for {count} constants."
+        f"units of its covariance, where {count} are expected for {count} constants."
     )
 
 
@@ -226,13 +197,13 @@ def _checks(curve: dict[str, Any]) -> list[str]:
             f"{check['fitted']:.3f} fitted, {check['in_code']:.3f} in the code (mas/yr)."
         )
     equal = curve["equal_weights"]
-    worst = {kind: _range(equal["numbers"], kind) for kind in ("quasars", "galaxies", "radio-stars")}
-    sentence = f"Equal weights, fitted to the quasars alone: quasars {worst['quasars']}"
+    numbers = equal["numbers"]
+    sentence = f"Equal weights, fitted to the quasars alone: quasars {_range(numbers, 'quasars')}"
     if "perfect_satellite" in equal:
         sentence += (
-            f", but galaxies {worst['galaxies']} and radio stars {worst['radio-stars']}. Even a satellite without "
-            f"errors would leave the radio stars at {_range(equal['perfect_satellite'], 'radio-stars')}: "
-            "no curve saves this hypothesis."
+            f", but galaxies {_range(numbers, 'galaxies')} and radio stars {_range(numbers, 'radio-stars')}. Even a "
+            f"satellite without errors would leave the radio stars at "
+            f"{_range(equal['perfect_satellite'], 'radio-stars')}: no curve saves this hypothesis."
         )
     else:
         sentence += ": these numbers alone do not tell the two weightings apart."
@@ -241,7 +212,5 @@ def _checks(curve: dict[str, Any]) -> list[str]:
 
 def _range(rows: list[dict[str, Any]], kind: str) -> str:
     residuals = [100.0 * row["residual"] for row in rows if row["kind"] == kind]
-    if not residuals:
-        return ""
     low, high = f"{min(residuals):+.0f}", f"{max(residuals):+.0f}"
     return f"{low} %" if low == high else f"{low} to {high} %"

@@ -4,8 +4,7 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from sweep.analysis.compare import compare, remarks
-from sweep.analysis.verdicts import Comparison
+from sweep.analysis.compare import Comparison, compare, remarks
 from sweep.contract import SweepError
 from sweep.running.run import plan_study
 from sweep.stores.location import Where, located, reading
@@ -19,7 +18,7 @@ PAPER_ORDER = (
     *("algorithm", "error-surface", "sqrt-n", "scatter", "quasars", "galaxies", "completeness", "mission-length"),
     *("aberration", "radio-stars"),
 )
-"""The studies of Metz & Geffert 2004, by section."""
+"""The studies of Metz & Geffert 2004, by section; the others come after them by name."""
 
 
 def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]]:
@@ -50,12 +49,8 @@ def published_studies() -> list[Study]:
     """
     documents = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in built_in_studies().items()}
     names = [name for name, document in documents.items() if "published" in document or "claim" in document]
-    return [load_study(name) for name in sorted(names, key=_in_the_paper)]
-
-
-def _in_the_paper(name: str) -> tuple[int, str]:
-    """Return where a study comes: in the order of the paper, the others after it by name."""
-    return (PAPER_ORDER.index(name) if name in PAPER_ORDER else len(PAPER_ORDER), name)
+    others = sorted(set(names).difference(PAPER_ORDER))
+    return [load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
 
 
 def store_of(study: Study, results: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +68,12 @@ def _link_answer(link: xr.Dataset) -> Answer:
         part = link.isel(unknown=link["block"].values == block)
         if part.sizes["unknown"] <= 3:
             values = ", ".join(map(with_error, part["estimate"].values, part["error"].values))
-            vectors.append(f"{str(block).replace('_', ' ')}: ({values}) {part['unit'].values[0]}, {main} errors.")
+            name = str(block).replace("_", " ")
+            vectors.append(f"{name[0].upper()}{name[1:]}: ({values}) {part['unit'].values[0]}, {main} errors.")
     ratio = float(link["chi2"] / link["chi2_expected"]) if float(link["chi2_expected"]) > 0.0 else np.nan
     sentences = [
         f"The sign is {link.attrs['sign'].replace('-', ' − ')}; the orientation is that of {link.attrs['epoch']:.2f}.",
-        *(f"{text[0].upper()}{text[1:]}" for text in vectors),
+        *vectors,
         f"{int(link['n_sources'])} of {int(link['n_sources_matched'])} sources were used, matched by "
         f"{link.attrs['matched_by']}; the clip is {link.attrs['clip']}.",
         f"χ² is {float(link['chi2']):.6g} where {float(link['chi2_expected']):.6g} is expected ({ratio:.3g} times), "
@@ -99,7 +101,7 @@ def _unknowns(link: xr.Dataset) -> Table:
     kinds = [str(kind) for kind in link["error_kind"].values]
     numbers = np.vstack([link["estimate"].values, link["errors"].values]).T.tolist()
     unknowns = zip(link["unknown"].values, numbers, link["unit"].values, strict=True)
-    rows = [[_word(name), *(_number(v, ".5f") for v in values), _word(unit)] for name, values, unit in unknowns]
+    rows = [[_cell(name), *(_cell(v, ".5f") for v in values), _cell(unit)] for name, values, unit in unknowns]
     return Table(["unknown", "estimate", *(f"{kind} error" for kind in kinds), "unit"], rows)
 
 
@@ -107,13 +109,11 @@ def _link_tables(link: xr.Dataset) -> dict[str, Table]:
     found = {}
     if "power" in link:
         rows = []
-        for field in link["field"].values:
-            for degree in link["degree"].values:
-                one = link.sel(field=field, degree=degree)
-                names = ("power", "power_noise", "power_chi2", "power_probability")
-                values = [float(one[name]) for name in names]
-                if np.isfinite(values[0]):
-                    rows.append([_word(field), _number(int(degree), "d"), *(_number(value, ".4g") for value in values)])
+        for field, degree in product(link["field"].values, link["degree"].values.tolist()):
+            one = link.sel(field=field, degree=degree)
+            values = [float(one[name]) for name in ("power", "power_noise", "power_chi2", "power_probability")]
+            if np.isfinite(values[0]):
+                rows.append([_cell(field), _cell(degree), *(_cell(value, ".4g") for value in values)])
         headings = ["field", "degree", "power [mas²]", "noise [mas²]", "χ²", "probability by chance"]
         found["Power of the vector spherical harmonics (of motions mas²/yr²)"] = Table(headings, rows)
     if "step_estimate" in link and link.sizes["step"] > 1:
@@ -123,10 +123,10 @@ def _link_tables(link: xr.Dataset) -> dict[str, Table]:
         rows = []
         for step in range(count):
             ratio = float(link["step_chi2"].values[step] / link["step_dof"].values[step])
-            values = [float(value) for value in link["step_estimate"].values[step][:6]]
+            values = link["step_estimate"].values[step][:6].tolist()
             mark = "the solution" if step == chosen else ""
-            cells = [_number(ratio, ".4g"), *(_number(value, ".4f") for value in values), _word(mark)]
-            rows.append([_number(step, "d"), _word(link["step_dropped"].values[step]), *cells])
+            cells = [_cell(ratio, ".4g"), *(_cell(value, ".4f") for value in values), _cell(mark)]
+            rows.append([_cell(step), _cell(str(link["step_dropped"].values[step])), *cells])
         headings = ["step", "dropped", "χ²/dof", *labels, ""]
         found["Steps of the clip"] = Table(headings, rows, link.sizes["step"] - count)
     return found
@@ -147,13 +147,9 @@ def _forecast_tables(plan: xr.Dataset) -> dict[str, Table]:
 def _error_table(what: str, plan: xr.Dataset, names: Iterable[str], errors: str) -> Table:
     units = zip(plan["unknown"].values, plan["unit"].values, strict=True)
     values = zip(names, plan[errors].values.tolist(), strict=True)
-    rows = [[_word(name), *(_number(v, ".5f") for v in row)] for name, row in values]
+    rows = [[_cell(name), *(_cell(v, ".5f") for v in row)] for name, row in values]
     return Table([what, *(f"{name} [{unit}]" for name, unit in units)], rows)
 
 
-def _word(value: Any) -> tuple[str, Any]:
-    return str(value), str(value)
-
-
-def _number(value: float, form: str) -> tuple[str, Any]:
+def _cell(value: Any, form: str = "") -> tuple[str, Any]:
     return format(value, form), value

@@ -1,26 +1,27 @@
-"""The page: sections in a template, scripts that its own policy allows and no others, written in one step."""
+"""The page: sections and citations in a template, scripts that its own policy allows and no others."""
 
 import base64
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 import xarray as xr
+import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from sweep.analysis.compare_tables import summary_line
 from sweep.contract import SweepError
 from sweep.plots.tie.figure import is_link
-from sweep.report.cite import citations, message
 from sweep.report.explorer import MOST_NUMBERS, library
 from sweep.report.link_section import link_section
 from sweep.report.section import Section, section
-from sweep.stores.location import Location, Where, located
+from sweep.stores.location import Where, located
 from sweep.stores.store import open_dataset
 from sweep.studies.provenance import CITATION, is_of_the_link
 from sweep.tie.stored import result_at
@@ -30,17 +31,18 @@ MARK = "<!doctype html>\n<!-- linksweep report -->\n"
 
 TEMPLATES = "templates"
 
+CITATION_FILE = "CITATION.cff"
+
 MESSAGE = "If you use these results, please cite what made them."
 
 
 def report_of(stores: Sequence[Where]) -> str:
     """Return the page about stores; raises SweepError for what is no store, has no results, or is damaged."""
-    return report_page([(place.name, _dataset(place)) for place in map(located, stores)])
-
-
-def _dataset(place: Location) -> xr.Dataset:
-    result = result_at(place)
-    return open_dataset(place) if result is None else result
+    datasets = []
+    for place in map(located, stores):
+        result = result_at(place)
+        datasets.append((place.name, open_dataset(place) if result is None else result))
+    return report_page(datasets)
 
 
 def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
@@ -50,10 +52,10 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     for number, (name, dataset) in enumerate(datasets):
         try:
             one = link_section(name, dataset, number) if is_link(dataset) else section(name, dataset, number, room)
-            sections.append(one)
         except SweepError as error:
             raise SweepError(error.problems, error.where or name) from error
-        room -= sections[-1].numbers
+        sections.append(one)
+        room -= one.numbers
     scripts = [library(), _file("page.js"), _file("explorer.js")]
     pages = PackageLoader("sweep.report", TEMPLATES)
     environment = Environment(
@@ -66,9 +68,9 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         policy=_policy(scripts),
         style=Markup(_file("page.css")),
         scripts=[Markup(script) for script in scripts],
-        cite=[text for version in versions for text in citations(version)[-1:]],
+        cite=[citations(version)[1] for version in versions],
         cite_first=_cited([dataset for _, dataset in datasets], versions[0]),
-        cite_message=message() if any(map(_is_ours, (dataset for _, dataset in datasets))) else MESSAGE,
+        cite_message=_citation_file()["message"] if any(_is_ours(dataset) for _, dataset in datasets) else MESSAGE,
     )
     return MARK + body
 
@@ -125,9 +127,32 @@ def _cited(datasets: Sequence[xr.Dataset], version: str) -> list[str]:
     """Return what to cite beside the software: what experiments ask for, of our own the paper."""
     found: list[str] = []
     for dataset in datasets:
-        own = citations(version)[:-1] if _is_ours(dataset) else json.loads(dataset.attrs.get(CITATION, "[]"))
+        own = citations(version)[:1] if _is_ours(dataset) else json.loads(dataset.attrs.get(CITATION, "[]"))
         found += [text for text in own if text not in found]
     return found
+
+
+def citations(version: str) -> tuple[str, str]:
+    """Return what to cite, in words: the paper, and the software in the version that made the results."""
+    software = _citation_file()
+    paper = software["preferred-citation"]
+    place = f"{paper['journal']} {paper['volume']}, {paper['start']}"
+    return (
+        f"{_people(paper['authors'])} ({paper['year']}). {paper['title']}. {place}",
+        f"{_people(software['authors'])}. {software['title']}, version {version}. {software['license']}",
+    )
+
+
+def _citation_file() -> Any:
+    """Return what is in the file: in the wheel it is beside the package's modules, in a checkout above them."""
+    installed = Path(str(files("sweep") / CITATION_FILE))
+    path = installed if installed.is_file() else Path(__file__).parents[2] / CITATION_FILE
+    return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+
+def _people(authors: Sequence[Mapping[str, str]]) -> str:
+    names = [a["name"] if "name" in a else f"{a['family-names']}, {a['given-names'][0]}." for a in authors]
+    return " & ".join(names)
 
 
 def _file(name: str) -> str:

@@ -11,18 +11,18 @@ from typing import Any
 import xarray as xr
 
 from sweep.analysis import sensitivity_tables as tables
-from sweep.analysis.answer import Answer, answer_in_short, answers, completeness, failed, headline
+from sweep.analysis.answer import Answer, answer_in_short, answers, completeness
 from sweep.analysis.columns import Column
-from sweep.analysis.compare import compare, remarks
+from sweep.analysis.compare import Comparison, compare, in_readable_unit, remarks
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
 from sweep.analysis.headline_table import headline_columns, rows_left_out, warnings_of
-from sweep.analysis.quantity import varied_parameters
+from sweep.analysis.quantity import headlines, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
 from sweep.analysis.sensitivity import sensitivity
-from sweep.analysis.verdicts import Comparison, in_readable_unit
 from sweep.contract import SweepError
+from sweep.planning.point_status import Status, count_status
 from sweep.readable import with_micro_signs, written
 from sweep.report.explorer import explorer
 from sweep.report.figures import Picture, drawn, pictures
@@ -100,7 +100,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
 
     Raises SweepError for a dataset whose claims cannot be read.
     """
-    names = headline(dataset)
+    names = headlines(dataset)
     comparisons = compare(dataset)
     explored, numbers, left_out = explorer(in_readable_units(dataset), names, room)
     indices = _indices(dataset, names)
@@ -130,9 +130,12 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         explorer=explored | {"title": title},
         not_explored=left_out,
         numbers=numbers,
-        results=_results(headline_columns(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
+        results=_table(headline_columns(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
         caption="Headline results, ± their one-sigma errors",
-        tables={f"Sensitivity of {name}: {tables.notes(one)[0]}": _sensitivity(one) for name, one in indices.items()},
+        tables={
+            f"Sensitivity of {name}: {tables.notes(one)[0]}": _table(tables.columns_of(one))
+            for name, one in indices.items()
+        },
         comparison=_comparison(comparisons) if comparisons else None,
         notes=[
             *warnings_of(dataset),
@@ -141,7 +144,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
             *remarks(dataset),
         ],
         failures=failures,
-        failures_not_named=failed(dataset) - len(failures),
+        failures_not_named=count_status(dataset["status"].values)[Status.FAILED] - len(failures),
         provenance=known | {package: f"version {version}" for package, version in versions.items()},
         study=str(attributes.get("study", ""))  # a run from Python has no file
         or json.dumps(json.loads(attributes.get("study_document", "{}")), indent=1),
@@ -159,16 +162,6 @@ def _indices(dataset: xr.Dataset, names: list[str]) -> dict[str, xr.Dataset]:
     return found
 
 
-def _sensitivity(result: xr.Dataset) -> Table:
-    cells = tables.columns_of(result)
-    values = ([row[name.partition(" ")[0]] for row in tables.rows(result)] for name in cells)
-    rows = zip(
-        *(list(zip(texts, numbers, strict=True)) for texts, numbers in zip(cells.values(), values, strict=True)),
-        strict=True,
-    )
-    return Table(list(cells), [list(row) for row in rows])
-
-
 def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
     """Return what an attribute is called, in the words of its experiment."""
     if FUNCTION in attributes:
@@ -176,7 +169,7 @@ def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
     return label.replace("catalogue", outer_draw_of(attributes))
 
 
-def _results(columns: list[Column], left_out: int) -> Table:
+def _table(columns: list[Column], left_out: int = 0) -> Table:
     repeated = Counter(c.name for c in columns)
     names = [f"{c.of} {c.name}" if repeated[c.name] > 1 and c.of != c.name else c.name for c in columns]
     headings = [f"{name} [{written(c.unit)}]" if c.unit else name for name, c in zip(names, columns, strict=True)]

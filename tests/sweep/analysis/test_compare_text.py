@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from sweep.analysis.compare import VERDICTS, Comparison, Measured, PublishedNumber, judged
 from sweep.analysis.compare_text import COLOURS, as_text
-from sweep.analysis.verdicts import VERDICTS, Comparison, Measured, PublishedNumber, judged
 
 LONG = {"mission": "hipparcos", "reference_error_scale": 0.25, "satellite_errors": "magnitude", "weighting": "equal"}
 
@@ -49,7 +49,7 @@ def test_no_line_is_longer_than_asked_for_and_no_place_is_cut(width):
 
 def test_counts_that_all_agree_take_one_row():
     counts = [
-        judged("coins", "n", "n", "", Measured({"coins": n}, n), PublishedNumber(n, 0.5, "A paper", counted=True))
+        judged("coins", "n", "n", "", Measured({"coins": n}, n), PublishedNumber(n, 0.0, "A paper"))
         for n in (3.0, 5.0, 9.0)
     ]
     rows = lines_of(counts)

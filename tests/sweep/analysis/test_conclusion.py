@@ -5,8 +5,7 @@ import tomllib
 
 import pytest
 
-from sweep.analysis.answer import answer_in_short, answers
-from sweep.analysis.conclusion import conclusion_in_words
+from sweep.analysis.answer import answer_in_short, answers, conclusion_in_words
 from sweep.analysis.headline_table import headline_columns
 from sweep.analysis.quantity import main_quantity
 from sweep.contract import SweepError

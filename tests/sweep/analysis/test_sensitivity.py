@@ -9,9 +9,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError, experiment, sensitivity
-from sweep.analysis.given_data import first_order
-from sweep.analysis.salib_indices import saltelli_indices
-from sweep.analysis.variance_grid import indices_of_grid, weights_of_order
+from sweep.analysis.sensitivity_indices import first_order, indices_of_grid, saltelli_indices, weights_of_order
 from sweep.studies.designs import DESIGNS
 from tests.tiers import slow
 

@@ -20,10 +20,9 @@ from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
-from sweep.report.cite import citations
 from sweep.report.explorer import explorer
 from sweep.report.figures import pictures
-from sweep.report.page import MARK, check_output, report_of, report_page, write_report
+from sweep.report.page import MARK, check_output, citations, report_of, report_page, write_report
 from sweep.report.section import MOST_ROWS, SEVERITY, section
 from sweep.running.run import run_study
 from sweep.stores.store import open_dataset
