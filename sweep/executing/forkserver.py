@@ -91,13 +91,13 @@ def _start() -> None:
                 os.environ[name] = value
 
 
-def signals_blocked(make: Callable[[], Made], meanwhile: Callable[[], object] = int) -> Made:
+def signals_blocked(make: Callable[[], Made]) -> Made:
     """Return ``make()``, whose processes do not get SIGINT, SIGHUP and SIGTERM: a terminal or a batch system sends them
     to all of them, but they are the client's to answer (distributed#1925).  A worker unblocks SIGTERM (`TaskPlugin`),
     which what it runs may need; the process that workers are forked from outlives all of them.
 
     They inherit the signal mask of the thread that starts them, which is not this one, so that this one can be
-    interrupted, and do something ``meanwhile``.
+    interrupted meanwhile.
     """
     made: Future[Made] = Future()
 
@@ -112,5 +112,4 @@ def signals_blocked(make: Callable[[], Made], meanwhile: Callable[[], object] = 
             made.set_exception(error)
 
     threading.Thread(target=start, name="start-children", daemon=True).start()
-    meanwhile()
     return made.result()

@@ -95,15 +95,10 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
         with warnings.catch_warnings():  # on a busy machine even our own folder takes a second
             warnings.filterwarnings("ignore", "Creating scratch directories is taking")
-            cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options}), _import_zarr))
+            cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options})))
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(lost_workers_replaced(cluster))
         yield cluster
-
-
-def _import_zarr() -> None:
-    """Import what a run needs next, while workers start: it takes about as long."""
-    import zarr  # noqa: F401
 
 
 @contextmanager

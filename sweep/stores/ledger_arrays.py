@@ -5,7 +5,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import zarr
 from numpy.typing import NDArray
+from zarr.buffer import cpu
+from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.storage import MemoryStore
 
 from sweep.contract import Experiment
 from sweep.planning.block_rows import KEY_BYTES
@@ -35,10 +39,6 @@ class Column:
         self, location: Location, folder: str, shape: Sequence[int], dtype: str, keys: Collection[str]
     ) -> None:
         """Find the chunks, of such a shape, among the names of all files of the store."""
-        import zarr  # where workers are needed, it is imported while they start
-        from zarr.codecs import Crc32cCodec, ZstdCodec
-        from zarr.storage import MemoryStore
-
         self.chunk_rows, self.width = shape
         self._location, self._folder, self._dtype = location, folder, dtype
         self._fill = np.nan if dtype == "float64" else 0
@@ -172,8 +172,6 @@ class Column:
         return self._recent[number]
 
     def _decoded(self, numbers: Iterable[int]) -> dict[int, NDArray[Any]]:
-        from zarr.buffer import cpu
-
         contents = self._location.get_all([self.key(number) for number in sorted(numbers)])
         found: dict[int, NDArray[Any]] = {}
         damaged: dict[str, str] = {}

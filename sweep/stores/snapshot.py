@@ -9,6 +9,10 @@ from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import zarr
+from zarr.buffer import cpu
+from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.storage import MemoryStore
 
 from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.stores.checksums import SEAL, DamagedError, content_checksum, unsealed
@@ -60,9 +64,6 @@ def encode(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Encoded]]:
     """Return the attributes and the arrays of a dataset; every chunk has a checksum, and none is left out for being
     empty, so that one that is missing was lost.
     """
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-    from zarr.storage import MemoryStore
-
     files: dict[str, Any] = {}
     encoding: dict[Any, dict[str, Any]] = {}
     for name, variable in dataset.variables.items():
@@ -87,8 +88,6 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     Raises ValueError that names a file which is missing or not what the root document means.
     """
     import xarray as xr
-    from zarr.buffer import cpu
-    from zarr.storage import MemoryStore
 
     dask_arrays_only_where_imported()
     checksums = chunk_checksums(root)
@@ -112,10 +111,6 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
 
 def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
     """Return what is wrong with which of the ``contents`` of files that `chunk_keys` names."""
-    import zarr
-    from zarr.buffer import cpu
-    from zarr.storage import MemoryStore
-
     damaged: dict[str, str] = {}
     checksums = chunk_checksums(root)
     for name, document in arrays_of(root).items():
