@@ -17,6 +17,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"[-=+]+")
 _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
 _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
+"""How tables spell units out; dates are numbers of days."""
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 
@@ -103,6 +104,7 @@ def _unit(text: str, strict: str = "silent") -> Any:
     from astropy.units import Unit
 
     text = text.strip().strip("[]()").strip()
+    text = _WORDS.get(text, text)
     if text in ("", "-", "--", "---"):
         return None
     if _CLOCK.fullmatch(text):
@@ -114,9 +116,7 @@ def _unit(text: str, strict: str = "silent") -> Any:
             return Unit(text, format=form)
         except (ValueError, TypeError):
             continue
-    if strict == "silent":
-        return Unit(text, parse_strict="silent")
-    return Unit(_WORDS[text]) if text in _WORDS else None
+    return Unit(text, parse_strict="silent") if strict == "silent" else None
 
 
 def _bracketed(name: str) -> str:

@@ -82,7 +82,7 @@ def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Pow
 
 
 def _power(field: str, degree: int, weights: Array, x: Array, v: Array) -> Power:
-    chi2 = float(x @ np.linalg.solve(v, x))
+    chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table beside itself has errors of zero
     probability = float(chdtrc(2 * degree + 1, chi2))
     return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), chi2, probability)
 

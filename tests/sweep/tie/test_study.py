@@ -20,7 +20,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.running.run import run_study
 from sweep.studies.reader import load_study
-from sweep.tie.components import COMPONENTS, FIELDS
+from sweep.tie.components import COMPONENTS, FIELDS, spectrum
 from sweep.tie.design import design_of
 from sweep.tie.experiment import check, tie, unused, warn
 from tests.core.tie.made import stars
@@ -251,3 +251,13 @@ def test_no_curve_promises_what_a_bright_star_cannot_have(name):
     bright = np.array([-1.0, 0.0, 3.0, 6.0])
     assert np.all(mission.sigma_pm_mas_yr(bright) >= 2e-3)
     assert np.all(mission.sigma_pos_mas(bright) >= 2e-3)
+
+
+def test_a_table_beside_itself_has_powers_without_a_significance():
+    """Its errors, scaled by chi2, are zero: it ended in numpy's "Singular matrix"."""
+    unknowns = parse_unknowns("orientation,spin,vsh_motion:2")
+    found = spectrum(unknowns, np.zeros(len(unknowns)), np.zeros((len(unknowns),) * 2))
+    assert {(one.power, one.noise) for one in found} == {(0.0, 0.0)}
+    assert all(np.isnan(one.chi2) and np.isnan(one.probability) for one in found)
+    known = spectrum(unknowns, np.ones(len(unknowns)), np.eye(len(unknowns)))
+    assert {one.chi2 for one in known} == {3.0, 5.0}
