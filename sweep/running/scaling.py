@@ -75,7 +75,7 @@ def measure_scaling(
                 timed[kind, place, turn] = _timed(more, count, pool)
                 seconds = timed[kind, place, turn, 0]
                 told(f"{turn + 1}/{repetitions}: {name} scaling, workers: {count}, {seconds:.2f} s")
-    dataset = _dataset(kinds, np.array(workers), timed)
+    dataset = _dataset(np.array(workers), timed)
     return dataset.assign_attrs(
         provenance(study),
         title=f"Scaling of: {study.title}",
@@ -138,7 +138,8 @@ def _timed(study: Study, workers: int, pool: PoolName) -> tuple[float, float]:
     return clock.ended - clock.started, whole - (clock.ended - clock.started)
 
 
-def _dataset(kinds: Sequence[str], workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
+def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
+    kinds = KINDS[: len(timed)]
     seconds, starts = timed[..., 0], timed[..., 1]
     work = np.stack([np.ones_like(workers), workers])[: len(kinds), :, None]  # as many times that of one worker
     speedup = work * seconds[:, :1] / seconds
