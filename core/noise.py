@@ -14,9 +14,6 @@ import numpy as np
 from core.arrays import Array, Stack, product_sum, transposed_product
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
-from core.errors.magnitude import MagnitudeErrors
-from core.errors.normal import NoErrors, NormalErrors
-from core.function_curve import CurveOfFunction
 from core.shared_arrays import Prefixes
 from core.zonal import DrawnField, Field, ZonalErrors
 
@@ -125,7 +122,7 @@ class Noise:
             return np.ascontiguousarray(model.standard_errors(catalogue).T)
 
         correlation = model.correlation(catalogue)
-        sigma = shared.once(("errors", model), compute, catalogue.v_mag) if _elementwise(model) else compute()
+        sigma = shared.once(("errors", model), compute, catalogue.v_mag) if model.elementwise else compute()
         return Noise(sigma, None if correlation is None else np.asarray(np.linalg.cholesky(correlation)))
 
     def inflated(self, factor: float) -> "Noise":
@@ -170,13 +167,3 @@ class Noise:
             scaled = np.swapaxes(self.factor, 1, 2) @ scaled
         variance = np.asarray(np.einsum("nik,nik->k", scaled, scaled))
         return variance if self.field is None else variance + self.field.variance_through(gain)
-
-
-def _elementwise(model: ErrorModel) -> bool:
-    """Whether the errors of an object follow from its magnitude alone, to the last bit: a user's function may round
-    otherwise in another place.
-    """
-    if isinstance(model, MagnitudeErrors):
-        curves = model.mission.curve_pos_mas, model.mission.curve_pm_mas_yr
-        return not any(isinstance(curve, CurveOfFunction) for curve in curves)
-    return type(model) in (NoErrors, NormalErrors)

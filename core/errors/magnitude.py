@@ -11,7 +11,7 @@ from core.arrays import Array
 from core.catalogue import Catalogue
 from core.catalogues.kind import CatalogueKind
 from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
-from core.function_curve import CurveError
+from core.function_curve import CurveError, CurveOfFunction
 from core.missions import Mission
 from core.user_mission import mission_of
 from sweep.contract import Named, Point
@@ -27,6 +27,12 @@ class MagnitudeErrors(ErrorModel):
     mission: Mission
     mission_length_yr: float | None = None
     scale: float = 1.0
+
+    @property
+    def elementwise(self) -> bool:
+        """Whether the curves are ours: a user's function may round otherwise among other objects."""
+        curves = self.mission.curve_pos_mas, self.mission.curve_pm_mas_yr
+        return not any(isinstance(curve, CurveOfFunction) for curve in curves)
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return the curve at each object's magnitude; shape (4, N)."""

@@ -17,6 +17,13 @@ Objects = Callable[[], Catalogue | None]
 class ErrorModel:
     """Every single error is normal around zero; errors of different objects are independent."""
 
+    @property
+    def elementwise(self) -> bool:
+        """Whether the errors of an object follow from its magnitude alone, to the last bit, so that catalogues which
+        begin with the same objects share them.
+        """
+        return False
+
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return the errors of (ra*, dec, pmra, pmdec) of each object in rad and rad/yr; shape (4, N)."""
         raise NotImplementedError

@@ -19,6 +19,11 @@ class NormalErrors(ErrorModel):
     sigma_pm_mas_yr: float
     scale: float = 1.0
 
+    @property
+    def elementwise(self) -> bool:
+        """Return True."""
+        return True
+
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return constants; shape (4, N)."""
         return four_rows(
@@ -52,6 +57,11 @@ class Normal(ErrorKind):
 @dataclass(frozen=True)
 class NoErrors(ErrorModel):
     """Error-free data."""
+
+    @property
+    def elementwise(self) -> bool:
+        """Return True."""
+        return True
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
         """Return zeros; shape (4, N)."""

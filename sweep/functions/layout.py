@@ -130,7 +130,7 @@ def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
     before, after = ({c.name: c for c in layout.coordinates} for layout in (expected, found))
     compared: set[str] = set()
-    for name in (name for name in wanted if name in given):
+    for name in [name for name in wanted if name in given]:
         phrases += _differences_of_field(wanted[name], given[name])
         if wanted[name].dims == given[name].dims:
             compared.update(wanted[name].dims)
