@@ -7,16 +7,18 @@ and z^T z, and g^T z from a^T z, or for equal weights from (sigma^2 a)^T z: the 
 the columns [a, m] or [a, sigma^2 a, m], which nested catalogues with the same errors have in common.
 """
 
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import Array, product_sum, transposed_product
-from core.design import design_matrix
-from core.link import condition_number, hold, normal_inverse, require_off_poles
+from core.design import link_unknowns
+from core.link import hold, inverse_and_condition, require_off_poles
 from core.noise import Tile
 from core.prepared import Setup
-from core.shared_arrays import Prefixes, origin, parts
+from core.shared_arrays import Prefixes, origin
+from core.shared_sums import SharedSums
 from core.zonal import DrawnField
 
 
@@ -37,9 +39,26 @@ class FixedDesign:
     gain_squares: Array  # the variance of g^T z, (..., K)
     condition_number: Array  # of A^T W A, (...)
 
-    def begin(self, rows: int, field: DrawnField | None = None) -> "FixedSums":
+    def begin(self, rows: int, field: DrawnField | None, shared: SharedSums) -> "SumsAsked | FixedSums":
         """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
-        return FixedSums(self, np.zeros((*self.setup.stack, self.columns.shape[2], rows)), field)
+        noise = self.setup.satellite
+        if not noise or noise.factor is not None or field is not None:
+            return FixedSums(self, np.zeros((*self.setup.stack, self.columns.shape[2], rows)), field)
+        n_obj, ratio, measured = self.setup.n_obj, noise.ratio, self.setup.observables
+        columns = self.setup.stacked(self.columns)
+
+        def products(normals: Array, place: slice) -> Array:
+            return ratio * transposed_product(columns[..., place, :, :], normals)
+
+        def squares(normals: Array, place: slice) -> Array:
+            part = normals[..., measured, :]
+            return ratio**2 * product_sum(part, part)
+
+        return SumsAsked(
+            self,
+            shared.ask(("products", origin(columns), ratio), n_obj, products),
+            shared.ask(("squares", measured.start, measured.stop, ratio), n_obj, squares),
+        )
 
     def predicted_variance(self) -> Array:
         """Return the variance of each unknown; shape (..., K)."""
@@ -72,39 +91,40 @@ class FixedDesign:
         return self.bias[..., None] - g_z, chi2 + terms.reshape(*self.setup.stack, -1).sum(axis=-1)
 
 
+@dataclass(frozen=True)
+class SumsAsked:
+    """Sums that points share: products of the columns with the normals, and the squares of these."""
+
+    design: FixedDesign
+    products: Callable[[], Array]
+    squares: Callable[[], Array]
+
+    def solved(self) -> tuple[Array, Array]:
+        """Return estimate - truth of each realisation, (..., K, rows), and the sum of chi2, (...)."""
+        return self.design.solved(self.products(), self.squares())
+
+
 @dataclass
 class FixedSums:
-    """Products of the columns with the normals of the objects met so far, for the realisations of one chunk."""
+    """The same sums over errors that are a point's own: correlated, or with zonal ones beside them; or without any."""
 
     design: FixedDesign
     products: Array
-    field: DrawnField | None = None
+    field: DrawnField | None
     squares: Array | float = 0.0
-
-    def __post_init__(self) -> None:
-        """Note what each tile asks for."""
-        setup, columns = self.design.setup, self.design.columns
-        self._noise, self._columns = setup.satellite, setup.stacked(columns)
-        self._n_obj = setup.n_obj if self._noise else 0
-        self._whose, self._measured = origin(columns), setup.observables
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
         """Add the objects of a tile; the reference has no errors here."""
-        if satellite is None or satellite.start >= self._n_obj:
+        setup = self.design.setup
+        if satellite is None or satellite.start >= setup.n_obj or not setup.satellite:
             return
-        ratio = self._noise.ratio
-        if self._noise.factor is None and self.field is None:
-            self.products = satellite.products(self._columns, self._whose, ratio)
-            self.squares = satellite.squares(self._n_obj, self._measured, ratio)
-        else:
-            place = slice(satellite.start, satellite.start + satellite.normals.shape[-3])
-            part = self._columns[..., place, :, :]
-            errors = ratio * self._noise.standardised(satellite.head(self._n_obj), satellite.start)
-            if self.field is not None:
-                errors += self.field.values(place) / self.design.setup.sigma[place, :, None]
-            self.products += transposed_product(part, errors)
-            measured = errors[..., self._measured, :]
-            self.squares += product_sum(measured, measured)
+        place = slice(satellite.start, satellite.start + satellite.normals.shape[-3])
+        errors = setup.satellite.ratio * setup.satellite.standardised(satellite.head(setup.n_obj), satellite.start)
+        if self.field is not None:
+            errors += self.field.values(place) / setup.sigma[place, :, None]
+        self.products += transposed_product(self.design.columns[place], errors)
+        measured = errors[..., setup.observables, :]
+        self.squares += product_sum(measured, measured)
 
     def solved(self) -> tuple[Array, Array]:
         """Return estimate - truth of each realisation, (..., K, rows), and the sum of chi2, (...)."""
@@ -113,29 +133,49 @@ class FixedSums:
 
 def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
     """Return the design at the true reference; raises LinkError where the catalogue does not determine the link."""
-    unknowns = len(setup.truth)
-    optimal = setup.scenario.weighting == "inverse-variance"
-    columns = _columns(setup, 1 if optimal else 2, shared)
-    products = shared.products(setup.stacked(columns))
-    design, solving = slice(0, unknowns), slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
+    (design,) = fixed_designs([setup], shared)
+    return design
+
+
+def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign]:
+    """Return the design of each; ask for the largest catalogue first.
+
+    The small matrices of designs alike are computed together: one by one they would take longer than the objects of a
+    small catalogue.  Raises LinkError as `fixed_design`.
+    """
+    found: dict[int, FixedDesign] = {}
+    alike: dict[Hashable, list[int]] = {}
+    for k, setup in enumerate(setups):
+        alike.setdefault((len(setup.truth), setup.scenario.weighting, setup.measured), []).append(k)
+    for group in alike.values():
+        first = setups[group[0]]
+        unknowns, optimal = len(first.truth), first.scenario.weighting == "inverse-variance"
+        columns = [_columns(setups[k], 1 if optimal else 2, shared) for k in group]
+        products = np.stack([shared.products(setups[k].stacked(own)) for k, own in zip(group, columns, strict=True)])
+        solving = slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
+        matrices = _matrices(products, slice(0, unknowns), solving, first.held)
+        for k, own, *small in zip(group, columns, *matrices, strict=True):
+            found[k] = FixedDesign(setups[k], own, solving, *small)
+    return [found[k] for k in range(len(setups))]
+
+
+def _matrices(products: Array, design: slice, solving: slice, held: slice) -> tuple[Array, ...]:
+    """Return the small matrices of `FixedDesign`, in its order, from the products (..., C, C) of the columns."""
     normal, design_misclosure = products[..., design, design], products[..., design, -1]
     # of equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
     solved = products[..., design, solving].copy()
-    hold(np.moveaxis(solved, (-2, -1), (0, 1)), setup.held)
-    inverse = normal_inverse(solved)
+    hold(np.moveaxis(solved, (-2, -1), (0, 1)), held)
+    inverse, condition_number = inverse_and_condition(solved)
     bias = _times(inverse, products[..., solving, -1])
     design_residual = design_misclosure - _times(normal, bias)
-    return FixedDesign(
-        setup=setup,
-        columns=columns,
-        solving=solving,
-        normal=normal,
-        inverse=inverse,
-        bias=bias,
-        design_residual=np.zeros_like(bias) if optimal else design_residual,
-        residual_squares=np.maximum(0.0, products[..., -1, -1] - np.vecdot(bias, design_misclosure + design_residual)),
-        gain_squares=np.einsum("...ki,...ij,...jk->...k", inverse, products[..., solving, solving], inverse),
-        condition_number=condition_number(solved),
+    return (
+        normal,
+        inverse,
+        bias,
+        np.zeros_like(bias) if solving == design else design_residual,
+        np.maximum(0.0, products[..., -1, -1] - np.vecdot(bias, design_misclosure + design_residual)),
+        np.einsum("...ki,...ij,...jk->...k", inverse, products[..., solving, solving], inverse),
+        condition_number,
     )
 
 
@@ -151,15 +191,15 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
 
     def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array) -> Array:
         """Return [a, m] without weights: they are the same for all missions."""
-        require_off_poles(dec, np.cos(dec))
+        objects = shared.objects(ra, dec, pmra, pmdec)
+        require_off_poles(dec, np.concatenate([here.triad.q[2] for _, here in objects]))
         columns = np.empty((len(ra), 4, unknowns + 1))
-        for part in parts(len(ra)):
-            objects = ra[part], dec[part], pmra[part], pmdec[part]
-            design = design_matrix(*objects, corrections=scenario.corrections, glide=scenario.solve_glide)
+        for part, here in objects:
+            _, derivatives = link_unknowns(scenario.solve_glide, scenario.corrections).derivatives(here)
             misclosure = differences[part].T.copy()
-            for value, derivative in zip(truth, np.moveaxis(design, -1, 0), strict=True):
+            for value, derivative in zip(truth, derivatives, strict=True):
                 misclosure -= derivative * value  # one by one: a matrix product may round an object by its place
-            columns[part, :, :unknowns] = design.swapaxes(0, 1)
+            columns[part, :, :unknowns] = np.moveaxis(derivatives, -1, 0).swapaxes(1, 2)
             columns[part, :, unknowns] = misclosure.T
         return columns
 

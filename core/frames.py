@@ -120,13 +120,15 @@ def stored_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon
     return np.array([d_ra * np.cos(dec), dec - dec_sat, pmra - pmra_sat, pmdec - pmdec_sat])
 
 
-def exact_differences(ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon: Array, omega: Array) -> Array:
+def exact_differences(
+    ra: Array, dec: Array, pmra: Array, pmdec: Array, epsilon: Array, omega: Array, axes: Triad | None = None
+) -> Array:
     """Return the same observables as `stored_differences`, exact to a relative rounding error; shape (4, N).
 
     No two large angles are subtracted: the displacement is (R^T - I) r, and every difference of angles, lengths and
-    triads is written in terms of it.
+    triads is written in terms of it.  ``axes`` is the triad at ra, dec where it is known already.
     """
-    p, q, r = triad(ra, dec)
+    p, q, r = axes or triad(ra, dec)
     back_minus_identity = rotation_minus_identity(-epsilon)
     step = turned(back_minus_identity, r)  # r_sat - r_ref
     rho = q[2]

@@ -154,27 +154,28 @@ def hold(normal: Array, held: slice) -> Array:
     return normal
 
 
-def normal_inverse(normal: Array) -> Array:
-    """Return the inverse of normal matrices A^T W A of shape (..., K, K), scaled first so that units do not matter.
+def inverse_and_condition(normal: Array) -> tuple[Array, Array]:
+    """Return the inverse of normal matrices A^T W A of shape (..., K, K), and the condition number (...) of each:
+    the ratio of the largest to the smallest eigenvalue, 1 where the unknowns are independent.
 
-    For a sky that determines the link the condition is of order 1 and this equals the SVD to rounding (a test says how
-    well). Raises LinkError where the smallest eigenvalue of a scaled matrix, whose diagonal is 1, is not above
-    `SMALLEST_EIGENVALUE`.
+    Matrices are scaled to a diagonal of 1 first, so that units do not matter.  For a sky that determines the link the
+    condition is of order 1 and the inverse equals the SVD's to rounding (a test says how well).  Raises LinkError where
+    the smallest eigenvalue of a scaled matrix is not above `SMALLEST_EIGENVALUE`.
     """
     scale = _scale(np.einsum("...ii->...i", normal))
     scaled = normal * scale[..., :, None] * scale[..., None, :]
-    require_rank(scaled)
-    inverse: Array = np.linalg.inv(scaled) * scale[..., :, None] * scale[..., None, :]
-    return inverse
+    eigenvalues = require_rank(scaled)
+    inverse = np.linalg.inv(scaled) * scale[..., :, None] * scale[..., None, :]
+    return inverse, np.asarray(eigenvalues[..., -1] / eigenvalues[..., 0])
 
 
 def solve_normal(normal: Array, right: Array) -> Array:
-    """Return x of ``normal`` x = ``right``, shapes (K, K, ...) and (K, ...), as `normal_inverse` would give it.
+    """Return x of ``normal`` x = ``right``, shapes (K, K, ...) and (K, ...), as `inverse_and_condition` would give it.
 
     All together, elimination without pivots on matrices scaled to a diagonal of 1, which is Cholesky's and as
-    stable.  Raises LinkError as `normal_inverse`.  The pivots give the determinant, and since the other eigenvalues
-    cannot multiply to more than (K/(K-1))^(K-1), it bounds the smallest one from below: eigenvalues themselves are
-    only computed where that bound does not decide.
+    stable.  Raises LinkError as `inverse_and_condition`.  The pivots give the determinant, and since the other
+    eigenvalues cannot multiply to more than (K/(K-1))^(K-1), it bounds the smallest one from below: eigenvalues
+    themselves are only computed where that bound does not decide.
     """
     unknowns = len(normal)
     scale = _scale(np.einsum("kk...->k...", normal))
@@ -197,21 +198,15 @@ def solve_normal(normal: Array, right: Array) -> Array:
     return np.asarray(solved * scale)
 
 
-def condition_number(normal: Array) -> Array:
-    """Return the ratio of the largest to the smallest eigenvalue of normal matrices (..., K, K), scaled to a diagonal
-    of 1 so that units do not matter: 1 where the unknowns are independent.
-    """
-    scale = 1.0 / np.sqrt(np.einsum("...ii->...i", normal))
-    eigenvalues = np.linalg.eigvalsh(normal * scale[..., :, None] * scale[..., None, :])
-    return np.asarray(eigenvalues[..., -1] / eigenvalues[..., 0])
+def require_rank(scaled: Array) -> Array:
+    """Return the eigenvalues (..., K) of matrices (..., K, K) with a diagonal of 1, the smallest first.
 
-
-def require_rank(scaled: Array) -> None:
-    """Raise LinkError where the smallest eigenvalue of a matrix (..., K, K) with a diagonal of 1 is not above
-    `SMALLEST_EIGENVALUE`.
+    Raises LinkError where that is not above `SMALLEST_EIGENVALUE`.
     """
-    if not np.all(np.linalg.eigvalsh(scaled)[..., 0] > SMALLEST_EIGENVALUE):
+    eigenvalues = np.linalg.eigvalsh(scaled)
+    if not np.all(eigenvalues[..., 0] > SMALLEST_EIGENVALUE):
         raise LinkError("the link is rank deficient: the objects do not determine all unknowns")
+    return np.asarray(eigenvalues)
 
 
 def _scale(diagonal: Array) -> Array:

@@ -5,13 +5,13 @@ stream runs through the objects: 4 observables of object 0 in all realisations o
 object i gets depends neither on how many objects follow nor on what the other side or another point needs.
 """
 
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from core.arrays import Array, Stack, product_sum, transposed_product
+from core.arrays import Array, Stack
 from core.catalogue import Catalogue
 from core.errors import ErrorModel
 from core.shared_arrays import Prefixes
@@ -43,46 +43,10 @@ class Tile:
 
     start: int
     normals: Array
-    _before: Mapping[Hashable, Array] = field(default_factory=dict)
-    _sums: dict[tuple[Hashable, int], Array] = field(default_factory=dict)
 
     def head(self, n_obj: int) -> Array:
         """Return the part that belongs to a catalogue of ``n_obj`` objects."""
         return self.normals[..., : max(0, n_obj - self.start), :, :]
-
-    def squares(self, n_obj: int, observables: slice, ratio: float) -> Array:
-        """Return the sum of the squares of ``ratio`` times some observables, over the objects of a catalogue of
-        ``n_obj`` in this tile and those before it; shape (...).
-        """
-
-        def own() -> Array:
-            part = self.head(n_obj)[..., observables, :]
-            return ratio**2 * product_sum(part, part)
-
-        return self._summed(("squares", observables.start, observables.stop, ratio), n_obj, own)
-
-    def products(self, columns: Array, whose: Hashable, ratio: float) -> Array:
-        """Return the sum of columns^T ``ratio`` normals, (..., C, rows), over the same objects of a catalogue with
-        ``columns`` (..., N, 4, C), the beginning of those that ``whose`` names.
-        """
-        n_obj = columns.shape[-3]
-
-        def own() -> Array:
-            part = self.head(n_obj)
-            return ratio * transposed_product(columns[..., self.start : self.start + part.shape[-3], :, :], part)
-
-        return self._summed((whose, ratio), n_obj, own)
-
-    def after(self) -> dict[Hashable, Array]:
-        """Return the sums over all objects so far, for the next tile."""
-        return {what: total for (what, n_obj), total in self._sums.items() if n_obj == self.normals.shape[-3]}
-
-    def _summed(self, what: Hashable, n_obj: int, own: Callable[[], Array]) -> Array:
-        """Return a sum over the tiles so far, computed once for all points that have as many objects in this one."""
-        key = what, min(n_obj - self.start, self.normals.shape[-3])
-        if (found := self._sums.get(key)) is None:
-            found = self._sums[key] = self._before.get(what, 0.0) + own()
-        return found
 
 
 def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: int) -> Iterator[Tile]:
@@ -92,14 +56,11 @@ def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: i
     objects = tile_objects(rows)
     # of the full size even for few objects: where an array begins must not depend on who shares it
     buffer = np.empty((*stack, min(objects, n_obj) if stack else objects, 4, rows))
-    before: dict[Hashable, Array] = {}
     for start in range(0, n_obj, objects):
         part = buffer[..., : n_obj - start, :, :]
         for rng, own in zip(rngs, part if stack else [part], strict=True):
             rng.standard_normal(out=own)
-        tile = Tile(start, part, before)
-        yield tile
-        before = tile.after()
+        yield Tile(start, part)
 
 
 @dataclass(frozen=True)

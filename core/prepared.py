@@ -11,10 +11,10 @@ from core.arrays import Array, Stack
 from core.catalogue import Catalogue
 from core.design import ORIENTATION, SPIN
 from core.errors import ErrorModel
-from core.frames import along, exact_differences, stored_differences, triad
+from core.frames import along, exact_differences, stored_differences
 from core.link import KINDS, UnlikeError, Weighting, combined_error, measured
 from core.noise import Noise
-from core.shared_arrays import Prefixes, parts
+from core.shared_arrays import Prefixes
 from core.systematics import Systematics, Vector
 from core.zonal import ZonalErrors
 
@@ -168,22 +168,23 @@ def _weighing(reference: Array, satellite: Array, shared: Prefixes) -> tuple[Arr
 
 
 def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
-    subtract = exact_differences if scenario.arithmetic == "exact" else stored_differences
     catalogue, vectors = drawn.catalogue, np.array([drawn.epsilon, drawn.omega, scenario.aberration])
     epsilon, omega, glide = vectors
     systematics = scenario.systematics
 
-    def compute(*objects: Array) -> Array:
-        found = np.empty((len(objects[0]), 4))
-        for part in parts(len(found)):
-            ra, dec, pmra, pmdec, *v_mag = (column[part] for column in objects)
-            found[part] = subtract(ra, dec, pmra, pmdec, epsilon, omega).T
+    def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, *v_mag: Array) -> Array:
+        found = np.empty((len(ra), 4))
+        for part, here in shared.objects(ra, dec, pmra, pmdec):
+            observed = here.ra, here.dec, here.pmra, here.pmdec
+            if scenario.arithmetic == "exact":
+                found[part] = exact_differences(*observed, epsilon, omega, here.triad).T
+            else:
+                found[part] = stored_differences(*observed, epsilon, omega).T
             if np.any(glide):
-                p, q, _ = triad(ra, dec)
-                found[part, 2] -= along(glide, p)  # it is in the satellite's motions
-                found[part, 3] -= along(glide, q)
+                found[part, 2] -= along(glide, here.triad.p)  # it is in the satellite's motions
+                found[part, 3] -= along(glide, here.triad.q)
             if systematics:
-                found[part, 2:] += systematics.differences(ra, dec, *v_mag).T
+                found[part, 2:] += systematics.differences(here.ra, here.dec, *(v[part] for v in v_mag)).T
         return found
 
     settings = "differences", scenario.arithmetic, vectors.tobytes(), systematics

@@ -62,9 +62,6 @@ class Drawn:
     def __init__(self, error: Array, chi2: Array) -> None:
         self.result = error, chi2
 
-    def add(self, satellite: object, reference: object) -> None:
-        """Add nothing."""
-
     def solved(self) -> tuple[Array, Array]:
         """Return estimate - truth of each realisation, (K, rows), and the sum of chi2."""
         return self.result

@@ -118,11 +118,13 @@ def has_errors(point: Point, side: str) -> bool:
 
 
 def _radians(vector_mas: Vector, size_mas: float | None) -> Vector:
-    vector = np.array(vector_mas) * MAS
+    x, y, z = vector_mas
     if size_mas is not None:
+        vector = np.array(vector_mas) * MAS
         length = np.linalg.norm(vector)
-        vector = vector / length * size_mas * MAS if length > 0.0 else np.array([size_mas * MAS, 0.0, 0.0])
-    return (float(vector[0]), float(vector[1]), float(vector[2]))
+        vector = vector / length * size_mas if length > 0.0 else np.array([size_mas, 0.0, 0.0])
+        x, y, z = vector
+    return (float(x * MAS), float(y * MAS), float(z * MAS))
 
 
 def _pattern(text: str | None, size_mas_yr: float | None) -> Pattern:

@@ -10,14 +10,18 @@ from collections.abc import Callable, Hashable
 import numpy as np
 
 from core.arrays import Array
+from core.blocks import Objects
 
 PART = 2048
-"""Objects that are prepared at a time, so that intermediate arrays stay in cache."""
+"""Objects whose products are added up at a time: it decides how the sums are rounded."""
+
+PREPARED = 8192
+"""Objects that are prepared at a time, so that intermediate arrays of 64 KiB stay near the core."""
 
 
-def parts(n_obj: int) -> list[slice]:
-    """Return the slices of at most `PART` objects that make up a catalogue."""
-    return [slice(start, min(start + PART, n_obj)) for start in range(0, n_obj, PART)]
+def parts(n_obj: int, size: int = PART) -> list[slice]:
+    """Return the slices of at most ``size`` objects that make up a catalogue."""
+    return [slice(start, min(start + size, n_obj)) for start in range(0, n_obj, size)]
 
 
 def origin(rows: Array) -> Hashable:
@@ -25,17 +29,13 @@ def origin(rows: Array) -> Hashable:
     return rows.__array_interface__["data"][0], rows.shape[1:]
 
 
-def place(rows: Array) -> Hashable:
-    """Return what tells an array from all others that are alive and contiguous: where it begins and its shape."""
-    return origin(rows), len(rows)
-
-
 class Prefixes:
     """Arrays over objects that have been computed for a block; ask for those of the largest catalogue first."""
 
     def __init__(self) -> None:
-        self._known: dict[Hashable, list[tuple[tuple[Array, ...], Array]]] = {}
+        self._known: dict[Hashable, list[tuple[tuple[Array, ...], list[Hashable], Array]]] = {}
         self._products: dict[Hashable, Array] = {}
+        self._objects: dict[Hashable, list[tuple[slice, Objects]]] = {}
 
     def once(self, settings: Hashable, compute: Callable[..., Array], *objects: Array) -> Array:
         """Return ``compute(*objects)``, arrays whose first axis is that of the objects.
@@ -43,13 +43,23 @@ class Prefixes:
         ``settings`` say which computation it is; what a row of the result is may only depend on them and on that row of
         the arguments.
         """
-        known = self._known.setdefault(settings, [])
-        for larger, result in known:
-            if all(_begins(whole, part) for whole, part in zip(larger, objects, strict=True)):
-                return result[: len(objects[0])]
+        known, origins = self._known.setdefault(settings, []), [origin(rows) for rows in objects]
+        n_obj = len(objects[0])
+        for larger, theirs, result in known:
+            pairs = zip(origins, theirs, objects, larger, strict=True)
+            if n_obj <= len(result) and all(a == b or _begin_alike(part, whole) for a, b, part, whole in pairs):
+                return result[:n_obj]
         result = compute(*objects)
-        known.append((objects, result))
+        known.append((objects, origins, result))
         return result
+
+    def objects(self, ra: Array, dec: Array, pmra: Array, pmdec: Array) -> list[tuple[slice, Objects]]:
+        """Return the parts of a catalogue and the objects in each, once for all who ask."""
+        key = tuple((origin(column), len(column)) for column in (ra, dec, pmra, pmdec))
+        if key not in self._objects:
+            slices = parts(len(ra), PREPARED)
+            self._objects[key] = [(part, Objects(ra[part], dec[part], pmra[part], pmdec[part])) for part in slices]
+        return self._objects[key]
 
     def products(self, columns: Array) -> Array:
         """Return the sum over objects and observables of the products of columns (..., N, 4, C); shape (..., C, C).
@@ -60,16 +70,14 @@ class Prefixes:
         total = np.zeros((*stack, number, number))
         for part in parts(n_obj):
             rows = columns[..., part, :, :]
-            if place(rows) not in self._products:
+            place = origin(rows), rows.shape
+            if (product := self._products.get(place)) is None:
                 flat = rows.reshape(*stack, -1, number)
-                self._products[place(rows)] = flat.swapaxes(-1, -2) @ flat
-            total += self._products[place(rows)]
+                product = self._products[place] = flat.swapaxes(-1, -2) @ flat
+            total += product
         return total
 
 
-def _begins(whole: Array, part: Array) -> bool:
-    """Whether one array begins with the bits of the other."""
-    if len(part) > len(whole):
-        return False
-    beginning = whole[: len(part)]
-    return place(beginning) == place(part) or np.array_equal(beginning.view(np.uint64), part.view(np.uint64))
+def _begin_alike(part: Array, whole: Array) -> bool:
+    """Whether the bits of an array are those that another one begins with."""
+    return np.array_equal(part.view(np.uint64), whole[: len(part)].view(np.uint64))

@@ -9,14 +9,15 @@ import numpy as np
 from core.arrays import Array, Stack
 from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
-from core.design import ORIENTATION, SPIN
-from core.fixed_design import FixedDesign, FixedSums, fixed_design
+from core.design import ALWAYS, ORIENTATION, SPIN
+from core.fixed_design import FixedDesign, FixedSums, SumsAsked, fixed_designs
 from core.link import LinkError
 from core.noise import ROWS, chunks, tiles
 from core.noisy_design import FullPath, FullSums
-from core.prepared import Draw, Scenario, Setup, prepare
+from core.prepared import Draw, Scenario, prepare
 from core.projected import Drawn, Projected
 from core.shared_arrays import Prefixes
+from core.shared_sums import SharedSums
 from core.stacks import stacked_catalogue
 
 Streams = tuple[np.random.Generator, np.random.Generator]
@@ -104,12 +105,16 @@ def _simulate(
     for rows in chunks(n_sim):
         satellite_rngs, reference_rngs = zip(*(rng.spawn(2) for rng, _ in streams), strict=True)
         field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
-        begun = [point.begin(rows, satellite_rngs[0], field_rng) for point in points]
+        shared = SharedSums()
+        begun = [point.begin(rows, satellite_rngs[0], field_rng, shared) for point in points]
+        others = [sums for sums in begun if isinstance(sums, FixedSums | FullSums)]
         for satellite, reference in zip_longest(
             tiles(satellite_rngs, stack, rows, satellite_objects), tiles(reference_rngs, stack, rows, reference_objects)
         ):
-            for sums in begun:
-                sums.add(satellite, reference)
+            if satellite is not None:
+                shared.add(satellite)
+            for own in others:
+                own.add(satellite, reference)
         for point, sums in zip(points, begun, strict=True):
             point.add(*sums.solved())
     return [point.sums() for point in points]
@@ -118,8 +123,8 @@ def _simulate(
 class _Point:
     """One scenario's way to estimates, and the sums over what came out."""
 
-    def __init__(self, setup: Setup, shared: Prefixes, n_sim: int, keep_estimates: bool) -> None:
-        design = fixed_design(setup, shared)
+    def __init__(self, design: FixedDesign, n_sim: int, keep_estimates: bool) -> None:
+        setup = design.setup
         unknowns = len(setup.truth)
         self.setup, self.n_sim = setup, n_sim
         self.predicted, self.bias = design.predicted_variance() / MAS**2, design.bias / MAS
@@ -140,19 +145,21 @@ class _Point:
         )
 
     def begin(
-        self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator
-    ) -> FixedSums | FullSums | Drawn:
-        """Return sums of ``rows`` realisations; what is projected is drawn from the beginning of the satellite's
-        stream, zonal errors from that of their own, and both are left there for others.
+        self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums
+    ) -> SumsAsked | FixedSums | FullSums | Drawn:
+        """Return sums of ``rows`` realisations, those that points share asked for; what is projected is drawn from the
+        beginning of the satellite's stream, zonal errors from that of their own, and both are left there for others.
         """
-        states = [stream.bit_generator.state for stream in (rng, field_rng)]
-        if isinstance(self.path, Projected):
-            begun: FixedSums | FullSums | Drawn = self.path.draw(rows, rng)
-        else:
-            begun = self.path.begin(rows, self.setup.satellite.draw_field(rows, field_rng))
-        for stream, state in zip((rng, field_rng), states, strict=True):
-            stream.bit_generator.state = state
-        return begun
+        path = self.path
+        if isinstance(path, Projected):
+            state = rng.bit_generator.state
+            drawn = path.draw(rows, rng)
+            rng.bit_generator.state = state
+            return drawn
+        state = field_rng.bit_generator.state
+        field = self.setup.satellite.draw_field(rows, field_rng)
+        field_rng.bit_generator.state = state
+        return path.begin(rows, field) if isinstance(path, FullPath) else path.begin(rows, field, shared)
 
     def add(self, error: Array, chi2: Array) -> None:
         """Add realisations: their estimate - truth (..., K, rows), and the sum of their chi2."""
@@ -171,7 +178,8 @@ class _Point:
         error[..., held] = np.nan
         if estimates is not None:
             estimates[:, held] = np.nan
-        means = np.stack([self.predicted[..., block].mean(axis=-1) for block in (ORIENTATION, SPIN)], axis=-1)
+        both = self.predicted[..., ALWAYS].reshape(*self.setup.stack, len((ORIENTATION, SPIN)), -1)  # as many of each
+        means = both.sum(axis=-1) / both.shape[-1]
         return BlockSums(
             error=error,
             error_products=self.products / MAS**2,
@@ -201,11 +209,10 @@ def _points(
 ) -> list[_Point]:
     """Return each scenario ready, the largest catalogue made so first, since the others may be the beginning of it."""
     drawn, shared = _draws(scenarios, catalogue_rngs, stack), Prefixes()
-    points = {
-        k: _Point(prepare(scenarios[k], drawn[k], shared), shared, n_sim, keep_estimates)
-        for k in sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))
-    }
-    return [points[k] for k in range(len(drawn))]
+    order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))
+    setups = [prepare(scenarios[k], drawn[k], shared) for k in order]
+    points = dict(zip(order, fixed_designs(setups, shared), strict=True))
+    return [_Point(points[k], n_sim, keep_estimates) for k in range(len(drawn))]
 
 
 def _draws(scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Generator], stack: Stack) -> list[Draw]:
@@ -221,13 +228,16 @@ def _draws(scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Gen
     start = directions.bit_generator.state
     draws = [scenario.draw_catalogue for scenario in scenarios]
     nests = [(d.family, d.n_obj) if isinstance(d, NestedDraw) else (k, None) for k, d in enumerate(draws)]
-    catalogues: dict[Hashable, Catalogue] = {}
+    largest: dict[Hashable, Catalogue] = {}
+    catalogues: dict[tuple[Hashable, int | None], Catalogue] = {}
     drawn: dict[int, Draw] = {}
     for k in sorted(range(len(draws)), key=lambda k: -(nests[k][1] or 0)):  # a family's largest first
         family, n_obj = nests[k]
-        if family not in catalogues:
+        if family not in largest:
             catalogue_rng.bit_generator.state = objects
-            catalogues[family] = draws[k](catalogue_rng)
+            largest[family] = draws[k](catalogue_rng)
+        if nests[k] not in catalogues:
+            catalogues[nests[k]] = largest[family].take(slice(n_obj))
         directions.bit_generator.state = start
-        drawn[k] = Draw.of(scenarios[k], catalogues[family].take(slice(n_obj)), directions)
+        drawn[k] = Draw.of(scenarios[k], catalogues[nests[k]], directions)
     return [drawn[k] for k in range(len(draws))]

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from core.constants import MAS, MICROARCSEC
 from core.design import design_matrix, paper_design_matrix
 from core.frames import exact_differences, satellite_catalogue, triad
-from core.link import LinkError, combined_error, normal_inverse, solve, solve_normal
+from core.link import LinkError, combined_error, inverse_and_condition, solve, solve_normal
 from tests.tiers import examples
 
 EPSILON, OMEGA = np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS
@@ -221,32 +221,47 @@ def test_objects_all_in_one_place_do_not_determine_the_link():
         solve(design, zero, zero + MAS)
     a = design.reshape(-1, 6)
     with pytest.raises(LinkError, match="do not determine all unknowns"):
-        normal_inverse(a.T @ a)
+        inverse_and_condition(a.T @ a)
 
 
 def test_an_unknown_without_any_weight():
     with pytest.raises(LinkError, match="an unknown has no weight at all"):
-        normal_inverse(np.diag([1.0, 1.0, 0.0]))
+        inverse_and_condition(np.diag([1.0, 1.0, 0.0]))
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-def test_normal_inverse_equals_the_singular_value_solution(weighting):
+def test_the_inverse_equals_the_singular_value_solution(weighting):
     catalogue, sigma = sky(30), uneven_sigma(30) * np.array([1.0, 1.0, 1e-3, 1e-3])[:, None]
     a, y = design_matrix(*catalogue).reshape(-1, 6), exact_differences(*catalogue, EPSILON, OMEGA)
     y = y + sigma * np.random.default_rng(7).standard_normal(y.shape)
     weighted = a / sigma.reshape(-1, 1) ** 2 if weighting == "inverse-variance" else a
-    estimate = normal_inverse(weighted.T @ a) @ weighted.T @ y.ravel()
+    inverse, _ = inverse_and_condition(weighted.T @ a)
+    estimate = inverse @ weighted.T @ y.ravel()
     solution = solve(a.reshape(4, 30, 6), y, sigma, weighting)
     assert np.all(np.abs(estimate - solution.estimate) < 1e-9 * solution.formal_error)
 
 
-def test_normal_inverse_does_not_mind_units_and_takes_stacks():
+def test_inverse_and_condition_do_not_mind_units():
     factors = np.random.default_rng(8).standard_normal((5, 12, 6))
     unit = 10.0 ** np.arange(-9, 9, 3)
     plain, scaled = (np.swapaxes(f, 1, 2) @ f for f in (factors, factors * unit))
-    np.testing.assert_allclose(normal_inverse(plain) @ plain, np.broadcast_to(np.eye(6), (5, 6, 6)), atol=1e-12)
-    np.testing.assert_allclose(normal_inverse(scaled) * unit[:, None] * unit, normal_inverse(plain), rtol=1e-9)
-    np.testing.assert_allclose(normal_inverse(plain)[3], normal_inverse(plain[3]), rtol=1e-12)
+    inverse, condition = inverse_and_condition(plain)
+    of_scaled, same_condition = inverse_and_condition(scaled)
+    np.testing.assert_allclose(inverse @ plain, np.broadcast_to(np.eye(6), (5, 6, 6)), atol=1e-12)
+    np.testing.assert_allclose(of_scaled * unit[:, None] * unit, inverse, rtol=1e-9)
+    np.testing.assert_allclose(same_condition, condition, rtol=1e-9)
+    lengths = np.sqrt(np.einsum("...ii->...i", plain))
+    np.testing.assert_allclose(condition, np.linalg.cond(plain / lengths[:, None] / lengths[..., None]), rtol=1e-9)
+
+
+@given(count=st.integers(1, 30), unknowns=st.sampled_from([3, 6, 9]), seed=st.integers(0, 1000))
+def test_what_a_matrix_gives_does_not_depend_on_those_beside_it(count, unknowns, seed):
+    factors = np.random.default_rng(seed).standard_normal((count, 3 * unknowns, unknowns))
+    normal = np.swapaxes(factors, 1, 2) @ factors
+    together = inverse_and_condition(normal)
+    for k, alone in enumerate(map(inverse_and_condition, normal)):
+        for among, single in zip(together, alone, strict=True):
+            np.testing.assert_array_equal(among[k], single)
 
 
 @pytest.mark.parametrize("unknowns", [6, 9])
@@ -267,7 +282,7 @@ def test_solve_normal_takes_what_the_determinant_does_not_decide(smallest):
     np.testing.assert_array_equal(found[:, 1], right)
 
 
-def test_solve_normal_refuses_what_normal_inverse_refuses():
+def test_solve_normal_refuses_what_the_inverse_refuses():
     good = np.eye(6)
     flat = np.ones((6, 6))
     indefinite = np.eye(6)
@@ -275,7 +290,7 @@ def test_solve_normal_refuses_what_normal_inverse_refuses():
     weightless = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
     for bad in (flat, indefinite, weightless):
         with pytest.raises(LinkError) as by_inverse:
-            normal_inverse(np.stack([good, bad]))
+            inverse_and_condition(np.stack([good, bad]))
         with pytest.raises(LinkError) as by_elimination:
             solve_normal(np.stack([good, bad], axis=-1), np.ones((6, 2)))
         assert str(by_elimination.value) == str(by_inverse.value)

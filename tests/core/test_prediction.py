@@ -15,7 +15,7 @@ from core.design import design_matrix
 from core.errors import CatalogueErrors, NoErrors, NormalErrors
 from core.experiment import evaluate, link, scenario, summarise
 from core.fixed_design import fixed_design
-from core.link import condition_number, solve
+from core.link import inverse_and_condition, solve
 from core.prepared import Draw, prepare
 from core.projected import neglected
 from core.shared_arrays import Prefixes
@@ -88,7 +88,7 @@ def test_correlation_and_condition_number_of_a_clustered_sky():
     found = fixed_design(setup, Prefixes()).condition_number
     assert found == pytest.approx(expected, rel=1e-6)
     assert found > 100.0
-    assert condition_number(np.diag([1.0, 1e9])) == pytest.approx(1.0, rel=1e-12)
+    assert inverse_and_condition(np.diag([1.0, 1e9]))[1] == pytest.approx(1.0, rel=1e-12)
     simulated = results(1, 500)
     np.testing.assert_allclose(np.diag(simulated["correlation"]), 1.0, rtol=1e-12)
     sigma = np.sqrt(np.diag(simulated["covariance"]))
@@ -121,6 +121,8 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
         ({}, {"weighting": "equal"}, {"weighting": "inverse-variance"}),
         ({}, {"weighting": "inverse-variance"}, {"weighting": "equal"}),
         ({"satellite_errors": "normal"}, {"satellite_error_ratio": 1.0}, {"satellite_error_ratio": 2.0}),
+        ({"satellite_errors": "normal"}, {"satellite_sigma_pos": 1.0}, {"satellite_sigma_pos": 0.0}),  # not measured
+        ({"satellite_errors": "normal"}, {"satellite_sigma_pm": 0.0}, {"satellite_sigma_pm": 1.0}),
         ({}, {"epsilon_size": 1.0}, {"epsilon_size": 1e5}),
         ({"catalogue": "quasars", "n_obj": None}, {"v_max": 17.0}, {"v_max": 16.3}),
         ({"catalogue": "quasars", "n_obj": None, "v_max": 17.0}, {"v_min": 14.0}, {"v_min": 14.2}),

@@ -8,12 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from core.arrays import transposed_product
 from core.errors import MagnitudeErrors, NoErrors, NormalErrors
 from core.experiment import evaluate, link, samples, scenario
 from core.function_curve import CurveOfFunction
 from core.missions import Mission
 from core.noise import ROWS, TILE, Noise, chunks, tile_objects, tiles
 from core.parameters import SHARED
+from core.shared_sums import SharedSums
 from core.simulate import simulate
 from tests.tiers import examples
 
@@ -209,18 +211,23 @@ def test_tiles_are_the_streams_object_by_object(rows, n_obj, fewer, stack):
     few = min(fewer, n_obj)
     assert sum(tile.head(few).shape[-3] for tile in drawn()) == few
     columns = np.random.default_rng(9).standard_normal((*stack, n_obj, 4, 3))
-    squares, products = {}, {}  # of two nested catalogues, whose sums share what they have in common
+    shared, terms = SharedSums(), []
+
+    def products_of(size):
+        def products(normals, place):
+            terms.append(normals.shape[-3])
+            return transposed_product(columns[..., :size, :, :][..., place, :, :], normals)
+
+        return products
+
+    # of two nested catalogues, the smaller one asked for at either place
+    asked = {size: shared.ask("ours", size, products_of(size)) for size in (few, n_obj, few) if size}
     for tile in drawn():
-        for size in {n_obj, few}:
-            if tile.start < size:
-                squares[size] = tile.squares(size, slice(1, 4), 2.0)
-                products[size] = tile.products(columns[..., :size, :, :], "ours", 2.0)
-    for size, found in squares.items():
-        part = 2.0 * plain[..., :size, :, :]
-        np.testing.assert_allclose(found, np.sum(part[..., 1:, :] ** 2, axis=(-3, -2, -1)), rtol=1e-12)
-        expected = np.einsum("...nic,...nir->...cr", columns[..., :size, :, :], part)
-        np.testing.assert_allclose(products[size], expected, rtol=1e-9, atol=1e-9 * np.sqrt(size))
-    assert squares.keys() == {size for size in (n_obj, few) if size}
+        shared.add(tile)
+    for size, total in asked.items():
+        expected = np.einsum("...nic,...nir->...cr", columns[..., :size, :, :], plain[..., :size, :, :])
+        np.testing.assert_allclose(total(), expected, rtol=1e-9, atol=1e-9 * np.sqrt(size))
+    assert len(terms) <= -(-n_obj // tile_objects(rows)) + 1  # of what they share, once
 
 
 def test_a_tile_stays_in_cache_whatever_the_rows():
