@@ -33,6 +33,12 @@ OWN_CLUSTER = {
     **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
 }
 
+NOT_WATCHED = {
+    "distributed.worker.profile.enabled": False,  # looks at all threads a hundred times a second
+    "distributed.admin.tick.interval": "1s",  # how late event loops are, of each process fifty times a second
+    "distributed.admin.system-monitor.interval": "2s",
+}
+"""Of a cluster without a dashboard, which alone shows what is measured so: a hundredth of a run's time."""
 
 GUARD = (
     "a script that computes in worker processes must call linksweep under `if __name__ == '__main__':`, because each "
@@ -54,13 +60,12 @@ class NoWorkersError(SweepError, SystemExit):
 def local_cluster(options: Mapping[str, Any], dashboard: bool = False, method: str | None = None) -> Iterator[Any]:
     """Start a Dask cluster of this machine as `own_cluster` does; raises NoWorkersError.
 
-    Its scheduler is in this process: a ``dashboard`` takes a second there, for importing bokeh.  A profile, which only
-    a dashboard shows, is not made without: it looks at all threads a hundred times a second, and Python before 3.11.9
-    may stop for ever when it does (gh-106883).
+    Its scheduler is in this process: a ``dashboard`` takes a second there, for importing bokeh.  A profile is not made
+    without one (`NOT_WATCHED`): Python before 3.11.9 may stop for ever when it is (gh-106883).
     """
     leave_a_worker_that_runs_its_script()
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set({"distributed.worker.profile.enabled": dashboard}))
+        stack.enter_context(dask.config.set({} if dashboard else NOT_WATCHED))
         try:
             cluster = stack.enter_context(
                 own_cluster(LocalCluster, {**options, "scheduler_kwargs": {"dashboard": dashboard}}, method)
