@@ -86,10 +86,18 @@ def test_a_dashboard_that_nobody_asked_for_is_not_imported(tmp_path):
 
 
 @pytest.mark.parametrize("dashboard", [False, slow(True)])
-def test_threads_are_not_looked_at_for_a_dashboard_that_is_not_there(dashboard):
-    with local_cluster({"n_workers": 1, "threads_per_worker": 1, "processes": False}, dashboard) as cluster:
-        [worker] = cluster.workers.values()
-        assert ("profile" in worker.periodic_callbacks) is dashboard
+@pytest.mark.parametrize("processes", [False, True])
+def test_workers_are_not_watched_for_a_dashboard_that_is_not_there(dashboard, processes):
+    def watched(dask_worker):
+        """Say whether a worker is profiled, and how often its event loop is looked at, in ms."""
+        callbacks = dask_worker.periodic_callbacks
+        return "profile" in callbacks, callbacks["tick"].callback_time
+
+    options = {"n_workers": 1, "threads_per_worker": 1, "processes": processes}
+    with local_cluster(options, dashboard) as cluster, cluster.get_client() as client:
+        [(profiled, every_ms)] = client.run(watched).values()
+    assert profiled is dashboard
+    assert (every_ms < 1000) is dashboard
 
 
 @pytest.mark.parametrize(
