@@ -39,11 +39,11 @@ class FixedDesign:
     gain_squares: Array  # the variance of g^T z, (..., K)
     condition_number: Array  # of A^T W A, (...)
 
-    def begin(self, rows: int, field: DrawnField | None, shared: SharedSums) -> "SumsAsked | FixedSums":
+    def begin(self, rows: int, field: DrawnField | None, shared: SharedSums) -> "FixedSums | OwnFixedSums":
         """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
         noise = self.setup.satellite
         if not noise or noise.factor is not None or field is not None:
-            return FixedSums(self, np.zeros((*self.setup.stack, self.columns.shape[2], rows)), field)
+            return OwnFixedSums(self, np.zeros((*self.setup.stack, self.columns.shape[2], rows)), field)
         n_obj, ratio, measured = self.setup.n_obj, noise.ratio, self.setup.observables
         columns = self.setup.stacked(self.columns)
 
@@ -54,7 +54,7 @@ class FixedDesign:
             part = normals[..., measured, :]
             return ratio**2 * product_sum(part, part)
 
-        return SumsAsked(
+        return FixedSums(
             self,
             shared.ask(("products", origin(columns), ratio), n_obj, products),
             shared.ask(("squares", measured.start, measured.stop, ratio), n_obj, squares),
@@ -92,8 +92,8 @@ class FixedDesign:
 
 
 @dataclass(frozen=True)
-class SumsAsked:
-    """Sums that points share: products of the columns with the normals, and the squares of these."""
+class FixedSums:
+    """Sums that points share: products of the columns with the errors, and the squares of these."""
 
     design: FixedDesign
     products: Callable[[], Array]
@@ -105,8 +105,8 @@ class SumsAsked:
 
 
 @dataclass
-class FixedSums:
-    """The same sums over errors that are a point's own: correlated, or with zonal ones beside them; or without any."""
+class OwnFixedSums:
+    """The same sums for a point by itself: its errors are correlated, have zonal ones beside them, or are none."""
 
     design: FixedDesign
     products: Array

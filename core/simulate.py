@@ -10,7 +10,7 @@ from core.arrays import Array, Stack
 from core.catalogue import Catalogue, NestedDraw
 from core.constants import MAS
 from core.design import ALWAYS, ORIENTATION, SPIN
-from core.fixed_design import FixedDesign, FixedSums, SumsAsked, fixed_designs
+from core.fixed_design import FixedDesign, FixedSums, OwnFixedSums, fixed_designs
 from core.link import LinkError
 from core.noise import ROWS, chunks, tiles
 from core.noisy_design import FullPath, FullSums
@@ -107,7 +107,7 @@ def _simulate(
         field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
         shared = SharedSums()
         begun = [point.begin(rows, satellite_rngs[0], field_rng, shared) for point in points]
-        others = [sums for sums in begun if isinstance(sums, FixedSums | FullSums)]
+        others = [sums for sums in begun if isinstance(sums, OwnFixedSums | FullSums)]
         for satellite, reference in zip_longest(
             tiles(satellite_rngs, stack, rows, satellite_objects), tiles(reference_rngs, stack, rows, reference_objects)
         ):
@@ -146,7 +146,7 @@ class _Point:
 
     def begin(
         self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums
-    ) -> SumsAsked | FixedSums | FullSums | Drawn:
+    ) -> FixedSums | OwnFixedSums | FullSums | Drawn:
         """Return sums of ``rows`` realisations, those that points share asked for; what is projected is drawn from the
         beginning of the satellite's stream, zonal errors from that of their own, and both are left there for others.
         """

@@ -74,7 +74,7 @@ def completeness(dataset: xr.Dataset) -> list[str]:
     wanted = sum(counts.values()) - counts[Status.EXCLUDED]
     if lacking := unfinished_in_words(counts):
         return [
-            f"Incomplete: {counts[Status.DONE]} of {wanted} points are done, {lacking}. "
+            f"Incomplete: {counts[Status.DONE]:,} of {wanted:,} points are done, {lacking}. "
             "What follows is about those that are done."
         ]
     if not dataset.attrs.get("complete"):

@@ -9,7 +9,7 @@ import xarray as xr
 from sweep.analysis.long_table import own_dimensions
 from sweep.analysis.quantity import ERROR_SUFFIXES
 from sweep.contract import Array
-from sweep.formatting import WIDTH
+from sweep.formatting import WIDTH, counted
 from sweep.planning.point_status import Status
 from sweep.readable import in_three_digits
 
@@ -38,7 +38,7 @@ def component_lines(dataset: xr.Dataset) -> list[str]:
     points = sorted(_done(dataset), key=_condition, reverse=True)
     lines = [line for point in points[:MOST_POINTS] for line in _lines(point, name, _place(dataset, point))]
     if (left := len(points) - MOST_POINTS) > 0:
-        lines.append(f"... and {left} point{'s' if left > 1 else ''} with a better condition")
+        lines.append(f"... and {counted(left, 'point')} with a better condition")
     return lines
 
 
@@ -47,7 +47,7 @@ def condition_warning(dataset: xr.Dataset) -> str:
     bad = [condition for point in _done(dataset) if (condition := _condition(point)) > BAD_CONDITION]
     if not bad:
         return ""
-    where = "1 point" if len(bad) == 1 else f"{len(bad)} points"
+    where = counted(len(bad), "point")
     return (
         f"at {where} the condition number is up to {max(bad):.3g}: some unknowns can hardly be told apart, and a mean "
         "over components hides how badly (see the components)"

@@ -162,7 +162,7 @@ class Points:
         used = status != Status.EXCLUDED
         undone = used & (status != Status.DONE)
         if undone.any():
-            some = f"{np.count_nonzero(undone)} of {np.count_nonzero(used)} points"
+            some = f"{np.count_nonzero(undone):,} of {np.count_nonzero(used):,} points"
             return Measured(where, missing=_why(set(status[undone].tolist()), some))
         x, y = (np.asarray(v, dtype=float)[used] for v in (self.dataset[over].values, self.value[dict(line)].values))
         if len(x) < 2:

@@ -89,8 +89,8 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
         if left_out := headline_table.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
         if not dataset.attrs.get("complete"):
-            done, points = dataset.attrs.get("points_done"), dataset.attrs.get("points")
-            click.echo(f"INCOMPLETE: {done} of {points} points of the study are done")
+            done, points = (dataset.attrs.get(name, 0) for name in ("points_done", "points"))
+            click.echo(f"INCOMPLETE: {done:,} of {points:,} points of the study are done")
     else:
         write = {"csv": long_table.as_csv, "ecsv": long_table.as_ecsv, "json": long_table.as_json}[table_format]
         click.echo(write(dataset).rstrip("\n"))

@@ -81,7 +81,7 @@ def dependence(experiment: FunctionExperiment, points: Sequence[Point], values: 
             there, here = among[name][place], alone[name][0]
             if there.shape != here.shape or np.any(_differ(there, here, among[name])):
                 return (
-                    f"{experiment.name}: {name!r} is {_shown(there, here)} in a call for {len(points)} points, but "
+                    f"{experiment.name}: {name!r} is {_shown(there, here)} in a call for {len(points):,} points, but "
                     f"{_shown(here, there)} for the same point alone; a vectorised function returns for each point "
                     "what does not depend on the others"
                 )

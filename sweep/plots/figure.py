@@ -64,7 +64,7 @@ def draw_figure(
         _require_one_unit(dataset, name)
     if not any(np.isfinite(dataset[name].values).any() for name in names):
         unfinished = unfinished_in_words(count_status(dataset["status"].values))
-        why = f": of {dataset['status'].size} points {unfinished}" if unfinished else ""
+        why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
     part = _without_single(dataset, over)
     possible = possible_kinds(part, names[0])
@@ -111,7 +111,7 @@ def _title(figure: Figure, whole: xr.Dataset, drawn: xr.Dataset) -> None:
     shared = ", ".join(value_text(drawn, name, drawn[name].item()) for name in axes)
     status = drawn["status"].values
     missing = int(np.sum((status != Status.DONE) & (status != Status.EXCLUDED)))
-    words = f"INCOMPLETE: {missing} of {status.size} points are not done" if missing else ""
+    words = f"INCOMPLETE: {missing:,} of {status.size:,} points are not done" if missing else ""
     lines = filter(None, (str(whole.attrs.get("title", "")), shared, words))
     figure.suptitle(wrapped("\n".join(lines), figure), fontsize="medium")
 

@@ -132,7 +132,8 @@ def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> No
         for low, high, opacity, name in BANDS:
             lower, upper = np.nanquantile(y, (low, high), axis=0)
             axes.fill_between(x, lower, upper, color=colour, alpha=opacity, linewidth=0.0, label="" if words else name)
-        axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=words or f"median of {len(y)} points")
+        middle = words or f"median of {len(y):,} points"
+        axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=middle)
     fit_scale(axes, "x", x, units_of(dataset[over].attrs))
     fit_scale(axes, "y", array.values)
     axes.set_xlabel(label(dataset[over], over))

@@ -119,8 +119,8 @@ class TerminalProgress:
         """Say what an interrupted run leaves, and how to go on."""
         self.written()
         done_so_far = self._summary.done
-        what = counted(done_so_far.points, "point") if self._once else f"{done_so_far.realisations:,} realisations"
-        kept = f"{what} of this run {'is' if what == '1 point' else 'are'} kept in {store}"
+        number, noun = (done_so_far.points, "point") if self._once else (done_so_far.realisations, "realisation")
+        kept = f"{counted(number, noun)} of this run {'is' if number == 1 else 'are'} kept in {store}"
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 

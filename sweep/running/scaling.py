@@ -134,7 +134,7 @@ def _timed(study: Study, workers: int, pool: PoolName) -> tuple[float, float]:
         whole = time.perf_counter() - begun
     if failures:
         place, reason = next(iter(failures.items()))
-        raise SweepError(f"{len(failures)} points fail, e.g. {place}: {reason}", study.source)
+        raise SweepError(f"{len(failures):,} points fail, e.g. {place}: {reason}", study.source)
     return clock.ended - clock.started, whole - (clock.ended - clock.started)
 
 

@@ -138,7 +138,7 @@ def _unfinished(root: dict[str, Any]) -> str:
     done, points = (root["attributes"].get(key) for key in ("points_done", "points"))
     if is_new(root) or points is None:
         return UNFINISHED
-    return f"is incomplete: {done} of {points} points were done when the results were last written"
+    return f"is incomplete: {done:,} of {points:,} points were done when the results were last written"
 
 
 def _missing_chunks(columns: dict[str, Column]) -> dict[str, str]:
