@@ -1,8 +1,10 @@
 """The pools: what a study can run on in this machine.  A further one is an entry of `POOLS`, and its name."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from sweep.executing.uncollected import uncollected
 
 if TYPE_CHECKING:
     from sweep.executing.execute import Executor, Limits, Opened, Place, Say
@@ -28,11 +30,13 @@ def _processes(
 ) -> "Iterator[tuple[Place, Executor]]":
     from sweep.executing.forkserver import start_method
 
-    with start_method() as method:  # what workers are forked from imports Dask while this process does
-        from sweep.executing.clusters import local_workers
+    with ExitStack() as stack:
+        with uncollected():
+            method = stack.enter_context(start_method())  # it imports Dask while this process does
+            from sweep.executing.clusters import local_workers
 
-        with local_workers(study, workers, say, limits, dashboard, method) as opened:
-            yield opened
+            opened = stack.enter_context(local_workers(study, workers, say, limits, dashboard, method))
+        yield opened
 
 
 def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool) -> "Opened":

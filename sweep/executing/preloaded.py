@@ -2,11 +2,11 @@
 
 import gc
 
-gc.disable()  # modules are no garbage, and looking for some takes a tenth of the time
+from sweep.executing.uncollected import uncollected
 
-import distributed  # noqa: E402, F401
+with uncollected():
+    import distributed  # noqa: F401
 
-import sweep.executing.worker_plugin  # noqa: E402, F401
+    import sweep.executing.worker_plugin  # noqa: F401
 
-gc.freeze()  # nor will they be: workers share this memory for as long as none of them touches it
-gc.enable()
+gc.freeze()  # nor will workers look there: they share this memory for as long as none of them touches it

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sweep.executing.task import Failure, TaskResult, failure_of
+from sweep.executing.uncollected import uncollected
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.block import Block, ledger_key
 from sweep.planning.failing import failing
@@ -135,7 +136,8 @@ class Writer:
         study = self.plan.grid.study
         with self._held():
             # imports xarray and pandas while the workers compute; interrupted there, they could not be imported again
-            from sweep.running.results import assemble, assemble_samples, code_variable
+            with uncollected():
+                from sweep.running.results import assemble, assemble_samples, code_variable
 
             self.flush()
         dataset = assemble(self.plan, self.accumulator, self.store.texts)
