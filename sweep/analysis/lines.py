@@ -137,7 +137,7 @@ def require_done(dataset: xr.Dataset) -> None:
         commands = {Status.MISSING: "`sweep run` computes what is missing", Status.FAILED: "`sweep retry` what failed"}
         help_ = ", ".join(words for code, words in commands.items() if counts[code])
         raise SweepError(
-            f"is incomplete: {undone:,} of {sum(counts.values()):,} points here; {help_}; or choose other points"
+            f"is incomplete: {undone} of {sum(counts.values()):,} points here; {help_}; or choose other points"
         )
 
 
