@@ -160,7 +160,7 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
 
 
 def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
-    """Return the finite number of a value, or why there is none; raises OutsideGridError like `measure`."""
+    """Return the number for a value of a conclusion, or why there is none; raises OutsideGridError like `measure`."""
     places = measure(dataset, value, value.quantity())
     measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
     if not measured:

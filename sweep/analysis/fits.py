@@ -100,7 +100,7 @@ def weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], 
 def chi2_about(residual: Array, design: Array, covariance: Array, relative: Array, samples: float) -> float:
     """Return the sum of squared residuals of weighted points, in units of their errors, about a law with the ``design``
     (n, parameters).  NaN if points with a ``relative`` covariance from ``samples`` share so much of their errors that
-    the rest is not known: it neglects the second order of the logarithm, about the square of the relative error.
+    the rest is not known: the covariance is of first order, and the second is about the square of the relative error.
     """
     rest = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     free = rest.T @ covariance @ rest

@@ -54,7 +54,7 @@ def as_text(dataset: xr.Dataset, width: int | None = None) -> tuple["Table", lis
 
 
 def exactly_published(dataset: xr.Dataset) -> list[str]:
-    """Return a sentence for each headline quantity that is equal to every published value."""
+    """Return a sentence for each headline quantity that is equal to all its published values."""
     exact = [name for name in headline_variables(dataset) if _is_exact(dataset, name)]
     counts = {name: int(dataset[f"{name}_published"].count()) for name in exact}
     return [

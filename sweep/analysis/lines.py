@@ -71,7 +71,7 @@ class Lines:
         return self.unit[0] if len(set(self.unit)) == 1 else ""
 
     def with_variables(self, columns: Mapping[str, tuple[Any, str, str]]) -> xr.Dataset:
-        """Return the grid with variables, each given by values (lines,), unit and meaning, and with a title."""
+        """Return the grid with variables, each given by values (lines,), unit and meaning, and with attributes."""
         variables = {
             name: (self.dims, np.reshape(values, self.shape), described(unit, meaning))
             for name, (values, unit, meaning) in columns.items()

@@ -143,7 +143,7 @@ class Points:
         return Measured(where, float(self.value[dict(index)]), float(self.error[dict(index)]))
 
     def ratio(self, of: Index, to: Index, differing: set[str]) -> Measured:
-        """Return the value at one point over that at another; shared random numbers reduce its error."""
+        """Return the value at one point over that at another; its error includes their covariance."""
         where = self.places(of, but=differing)
         top, bottom = self.at(of), self.at(to)
         if missing := top.missing or bottom.missing:
