@@ -1,4 +1,4 @@
-"""The answer to a study's question in words: its conclusion with its values, and what can be said of any results."""
+"""The answer to a study's question in words: its conclusion with values, and sentences about any results."""
 
 import math
 from collections.abc import Iterator
@@ -22,18 +22,18 @@ from sweep.readable import in_short, with_unit
 from sweep.studies.form import Conclusion, ConclusionValue
 
 CONCLUSION = "conclusion"
-"""The attribute of a dataset that holds it, as JSON."""
+"""The attribute of a dataset that holds the conclusion of its study, as JSON."""
 
 PLUS_MINUS = " ± "
-"""Between two values of a sentence: the second is the error of the first."""
+"""The text between a value and its error in a sentence."""
 
 MOST_SHORT = 3
-"""A short answer has at most so many quantities."""
+"""The largest number of quantities in a short answer."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What the results say of one quantity: a heading, its meaning, and sentences."""
+    """What the results say about one quantity: a heading, its meaning, and sentences."""
 
     name: str
     meaning: str
@@ -41,8 +41,8 @@ class Answer:
 
 
 def answer_in_short(dataset: xr.Dataset) -> list[str]:
-    """Return the answer in a few sentences: the conclusion of the study with its values, or the range of each headline
-    quantity where it has none; none for results that are no numbers.
+    """Return the answer in a few sentences: the conclusion of the study with its values, or the ranges of the first
+    headline quantities if it has none; an empty list for results that are not numbers.
     """
     if found := conclusion_in_words(dataset):
         return found
@@ -52,11 +52,11 @@ def answer_in_short(dataset: xr.Dataset) -> list[str]:
 
 
 def answers(dataset: xr.Dataset) -> list[Answer]:
-    """Return what the results say of each headline quantity, of each of its components where it has any."""
+    """Return what the results say about each headline quantity, or about each of its components if it has any."""
     found = []
     for variable in headlines(dataset):
         meaning, own = meaning_of(dataset[variable].attrs), own_dimensions(dataset, variable)
-        if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, and no components
+        if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
             found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue
         values = dataset[variable].values
@@ -98,7 +98,7 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
 
 
 def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterator[tuple[str, str, xr.Dataset]]:
-    """Yield name, unit and dataset of a variable with one value a point: itself, or each of its components."""
+    """Yield name, unit and dataset of a variable, or of each of its components, with one value per point."""
     unit = units_of(dataset[variable].attrs)
     for place in places_along(dataset, extra):
         part = dataset.isel(place)
@@ -111,9 +111,9 @@ def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterato
 def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
     """Return the sentences of the study's conclusion that this grid can fill, with the numbers of its results.
 
-    A number that is not known yet is ``[not done yet]``.  A sentence whose condition is not met is not said; another
-    says so instead, and another again where the error of a number with a condition is not known.  Sentences about
-    points that this grid does not have are left out.  Raises SweepError for a conclusion that cannot be read.
+    A number that is not known yet is shown as ``[not done yet]``.  If a number does not meet its condition, or if its
+    error is not known, the sentence says so.  Sentences about points that this grid does not have are left out.
+    Raises SweepError for a conclusion that cannot be read.
     """
     if CONCLUSION not in dataset.attrs:
         return []
@@ -132,7 +132,7 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
     pieces: list[str] = []
     unmet: list[str] = []
     unjudged: list[str] = []
-    before: tuple[float, str] | None = None  # a number that is known, and its unit: the next one may be its error
+    before: tuple[float, str] | None = None  # the last number, its unit; its error may follow
     for text, name, form, _ in Formatter().parse(sentence):
         pieces.append(text)
         if name is None:
@@ -160,7 +160,7 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
 
 
 def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
-    """Return the finite number that a value stands for, or what is missing; raises OutsideGridError as `measure`."""
+    """Return the number for a value of a conclusion, or why there is none; raises OutsideGridError like `measure`."""
     places = measure(dataset, value, value.quantity())
     measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
     if not measured:
@@ -182,7 +182,7 @@ def _number(measured: Measured, unit: str, form: str) -> str:
 
 
 def _broken_bound(value: ConclusionValue, measured: Measured) -> str:
-    """Return which bound a number does not keep, in words; '' where it keeps both."""
+    """Return in words the bound that a number violates; '' if it violates none."""
     number = measured.value
     allowed = MC_ERRORS_ALLOWED * measured.error + ARITHMETIC * abs(number)
     if value.above is not None and not number + allowed > value.above:

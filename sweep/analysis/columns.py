@@ -9,7 +9,7 @@ GAP = 2
 """Blanks between two columns."""
 
 LONG_NAME = 13
-"""A longer name of a column is broken into two lines at an underscore."""
+"""Column names longer than this are broken into two lines at an underscore."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Column:
 
 
 def fitting(columns: list[Column], width: int | None) -> tuple[list[Column], list[Column]]:
-    """Return the columns that a table of a width has, and those that it leaves out."""
+    """Return the columns that fit into a width, and those that are left out."""
     kept = list(columns)
     while width is not None and sum(column.width for column in kept) - GAP > width:
         rank = max(column.rank for column in kept)

@@ -1,4 +1,4 @@
-"""Computed against published: every published number of a dataset, and every claim, with its verdict.
+"""Comparison with published numbers: a verdict on every published number and every claim of a dataset.
 
 A number is reproduced if it differs from the published one by no more than the allowance: half a unit of the last
 printed digit plus three times our own Monte-Carlo error.  The error of the published number itself, which comes from a
@@ -26,13 +26,13 @@ VERDICTS: tuple[Verdict, ...] = ("reproduced", "within tolerance", "NOT reproduc
 
 MC_ERRORS_ALLOWED = 3.0
 PROBABILITY, FOUND = 0.95, 1.6449
-"""A deviation is found with this probability if it is so many Monte-Carlo errors beyond what is allowed."""
+"""Probability of finding a deviation that is ``FOUND`` Monte-Carlo errors larger than what is allowed."""
 
 MOST_UNSEEN = 1.0 / 3.0
-"""A verdict that would miss a deviation of more than this, relative to the published number, is none."""
+"""No verdict is given that would miss a deviation larger than this, relative to the published number."""
 
 ARITHMETIC = 1e-9
-"""Relative difference that is no difference: 0.605 - 0.6 in binary is a little more than 0.005."""
+"""Smaller relative differences come from the arithmetic: 0.605 - 0.6 in binary is a little more than 0.005."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Comparison:
 
     ``what`` is the name of the output or the words of the claim, ``quantity`` how it is derived; ``mc_error`` is one
     sigma of ``value`` (0 where there is none, NaN where it is not known), ``difference`` value - published,
-    ``allowance`` what of it rounding and Monte-Carlo error explain.  ``detectable`` is the smallest deviation of the
-    true value from the published one that the verdict finds with a probability of 95 %, ``power`` that over the
-    published number.  What is not there is NaN, and ``reason`` says why; a tolerance that was needed has its reason
-    there.
+    ``allowance`` the part of it that rounding and Monte-Carlo error explain.  ``detectable`` is the smallest deviation
+    of the true value from the published one that the verdict finds with a probability of 95 %, ``power`` the same
+    relative to the published number.  Missing numbers are NaN, and ``reason`` says why; it also gives the reason for a
+    tolerance that was needed.
     """
 
     study: str
@@ -79,7 +79,7 @@ def in_readable_unit(comparison: Comparison) -> Comparison:
 class PublishedNumber:
     """One number that was published, with its ``rounding`` and its relative ``tolerance``.
 
-    ``null`` is what there would be without the effect that the number shows: a verdict must tell the two apart.
+    ``null`` is the value expected without the effect that the number shows: a verdict must tell the two apart.
     ``not_comparable`` says why there can be no verdict.
     """
 
@@ -93,7 +93,7 @@ class PublishedNumber:
 
     @property
     def most_unseen(self) -> float:
-        """Return the deviation that a verdict must find."""
+        """Return the smallest deviation that a verdict must find."""
         limits = [MOST_UNSEEN * abs(self.number)] if self.number else []
         if self.null is not None:
             limits.append(abs(self.number - self.null))
@@ -142,10 +142,10 @@ def _verdict(ours: Measured, published: PublishedNumber, allowance: float, toler
 def _verdict_on_numbers(
     ours: Measured, published: PublishedNumber, allowance: float, tolerance: float
 ) -> tuple[Verdict, str]:
-    """Return a verdict where both numbers have what it takes: one that passes must have been able to fail."""
+    """Return the verdict on two known numbers: they agree only if a disagreement would have been found."""
     off = abs(ours.value - published.number) - ARITHMETIC * abs(published.number)
     most = published.most_unseen
-    apart = f"more than {most:.3g}, which it must find"
+    apart = f"more than {most:.3g}, which the verdict must find"
     if off > allowance + tolerance:
         return "NOT reproduced", ""
     if (passes := published.rounding + tolerance) > most:
@@ -164,7 +164,7 @@ def compare(dataset: xr.Dataset) -> list[Comparison]:
 
 
 def remarks(dataset: xr.Dataset) -> list[str]:
-    """Return sentences about what a comparison of this dataset does not show or that changes what it means."""
+    """Return sentences about what a comparison of this dataset leaves out, and about what affects its meaning."""
     sentences = []
     if overrides := dataset.attrs.get("study_overrides"):
         sentences.append(f"the study was changed on the command line: {overrides}")
@@ -214,7 +214,7 @@ def _printed(dataset: xr.Dataset, name: str, here: Mapping[str, int]) -> Publish
     rounding = float(dataset[f"{name}_published_rounding"][here])
     source, reason = str(attributes["source"]), str(attributes.get("tolerance_reason", ""))
     if rounding == 0.5 and number.is_integer() and standard_error(dataset, name) is None:
-        return PublishedNumber(number, 0.0, source)  # a number of things
+        return PublishedNumber(number, 0.0, source)  # a count, which is exact
     return PublishedNumber(number, rounding, source, float(attributes.get("tolerance", 0.0)), reason)
 
 

@@ -1,4 +1,4 @@
-"""Comparisons with published numbers for scripts (CSV, JSON), and what is said of them wherever they are shown."""
+"""Comparisons with published numbers for scripts (CSV, JSON), and the words for them that every display uses."""
 
 import math
 from collections.abc import Sequence
@@ -10,18 +10,18 @@ from sweep.formatting import finite_or, rounded, to_csv, to_json, with_error
 
 CHANCE = f"with a probability of {100 * PROBABILITY:g} %"
 POWER = f"power: the deviation from the published number that the verdict finds {CHANCE}"
-"""What the column says, for below a table."""
+"""The explanation of the column ``power``, printed below a table."""
 
 
 def notes(comparisons: Sequence[Comparison]) -> list[str]:
-    """Return lines that belong below the table: where each thing was published, and the reasons of verdicts."""
+    """Return the lines below the table: where each number was published, and the reasons for verdicts."""
     sources = dict.fromkeys(f"{c.study}: {c.what}: {c.source}" for c in comparisons)
     reasons = dict.fromkeys(f"{c.study}: {c.what}: {c.verdict}: {c.reason}" for c in comparisons if c.reason)
     return [*sources, *reasons, *([POWER] if comparisons else [])]
 
 
 def summary_line(comparisons: Sequence[Comparison]) -> str:
-    """Return how many there are of each verdict, in words."""
+    """Return in words how many comparisons have each verdict."""
     counts = {verdict.lower(): n for verdict, n in summary(comparisons).items()}
     for verdict in ("not comparable", "incomplete"):
         if not counts[verdict]:
@@ -30,7 +30,7 @@ def summary_line(comparisons: Sequence[Comparison]) -> str:
 
 
 def as_csv(comparisons: Sequence[Comparison]) -> str:
-    """Return one row a comparison; a number that is not there is an empty cell."""
+    """Return CSV with one row per comparison; a missing number is an empty cell."""
     rows = (
         [place_in_words(v) if k == "where" else finite_or(v, "") for k, v in asdict(c).items()] for c in comparisons
     )
@@ -38,17 +38,17 @@ def as_csv(comparisons: Sequence[Comparison]) -> str:
 
 
 def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:
-    """Return the comparisons, their number by verdict and remarks; a number that is not there is null."""
+    """Return JSON with the comparisons, their number by verdict, and remarks; a missing number is null."""
     counts = {verdict.lower().replace(" ", "_"): n for verdict, n in summary(comparisons).items()}
     return to_json({"comparisons": comparisons, "summary": counts, "remarks": remarks})
 
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
-    """Return value, published, difference, that in percent, and allowance, with the digits that count."""
-    decimals = 0  # those that half a unit of the last printed digit needs
+    """Return value, published number, difference (also in percent) and allowance, with significant digits only."""
+    decimals = 0  # of the published number: its rounding is half a unit of the last digit
     if c.rounding > 0.0:
         decimals = min(300, max(0, -math.floor(math.log10(2.0 * c.rounding) + 1e-9)))
-    exact = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than ours needs
+    exact = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than our number has
     published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else exact
     if not math.isfinite(c.value):
         return "", published, "", "", ""
@@ -67,7 +67,7 @@ def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
 
 
 def power_in_words(c: Comparison) -> str:
-    """Return the deviation that the verdict finds: relative to the published number, or as it is where that is 0."""
+    """Return the deviation that the verdict finds: relative to the published number, or absolute if that is 0."""
     if not math.isfinite(c.detectable):
         return ""
     if c.detectable == 0.0:

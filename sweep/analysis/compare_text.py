@@ -1,4 +1,4 @@
-"""Comparisons with published numbers for reading: a block for each thing that was published, verdicts first."""
+"""Comparisons with published numbers for reading: a block for each published quantity, verdicts first."""
 
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,23 +18,23 @@ COLOURS: Mapping[str, str] = {
     **{"reproduced": "green", "within tolerance": "yellow", "NOT reproduced": "bold red"},
     **{"not comparable": "dim", "incomplete": "yellow"},
 }
-"""Of verdicts, on a terminal."""
+"""The colours of verdicts on a terminal."""
 
 HEADINGS = ("verdict", "at", "computed", "published", "difference", "power", "allowance")
 FIRST_NUMBER, FEWEST_COLUMNS = 2, 5
-"""The first column of numbers; how many columns stay where a table is too wide."""
+"""The first column of numbers; how many columns are always kept, even in a table that is too wide."""
 
 INDENT, GAP, NARROWEST = "  ", "  ", 8
-"""Before a row, between columns; characters of the column of places at least."""
+"""Blanks before a row and between columns; the least width of the column of places."""
 
 SHORT_PLACE = 16
-"""Characters of the places of rows: of longer ones a part stands above several rows."""
+"""The most characters of a place in a row: part of a longer place moves to the heading above several rows."""
 
 
 @dataclass(frozen=True)
 class _Block:
-    """What was published of one thing: the line above its rows, study and source, rows of cells that begin with the
-    verdict, and the reasons of verdicts.
+    """The comparisons of one published quantity: the line above its rows, study and source, rows of cells that begin
+    with the verdict, and the reasons for verdicts.
     """
 
     heading: str
@@ -74,7 +74,7 @@ def as_text(comparisons: Sequence[Comparison], width: int) -> "Text":
 
 
 def _blocks(comparisons: Sequence[Comparison]) -> Iterator[_Block]:
-    """Yield what belongs together: neighbours that are of the same thing in the same unit."""
+    """Yield blocks of neighbouring comparisons that are of the same quantity in the same unit."""
     readable = map(in_readable_unit, comparisons)
     for (study, what, unit, source), group in groupby(readable, lambda c: (c.study, c.what, c.unit, c.source)):
         name = f"{study}: {what} [{in_ascii(unit)}]" if unit else f"{study}: {what}"
@@ -86,7 +86,7 @@ def _blocks(comparisons: Sequence[Comparison]) -> Iterator[_Block]:
 
 
 def _with_short_places(found: list[Comparison]) -> Iterator[list[Comparison]]:
-    """Yield comparisons in groups whose places are short without what each group shares."""
+    """Yield comparisons in groups whose places are short once the values that a group shares are left out."""
     common = _common([c.where for c in found])
     varied = [{k: v for k, v in c.where.items() if k not in common} for c in found]
     if _all_agree(found) or max(len(place_in_words(place)) for place in varied) <= SHORT_PLACE:
@@ -99,12 +99,12 @@ def _with_short_places(found: list[Comparison]) -> Iterator[list[Comparison]]:
 
 
 def _common(places: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the values that several places share; all of a single one."""
+    """Return the values that several places share; for a single place, all its values."""
     return {k: v for k, v in places[0].items() if all(k in place and place[k] == v for place in places)}
 
 
 def _rows(found: Sequence[Comparison], common: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
-    """Yield the cells of each comparison; of several that all agree exactly one row in all."""
+    """Yield the cells of each comparison, or one row for several that all agree exactly."""
     if _all_agree(found):
         power = power_in_words(found[0])
         yield found[0].verdict, f"all {len(found)} places", "exactly", "", "none", power, "none"
@@ -127,8 +127,8 @@ def _room(widths: Sequence[int], width: int) -> int:
 
 
 def _row(cells: Sequence[str], widths: Sequence[int], style: str) -> "Text":
-    """Return a row with its verdict in a colour; a place that is too long for its column goes on below, and one with a
-    word that is too long stands there.
+    """Return a row with its verdict in a colour; a place that is too long for its column continues below the row, and
+    one with a word that is too long stands there as a whole.
     """
     from rich.text import Text
 

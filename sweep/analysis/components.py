@@ -1,4 +1,4 @@
-"""What the mean over components hides: each of them, their largest correlation, and the condition of the solution."""
+"""What a mean over components hides: each component, the largest correlation, and the condition number."""
 
 import textwrap
 from collections.abc import Iterator
@@ -16,10 +16,10 @@ from sweep.readable import in_three_digits
 COVARIANCE, CORRELATION, CONDITION = "covariance", "correlation", "condition_number"
 
 BAD_CONDITION = 100.0
-"""The condition number of two unknowns with a correlation of 0.98: beyond, they are nearly one."""
+"""Above this, unknowns can hardly be told apart; two with a correlation of 0.98 have this condition number."""
 
 FEWEST = 30
-"""Realisations for which a correlation is known to 0.2."""
+"""The fewest realisations for a correlation, which is then known to 0.2."""
 
 MOST_POINTS = 3
 
@@ -29,8 +29,8 @@ PER_LINE = 3
 def component_lines(dataset: xr.Dataset) -> list[str]:
     """Return lines, of 80 characters where names are short, about the points with the worst condition.
 
-    They are those of the first quantity that has errors and one dimension of components; none for a dataset without,
-    or without a covariance of that dimension.
+    They show the first quantity that has errors and one dimension of components.  A dataset without such a quantity,
+    or with neither a covariance nor a condition number, gives no lines.
     """
     name = _quantity(dataset)
     if name is None:
@@ -73,7 +73,7 @@ def _quantity(dataset: xr.Dataset) -> str | None:
 
 
 def _correlation(point: xr.Dataset) -> Array | None:
-    """Return the correlations (K, K); from the covariance in stores that have no others."""
+    """Return the correlations (K, K); from the covariance in stores that do not have them."""
     if CORRELATION in point:
         return np.asarray(point[CORRELATION].values)
     if COVARIANCE not in point:
@@ -85,7 +85,7 @@ def _correlation(point: xr.Dataset) -> Array | None:
 
 
 def _condition(point: xr.Dataset) -> float:
-    """Return the condition number; in stores without it that of the estimates' correlations, which is much the same."""
+    """Return the condition number; in stores without it, that of the estimates' correlations, which is similar."""
     if CONDITION in point:
         return float(point[CONDITION])
     correlation = _correlation(point)

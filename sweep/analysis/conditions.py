@@ -1,4 +1,4 @@
-"""What the options --where and --range say: a limit on a quantity with a unit, a range; parsed, never evaluated."""
+"""The options --where, a limit on a quantity with a unit, and --range: they are parsed, never evaluated as code."""
 
 import math
 import operator
@@ -30,7 +30,7 @@ class Limit:
     unit: str = ""
 
     def number_in(self, unit: str) -> float:
-        """Return the number in a unit; raises SweepError where that is of another kind."""
+        """Return the number in a unit; raises SweepError if it cannot be converted."""
         if not self.unit:
             return self.number
         from astropy import units
@@ -41,7 +41,7 @@ class Limit:
             raise SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}") from error
 
     def is_met(self, values: Array, number: float) -> NDArray[np.bool_]:
-        """Return where values, for which the limit is ``number`` in their unit, meet the condition."""
+        """Return where values meet the condition; ``number`` is the limit in their unit."""
         return np.asarray(_COMPARE[self.sign](values, number))
 
     def __str__(self) -> str:

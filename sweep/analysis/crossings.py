@@ -1,7 +1,7 @@
 """Between the points of a grid: where a quantity crosses a limit, and its value at a place that is not in the grid.
 
 Both interpolate linearly between two points: in the logarithm of the quantity where that is above 0, and in that of the
-axis where all of it is above 0 and its unit (magnitudes) is not a logarithm already.
+axis if all its values are above 0 and its unit is not logarithmic already, as magnitudes are.
 """
 
 from contextlib import suppress
@@ -18,8 +18,8 @@ from sweep.contract import Array, SweepError, shown, small_sample_factor
 from sweep.studies.study import POINT
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
-"""When a condition is met along a line: at no point or at all, from or up to one crossing, between several.  Left out
-are lines that the study excludes, and those whose unit is of another kind than the limit's.
+"""Where a condition is met along a line: at no point, at all points, from or up to one crossing, between several.
+Lines are left out if the study excludes them, or if their unit cannot be converted to that of the limit.
 """
 NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
 
@@ -74,7 +74,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
 
 
 def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
-    """Return the points of a table or a design at which a condition is met, all their results included.
+    """Return the points of a table or a design at which a condition is met, with all their results.
 
     Raises SweepError for an unknown quantity, one with further dimensions, and points that are not done.
     """
@@ -90,7 +90,7 @@ def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
 def interpolate(
     dataset: xr.Dataset, variable: str, over: str, at: float, covariance: xr.DataArray | None = None
 ) -> xr.Dataset:
-    """Return a variable between the points of an axis, for every combination of the other axes.
+    """Interpolate a variable between the points of an axis, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
@@ -142,7 +142,7 @@ def interpolate(
 
 
 def _thresholds(limit: Limit, found: Lines) -> list[float]:
-    """Return the limit in the unit of each line; NaN for units of another kind, if there are lines of the right one."""
+    """Return the limit in the unit of each line, NaN if it cannot be converted; raises SweepError if none can."""
     known: dict[str, float] = {}
     refusals = []
     for unit in dict.fromkeys(found.unit):
@@ -211,5 +211,5 @@ def _is_logarithmic(x: Array, unit: str) -> bool:
 
 
 def _on_scale(x: Array, unit: str) -> Array:
-    """Return an axis as it is interpolated along: its logarithm, or itself where it is one or has none."""
+    """Return the axis on the scale for interpolation: its logarithm, or itself if it is one already or has none."""
     return np.log(x) if _is_logarithmic(x, unit) else x

@@ -8,13 +8,13 @@ import numpy as np
 from sweep.contract import Array, small_sample_factor
 
 FIRST_ORDER = 5.0
-"""What points do not have in common must be so many times what errors to first order leave out, to judge a law by."""
+"""A law is judged only if the errors that points do not share are this many times the neglected second order."""
 
 
 @dataclass(frozen=True)
 class PowerLaw:
     """y = amplitude (x / pivot)^exponent, with the one-sigma errors of both and their ``correlation``, which the pivot
-    makes 0 unless the errors of points go together in a way that is only known from samples.
+    makes 0 unless the covariance of the points was estimated from samples.
 
     ``chi2`` is NaN where the points have no errors: then all weigh the same and the errors come from the scatter.
     """
@@ -33,7 +33,7 @@ class PowerLaw:
         return np.asarray(self.amplitude * (x / self.pivot) ** self.exponent)
 
     def relative_error(self, x: Array) -> Array:
-        """Return the one-sigma error of the law at x over the law, same shape."""
+        """Return the relative one-sigma error of the law at x, same shape."""
         height, tilt = self.amplitude_error / self.amplitude, np.log(x / self.pivot) * self.exponent_error
         return np.sqrt(np.maximum(height**2 + tilt**2 + 2.0 * self.correlation * height * tilt, 0.0))
 
@@ -42,11 +42,11 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> Pow
     """Return the power law through points, by generalised least squares of log y against log x.
 
     ``x`` and ``y`` (n,) are positive; ``errors`` are one sigma of y, (n,), or the covariance of y, (n, n).  The errors
-    of the law are those that the errors of y give, whatever the scatter.  Unless every error in (n,) is known and
-    positive all weigh the same, and the errors of the law come from the scatter (0 for two points, which have none).
-    A covariance from so many ``samples`` gives weights by its diagonal only, as its inverse would follow its own
-    noise, and the errors of the law that these weights have with it.  ``samples`` that are NaN say that errors (n,)
-    leave out how points go together: they give weights, and the errors of the law are NaN.
+    of the law follow from the errors of y, whatever the scatter.  Unless all errors (n,) are known and positive, all
+    points weigh the same, and the errors of the law come from the scatter (0 for two points, which have none).
+    If the covariance was estimated from ``samples``, only its diagonal gives weights, as its inverse would follow its
+    noise; the errors of the law with these weights are computed from all of it.  If ``samples`` is NaN, the
+    covariance of points with errors (n,) is not known: the errors give weights, and the errors of the law are NaN.
     Raises ValueError for a covariance that is not positive definite.
     """
     relative, known = relative_covariance(y, errors)
@@ -79,9 +79,9 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> Pow
 
 
 def weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], Array]:
-    """Return the function that weighs points, and their covariance (n, n) when weighed: 1 where it is known as it is,
-    and is all that weighs; that of points weighed by their own errors, where it is known from ``samples``.
-    Raises ValueError for a covariance that is not positive definite, or from samples with points of no error.
+    """Return the function that weights points, and the covariance (n, n) of weighted points.  An exact covariance
+    gives all weights, and leaves the unit matrix; one estimated from ``samples`` gives weights by its diagonal only.
+    Raises ValueError for a covariance that is not positive definite, or one from samples with points without error.
     """
     if np.isfinite(samples):
         own = np.sqrt(np.diag(covariance))
@@ -98,9 +98,9 @@ def weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], 
 
 
 def chi2_about(residual: Array, design: Array, covariance: Array, relative: Array, samples: float) -> float:
-    """Return the sum of squared residuals of weighed points in units of their errors, about a law with so many
-    parameters.  NaN where points with a ``relative`` covariance from ``samples`` go together so closely that what is
-    left is not known: the logarithm of a value has a second order, of about the square of its relative error.
+    """Return the sum of squared residuals of weighted points, in units of their errors, about a law with the ``design``
+    (n, parameters).  NaN if points with a ``relative`` covariance from ``samples`` share so much of their errors that
+    the rest is not known: the covariance is of first order, and the second is about the square of the relative error.
     """
     rest = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
     free = rest.T @ covariance @ rest
@@ -115,7 +115,7 @@ def chi2_about(residual: Array, design: Array, covariance: Array, relative: Arra
 def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
     """Return the probability of a chi2 at least as large if the law holds; NaN without degrees of freedom.
 
-    With a covariance from so many samples chi2 is Hotelling's T^2, which has an F distribution.
+    With a covariance estimated from ``samples``, chi2 is Hotelling's T^2, which has an F distribution.
     """
     from scipy.special import chdtrc, fdtrc  # scipy.stats takes longer to import than a small study to run
 
@@ -127,7 +127,7 @@ def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
 
 def relative_covariance(y: Array, errors: Array) -> tuple[Array, bool]:
     """Return the covariance of log y to first order, (n, n), from errors (n,) or a covariance (n, n) of y, and whether
-    it is known: unless errors (n,) are all finite and positive it is that of points that weigh the same.
+    it is known: unless errors (n,) are all finite and positive, it is the unit matrix, for points of equal weight.
     """
     if errors.ndim == 2:
         return errors / np.outer(y, y), True

@@ -26,26 +26,26 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 VISIBLE_BIAS = 1e-3
-"""The parts of a prediction are shown where its bias adds a larger share to what the errors make."""
+"""The parts of a prediction are shown if the bias increases it by a larger fraction than this."""
 
 
 VALUE, PUBLISHED, PREDICTED, PARTS = 0, 1, 2, 4
-"""Ranks of the columns of the main quantity; those of others come later by `OTHER`."""
+"""Ranks of the columns of the main quantity; those of other quantities are larger by `OTHER`."""
 
 OTHER = 3
 
 
 ERROR = "error of {}"
-"""The column, in tables that are made for reading, of the whole one-sigma error of a variable."""
+"""The name of the column with the whole one-sigma error of a variable, in tables for reading."""
 
 MOST_ROWS = 200
-"""Of a table for reading: of a hundred thousand the formatting alone would take longer than their computation."""
+"""The most rows of a table for reading: formatting a hundred thousand would take longer than computing them."""
 
 
 def as_text(dataset: xr.Dataset, width: int | None = None) -> tuple["Table", list[Column]]:
-    """Return the headline results for reading: value +- one-sigma error, prediction, published value and
-    difference; of the first `MOST_ROWS` points, and of the columns those that go into ``width`` characters, and the
-    columns that are left out.
+    """Return a table of the headline results for reading, and the columns that are left out: value +- one-sigma error,
+    prediction, published value and difference of the first `MOST_ROWS` points, as far as they fit into ``width``
+    characters.
     """
     columns, left_out = fitting(headline_columns(dataset, MOST_ROWS), width)
     rows = zip(*(column.cells for column in columns), strict=True)
@@ -54,7 +54,7 @@ def as_text(dataset: xr.Dataset, width: int | None = None) -> tuple["Table", lis
 
 
 def exactly_published(dataset: xr.Dataset) -> list[str]:
-    """Return a sentence for each headline quantity that is everywhere as it was published."""
+    """Return a sentence for each headline quantity that is equal to all its published values."""
     exact = [name for name in headline_variables(dataset) if _is_exact(dataset, name)]
     counts = {name: int(dataset[f"{name}_published"].count()) for name in exact}
     return [
@@ -82,7 +82,7 @@ def rows_left_out(dataset: xr.Dataset, most: int = MOST_ROWS) -> int:
 
 def headline_columns(dataset: xr.Dataset, most: int | None = None) -> list[Column]:
     """Return the columns of the headline results in units that read well: axes, values with errors, prediction,
-    published and difference; of all points or of the first ones.
+    published and difference; of all points or of the first ``most``.
     """
     dataset = in_readable_units(dataset)
     names = [name for name in headline_variables(dataset) if name not in array_outputs(dataset)]
@@ -122,7 +122,7 @@ def _columns_of(dataset: xr.Dataset, long: Long, name: str) -> Iterator[Column]:
 
 
 def arrays_in_words(dataset: xr.Dataset) -> list[str]:
-    """Return a sentence for each output of a plain function that the table for reading has not, or only in part."""
+    """Return a sentence for each output of a plain function that the table for reading leaves out or shows in part."""
     sentences = []
     for name in array_outputs(dataset):
         along = " and ".join(f"{dataset.sizes[dim]:,} along {dim}" for dim in own_dimensions(dataset, name))
@@ -131,7 +131,7 @@ def arrays_in_words(dataset: xr.Dataset) -> list[str]:
 
 
 def _span(values: Any) -> str:
-    """Return an array of one point in short: its least and its largest number."""
+    """Return the array of one point in short: its smallest and its largest number."""
     flat = np.array(values).reshape(-1)
     if flat.dtype.kind not in "biuf":
         return first_of(flat.tolist(), 1)
@@ -140,7 +140,7 @@ def _span(values: Any) -> str:
 
 
 def _parts(long: Long, name: str, errors: list[float]) -> list[Column]:
-    """Return the parts of a prediction, of errors alone and of the bias, where there is a bias that can be seen."""
+    """Return columns of the parts of a prediction, from errors alone and from the bias, if the bias is visible."""
     whole, part = (long.get(f"{name}_{suffix}") for suffix in PREDICTION_SUFFIXES)
     if whole is None or part is None:
         return []

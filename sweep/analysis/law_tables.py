@@ -23,20 +23,20 @@ CONCLUSION = "conclusion"
 """The last column, in words."""
 
 FEWEST_LETTERS = 24
-"""Of a line of a conclusion."""
+"""The least width of the column of conclusions, in characters."""
 
 DEVIATION_ALLOWED = 3.0
-"""An exponent may deviate from the expected one by so many of its errors."""
+"""An exponent may deviate from the expected one by this many of its errors."""
 
 P_VALUE_ALLOWED = 1e-3
-"""A law is said not to hold where chi2 is so improbable."""
+"""A law is said not to hold if the probability of its chi2 is lower than this."""
 
 RATE_WANTED = 2.0
-"""A levelling off is seen where its rate is so many errors above 0."""
+"""A levelling off is significant if its rate is more than this many errors above 0."""
 
 
 def rows(result: xr.Dataset) -> list[dict[str, Any]]:
-    """Return one mapping a line, its place on the axes and the variables of the result, of any function of analysis."""
+    """Return one mapping per line of the result of an analysis: its place on the axes, and the variables."""
     parts = (result.isel(place) for place in places_along(result, _dims(result)))
     return [{str(n): one[n].item() for n in (*one.coords, *one.data_vars)} for one in parts]
 
@@ -49,8 +49,8 @@ def as_json(result: xr.Dataset) -> str:
 
 
 def as_text(result: xr.Dataset, width: int | None = None) -> "Table":
-    """Return a table for reading, one row a line of the grid; of the columns those that go into ``width`` characters,
-    and the conclusions in several lines where they are long.
+    """Return a table for reading with one row per line of the grid: the columns that fit into ``width`` characters,
+    and the conclusions, in several lines where they are long.
     """
     columns, _ = fitting_columns(result, width)
     rows = zip(*(column.cells for column in columns), strict=True)
@@ -64,8 +64,8 @@ def as_text(result: xr.Dataset, width: int | None = None) -> "Table":
 
 
 def fitting_columns(result: xr.Dataset, width: int | None = None) -> tuple[list[Column], list[Column]]:
-    """Return the columns of a table of a width: places on the axes, the law or the crossings, and what follows, which
-    may take several lines; and those left out.
+    """Return the columns that fit into a width (places on the axes, the law, and the conclusion, which may take several
+    lines), and those that are left out.
     """
     everything = rows(result)
     places = axis_coordinates(result, _dims(result))
@@ -78,7 +78,7 @@ def fitting_columns(result: xr.Dataset, width: int | None = None) -> tuple[list[
 
 
 def notes(result: xr.Dataset) -> list[str]:
-    """Return sentences that belong below the table: the law, where errors come from, and what does not fit."""
+    """Return the sentences below the table: the law, the origin of errors, and how many lines do not follow the law."""
     about, everything = result.attrs, rows(result)
     if "condition" in about:
         return [f"{about['condition']} along {about['over']}; errors: {about['errors']}"]
@@ -94,7 +94,7 @@ def notes(result: xr.Dataset) -> list[str]:
 
 
 def conclusion(result: xr.Dataset, row: Row) -> str:
-    """Return in words what follows from one line of a result."""
+    """Return the conclusion from one line of a result, in words."""
     if "met" in result:
         return _met(row, *(_unit(result, name) for name in ("first", "nearest")))
     if row["points"] == 0.0:

@@ -1,7 +1,7 @@
-"""Laws and ratios of results: a Dataset of results in, a Dataset of what follows from them out.
+"""Laws and ratios of results: functions that take a Dataset of results and return a Dataset.
 
-Every function works along one axis for all combinations of the others at once, and knows of no experiment: errors are
-found by the names that `sweep.analysis.quantity` describes, expected exponents in the claims of the study.
+Every function works along one axis for all combinations of the others at once, and for any experiment: errors are found
+by the names that `sweep.analysis.quantity` describes, expected exponents in the claims of the study.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from sweep.attributes import described
 from sweep.contract import FEW, Array, SweepError
 
 LEVELLING_POINTS = 4
-"""Fewest points for the levelling law, which has three parameters."""
+"""The fewest points for the levelling law, which has three parameters."""
 
 
 def fit_power_law(
@@ -78,7 +78,7 @@ def fit_power_law(
 def fit_levelling(
     dataset: xr.Dataset, variable: str, over: str, fall: float = 0.05, covariance: xr.DataArray | None = None
 ) -> xr.Dataset:
-    """Fit variable^2 = plateau^2 + c exp(-rate over): where a variable levels off along an axis, for all other axes.
+    """Fit variable^2 = plateau^2 + c exp(-rate over), a law that levels off, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
@@ -168,8 +168,8 @@ def _fitted(
     columns: Mapping[str, tuple[str, str]],
     fit: Callable[[Array, Array, Array, float], PowerLaw | Levelling],
 ) -> xr.Dataset:
-    """Return the fields of the fit of every line, with unit and meaning, the errors of those that have one, and how
-    good the fits are; NaN for lines that the study excludes.  Raises SweepError for all fits that fail.
+    """Return the results of a fit to every line: the ``columns``, given with unit and meaning, their errors if they
+    have any, and the quality of the fit; NaN for lines that the study excludes.  Raises SweepError listing failed fits.
     """
     fits: list[PowerLaw | Levelling | None] = []
     problems = []

@@ -1,4 +1,4 @@
-"""A law that levels off, and where going on stops paying: arrays in, numbers out."""
+"""A law that levels off, and where it falls more slowly than a limit: arrays in, numbers out."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from sweep.analysis.fits import chi2_about, relative_covariance, weigh
 from sweep.contract import Array, small_sample_factor
 
 STARTS = (0.5, 2.0, 6.0)
-"""First guesses of how many times the falling part drops by e within the points; the best fit is kept."""
+"""First guesses of the rate, times the range of the points; the best fit is kept."""
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,8 @@ class Levelling:
     """y^2 = plateau^2 + c exp(-rate x), with one-sigma errors, scaled by sqrt(chi2/dof) where that is above one.
 
     ``plateau`` is NaN where the points do not level off.  ``end_fall`` is -d ln y / dx at the last point.  ``limit``
-    is the x beyond which y falls more slowly than was asked for: -inf if it does so everywhere, inf if nowhere; it may
-    lie beyond the points.
+    is the x beyond which y falls by less than the given fraction per unit: -inf if it does so everywhere, inf if
+    nowhere; it may lie beyond the points.
     """
 
     plateau: float
@@ -37,14 +37,14 @@ class Levelling:
 
 
 def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = np.inf) -> Levelling:
-    """Return the law through points, and where it falls by the fraction ``fall`` in a unit of x.
+    """Return the law through points, and where it falls by the fraction ``fall`` per unit of x.
 
     ``x`` (n,) ascends, ``y`` (n,) is positive, n at least 4; ``errors`` are one sigma of y, (n,), or its covariance,
-    (n, n), from so many ``samples`` as for `power_law`; unless they are all known the errors of the law come from the
-    scatter.  They are larger where points are farther from the law than their own errors say.
+    (n, n), estimated from ``samples`` as in `power_law`.  Unless all errors are known, those of the law come from the
+    scatter.  They are scaled up if points are farther from the law than their own errors allow.
 
-    The fit has the law's squares at both ends and its rate as parameters: they are hardly correlated, and
-    y^2 is positive between whatever they are.
+    The parameters of the fit are y^2 at both ends and the rate: they are hardly correlated, and y^2 is positive
+    in between whatever their values are.
     Raises ValueError where it does not converge, or for a covariance that is not positive definite.
     """
     relative, known = relative_covariance(y, errors)
@@ -56,7 +56,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
         return whiten(0.5 * np.log(_square(z, start, end, rate)) - target)
 
-    with np.errstate(all="ignore"):  # a rate that is tried may overflow; it is then refused
+    with np.errstate(all="ignore"):  # a trial value of the rate may overflow; it is then rejected
         fits = [_least_squares(misfit, np.array([2.0 * target[0], 0.0, start])) for start in STARTS]
     converged = [each for each in fits if each is not None]
     if not converged:
@@ -89,7 +89,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
 
 
 def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Array, Array, float] | None:
-    """Return parameters, the slopes of the misfit in them and its square; None where there are none from this start."""
+    """Return the parameters, the Jacobian of the misfit and its sum of squares; None if the fit fails."""
     try:
         found = least_squares(misfit, start, jac="3-point", xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=300)
         jacobian = np.asarray(found.jac, dtype=np.float64)
@@ -99,7 +99,7 @@ def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Arra
     return (found.x, jacobian, 2.0 * float(found.cost)) if found.success else None
 
 
-# Below z runs from 0 at the first point to 1 at the last, and squares are y^2; exprel(t) is (e^t - 1)/t, also at t = 0.
+# Below, z runs from 0 at the first point to 1 at the last, squares are y^2, and exprel(t) is (e^t - 1)/t, also at 0.
 
 
 def _square(z: Array, start: float, end: float, rate: float) -> Array:
@@ -107,7 +107,7 @@ def _square(z: Array, start: float, end: float, rate: float) -> Array:
 
 
 def _floor(start: float, end: float, rate: float) -> float:
-    """Return the square that the law tends to; NaN if it has no end to its fall."""
+    """Return the square that the law tends to; NaN if it does not level off."""
     return float(start + (end - start) / -np.expm1(-rate)) if rate > 0.0 else np.nan
 
 

@@ -32,8 +32,8 @@ class Lines:
     ``error`` is one sigma, NaN or 0 where there is none; ``covariance`` (lines, n, n) is there if the dataset has it.
     Points that a study excludes are not ``used``.  The lines are those of the dimensions ``dims`` in C order, whose
     coordinates are in ``grid``; ``unit`` (lines,) is the unit of each, ``errors`` says where the errors come from.
-    ``samples`` is from how many independent samples the covariance was estimated: infinity where it is exact or where
-    points are independent, NaN where they share random numbers and their covariance is not known.
+    ``samples`` is the number of independent samples from which the covariance was estimated: infinity if it is exact
+    or points are independent, NaN if they share random numbers and their covariance is not known.
     """
 
     title: str
@@ -67,11 +67,11 @@ class Lines:
 
     @property
     def common_unit(self) -> str:
-        """The unit of all lines; '' where they differ: then the coordinate of the components' units names it."""
+        """The unit of all lines; '' if they differ: the coordinate of the components' units then gives them."""
         return self.unit[0] if len(set(self.unit)) == 1 else ""
 
     def with_variables(self, columns: Mapping[str, tuple[Any, str, str]]) -> xr.Dataset:
-        """Return the grid with variables of values (lines,), unit and meaning each, and what it is about."""
+        """Return the grid with variables, each given by values (lines,), unit and meaning, and with attributes."""
         variables = {
             name: (self.dims, np.reshape(values, self.shape), described(unit, meaning))
             for name, (values, unit, meaning) in columns.items()
@@ -91,9 +91,9 @@ def lines(
 ) -> Lines:
     """Return a quantity along an axis, for every combination of the others.
 
-    ``covariance`` takes the place of the variable NAME_mc_covariance.  Points that the study excludes do not belong to
-    a line, and a line may have none.  Raises SweepError for an unknown quantity or axis, points that are not done,
-    values that are not finite, and lines of fewer than ``least`` points.
+    ``covariance`` takes the place of NAME_mc_covariance_OVER in the dataset.  Points that the study excludes do not
+    belong to a line, and a line may have none.  Raises SweepError for an unknown quantity or axis, points that are not
+    done, values that are not finite, and lines of fewer than ``least`` points.
     """
     require_axis(dataset, variable, over)
     dimension = str(dataset[over].dims[0])
@@ -102,7 +102,7 @@ def lines(
     others = [str(d) for d in dataset[variable].dims if d != dimension]
     order = np.argsort(dataset[over].values, kind="stable")
     ordered = dataset.isel({dimension: order})
-    template = ordered[variable].astype(float)  # of integers and truth values too, whose errors may be NaN
+    template = ordered[variable].astype(float)  # integers too: errors may be NaN
     status = ordered["status"].broadcast_like(template)
     error = standard_error(ordered, variable)
     covariance = _covariance(ordered, variable, dimension, order, covariance)
@@ -169,7 +169,7 @@ def _covariance(
     found = found.isel({other: order})
     wanted = {*dataset[variable].dims, other}
     if extra := set(found.dims) - wanted:
-        raise SweepError(f"{name} has the dimensions {', '.join(map(str, extra))} that {variable} has not")
+        raise SweepError(f"{name} has the dimensions {', '.join(map(str, extra))} that {variable} does not have")
     if found.sizes[other] != found.sizes[dimension]:
         raise SweepError(f"{name} is not square: {dict(found.sizes)}")
     return found.broadcast_like(dataset[variable].expand_dims({other: found.sizes[other]}))

@@ -1,4 +1,4 @@
-"""Results with one row a point: for a script (CSV, JSON), for astronomers (ECSV)."""
+"""Results with one row per point: for a script (CSV, JSON), for astronomers (ECSV)."""
 
 import io
 import json
@@ -14,13 +14,13 @@ from sweep.planning.point_status import Status
 from sweep.studies.provenance import FUNCTION
 
 Long = dict[str, tuple[str, list[Any]]]
-"""Unit and values of each column of a table with one row a point."""
+"""Unit and values of each column of a table with one row per point."""
 
 
 def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> Long:
-    """Return columns {name: (unit, values)} with one row a point, of all or of those at ``places``, counted in C order:
-    the axes, then every variable without further dimensions; of a plain function also those with some, each value a
-    list.
+    """Return columns {name: (unit, values)} with one row per point, for all points or those at ``places``, counted in C
+    order: the axes, then every variable without further dimensions; for a plain function also those with further
+    dimensions, each value a list.
     """
     rows = slice(None) if places is None else places
     dimensions = axes_of(dataset)
@@ -43,12 +43,12 @@ def array_outputs(dataset: xr.Dataset) -> list[str]:
 
 
 def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
-    """Return the dimensions of an output that are no axes of the study."""
+    """Return the dimensions of an output that are not axes of the study."""
     return [str(d) for d in dataset[name].dims if d not in dataset["status"].dims]
 
 
 def _listed(values: Any) -> list[Any]:
-    """Return values as Python has them, times as texts."""
+    """Return values as Python objects, times as texts."""
     if values.dtype.kind == "M":
         values = np.where(np.isnat(values), "", np.datetime_as_string(values, unit="auto").astype(object))
     listed: list[Any] = values.tolist()
@@ -61,7 +61,7 @@ def axes_of(dataset: xr.Dataset) -> list[str]:
 
 
 def axis_coordinates(dataset: xr.Dataset, dimensions: list[str]) -> list[str]:
-    """Return the coordinates along some dimensions in the order of these, the own one of each first."""
+    """Return the coordinates along some dimensions in their order, that with the name of the dimension first."""
     names = [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
     place = {name: dimensions.index(str(dataset[name].dims[0])) for name in names}
     return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
@@ -89,10 +89,10 @@ def as_ecsv(dataset: xr.Dataset) -> str:
 
 
 def as_json(dataset: xr.Dataset) -> str:
-    """Return the long table as JSON: units by column, and one object a point, null for a missing value."""
+    """Return the long table as JSON: units by column, and one object per point, null for a missing value."""
     columns = long_table(dataset)
     cells = zip(*(values for _, values in columns.values()), strict=True)
-    # row by row: dictionaries of all points would take more memory than all else
+    # row by row: dictionaries of all points would take more memory than everything else
     rows = ",\n".join(indent(to_json(dict(zip(columns, row, strict=True))), "  ") for row in cells)
     arrays = {
         name: {"dims": dims, "coordinates": {dim: _listed(dataset[dim].values) for dim in dims}}

@@ -22,7 +22,7 @@ Index = Mapping[str, int]
 
 
 class OutsideGridError(Exception):
-    """A claim speaks of a place that this grid does not have."""
+    """A claim is about a place or a result that this store does not have."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ def in_words(quantity: Slope | Ratio | Reading) -> str:
 
 
 def unit_of(dataset: xr.Dataset, quantity: Slope | Ratio | Reading) -> str:
-    """Return the unit of a result, or of its component where these differ; '' for one that is not there, and for what
-    is derived.
+    """Return the unit of a result, or of its component where these differ; '' for a result that is not there, and
+    for ratios and slopes.
     """
     if not isinstance(quantity, Reading) or quantity.variable not in dataset:
         return ""
@@ -68,7 +68,7 @@ def unit_of(dataset: xr.Dataset, quantity: Slope | Ratio | Reading) -> str:
 
 
 def measure(dataset: xr.Dataset, claim: Derived, quantity: Slope | Ratio | Reading) -> Iterator[Measured]:
-    """Yield our number at every place that a claim speaks of; raises OutsideGridError for one that is not there."""
+    """Yield our number at every place that a claim is about; raises OutsideGridError for one that is not there."""
     points = Points.of(dataset, quantity.variable, quantity.component)
     if isinstance(quantity, Slope):
         if quantity.over not in dataset.coords:
@@ -109,7 +109,7 @@ class Points:
         return cls(part, variable, part[variable].broadcast_like(status), error.broadcast_like(status), status)
 
     def index(self, places: Mapping[str, Any]) -> dict[str, int]:
-        """Return the index along the dimensions that values of axes fix."""
+        """Return the index along each dimension that values of axes fix."""
         found: dict[str, NDArray[np.bool_]] = {}
         for axis, value in places.items():
             if axis not in self.dataset.coords or not self.dataset[axis].dims:
@@ -121,7 +121,7 @@ class Points:
         return {dimension: int(np.argmax(mask)) for dimension, mask in found.items()}
 
     def combinations(self, fixed: Index, but: str = "") -> Iterator[dict[str, int]]:
-        """Yield an index for each combination of the dimensions that are not fixed, without that of ``but``."""
+        """Yield an index for each combination of the dimensions that are not fixed, except ``but``."""
         free = [str(d) for d in self.status.dims if d not in fixed and d != but]
         for place in places_along(self.status, free):
             yield dict(fixed) | place
@@ -136,14 +136,14 @@ class Points:
         return axes
 
     def at(self, index: Index) -> Measured:
-        """Return what there is at a point."""
+        """Return our number at a point, or why there is none."""
         where, status = self.places(index), int(self.status[dict(index)])
         if status != Status.DONE:
             return Measured(where, missing=_why({status}, "the point"))
         return Measured(where, float(self.value[dict(index)]), float(self.error[dict(index)]))
 
     def ratio(self, of: Index, to: Index, differing: set[str]) -> Measured:
-        """Return the value at one point over that at another; points that share random numbers have less error."""
+        """Return the value at one point over that at another; its error includes their covariance."""
         where = self.places(of, but=differing)
         top, bottom = self.at(of), self.at(to)
         if missing := top.missing or bottom.missing:

@@ -1,4 +1,4 @@
-"""What of a dataset is a quantity: its names, its errors, the axes that it can be followed along."""
+"""Which variables of a dataset are quantities, what their errors are, and along which axes they vary."""
 
 import json
 from collections.abc import Collection, Container, Hashable, Mapping, Sequence
@@ -13,30 +13,31 @@ from sweep.studies.provenance import FUNCTION, outer_draw_of
 from sweep.studies.study import POINT, POINT_TABLE
 
 COUNTS = ("status", "n_sim_done", "code")
-"""Integers of every dataset that are no results."""
+"""Integer variables of every dataset that are not results."""
 
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
 """Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
 
 PREDICTION_SUFFIXES = ("rms_predicted", "predicted")
-"""Outputs NAME_SUFFIX beside NAME predict it; the first there is predicts all of it, the others may be a part."""
+"""Outputs NAME_SUFFIX beside NAME predict it; the first that exists predicts all of it, the other may be a part."""
 
 BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
 """Variables NAME_SUFFIX that belong to NAME and are in its unit."""
 
 COVARIANCE_SUFFIX = "mc_covariance"
 """A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
-points along the axis OVER, where these share random numbers.  It has all of their error: it stands for both error
-variables.  Its attribute ``samples`` says from how many independent samples it was estimated; without one it is exact.
+points along the axis OVER, where these share random numbers.  It includes all of their error, and replaces both
+error variables.  Its attribute ``samples`` is the number of independent samples that it was estimated from; without
+that attribute it is exact.
 """
 
 SHARES_RANDOM_NUMBERS = "common_random_numbers"
-"""An attribute that is true where points of the grid share random numbers: along the axes that `shared_axes` gives."""
+"""An attribute that is true if points of the grid share random numbers, along the axes that `shared_axes` gives."""
 
 SHARED_AXES = "shared_axes"
 ERROR_CONVENTION = "error_convention"
 CONVENTION = 2
-"""The attribute that says how errors were made, and its value since catalogues are what is independent."""
+"""The attribute that says how errors were computed, and its value since catalogues count as independent samples."""
 
 OLD_ERRORS = "errors are those of an earlier version; `sweep run` the study again (nothing is computed anew)"
 
@@ -44,8 +45,8 @@ OLD_ERRORS = "errors are those of an earlier version; `sweep run` the study agai
 def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     """Return the one-sigma error of a variable from all its error variables in quadrature; None if it has none.
 
-    A NaN in one of several is an error that is not known, such as that of few catalogues, and does not count; where
-    none is known there is NaN.
+    A NaN in one of several is an error that is not known, such as that of few catalogues, and is left out; if none is
+    known, the result is NaN.
     """
     parts = [dataset[f"{variable}_{s}"] for s in ERROR_SUFFIXES if f"{variable}_{s}" in dataset]
     if not parts:
@@ -56,8 +57,8 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
 
 
 def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
-    """Return those of some quantities that have a value at any point: a link that does not solve for the spin has no
-    error of it; all where none has.
+    """Return those of some quantities that have a value at any point, or all if none has one: a link that does not
+    solve for the spin, for example, has no error of it.
     """
     if len(names) < 2:
         return list(names)  # whatever its values, which need not be read
@@ -65,14 +66,14 @@ def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
 
 
 def headline_variables(dataset: xr.Dataset) -> list[str]:
-    """Return the variables that an experiment calls headline, those with errors first."""
+    """Return the headline outputs of an experiment, those with errors first."""
     names = [str(name) for name, variable in dataset.data_vars.items() if variable.attrs.get("headline")]
     return sorted(names, key=lambda name: standard_error(dataset, name) is None)
 
 
 def headlines(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that a study is about: those with values that its experiment calls headline, or the first
-    one there is.
+    """Return the quantities that a study is about: the headline outputs that have values, or the first quantity if
+    there are none.
     """
     known = quantities(dataset)
     return with_values(dataset, [name for name in headline_variables(dataset) if name in known]) or known[:1]
@@ -92,7 +93,7 @@ def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
 
 
 def has_old_errors(dataset: xr.Dataset) -> bool:
-    """Return whether a dataset of `sweep run` has errors that are made in another way now (docs/errors.md)."""
+    """Return whether a dataset of `sweep run` has errors that are now computed differently (docs/errors.md)."""
     about = dataset.attrs
     several = int(about.get("n_cat", 1)) > 1 or bool(about.get(SHARES_RANDOM_NUMBERS))
     return several and about.get(ERROR_CONVENTION) != CONVENTION
@@ -110,8 +111,8 @@ def shares_random_numbers(dataset: xr.Dataset, dimensions: Collection[str]) -> b
 
 
 def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.DataArray | None:
-    """Return the covariance of a variable between points along a dimension; None if there is none, or one of an
-    earlier version, which took blocks of one catalogue as independent.
+    """Return the covariance of a variable between points along a dimension; None if there is none, or only
+    one of an earlier version, which took blocks of one catalogue to be independent.
     """
     name = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
     if name not in dataset or f"{dimension}_other" not in dataset[name].dims:
@@ -121,8 +122,8 @@ def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.D
 
 
 def samples_along(dataset: xr.Dataset, dimension: str, covariance: xr.DataArray | None) -> float:
-    """Return from how many independent samples the covariance of points along a dimension was estimated: infinity where
-    it is exact or points are independent, NaN where they share random numbers and it is not known.
+    """Return the number of independent samples that the covariance of points along a dimension was estimated from:
+    infinity if it is exact or points are independent, NaN if they share random numbers and it is not known.
     """
     if covariance is not None:
         return float(covariance.attrs.get("samples", np.inf))
@@ -134,8 +135,8 @@ def error_of_sum(
 ) -> xr.DataArray | None:
     """Return the one-sigma error of a weighted sum of a variable at two indices along dimensions.
 
-    Where the two share random numbers it is that of their covariance, NaN if the dataset does not have it; elsewhere
-    they are independent.  ``weights`` are numbers or arrays over the other dimensions.  None without errors.
+    If the two share random numbers, it includes their covariance, and is NaN if the dataset does not have it; otherwise
+    they are independent.  ``weights`` are numbers or arrays over the other dimensions.  None if there are no errors.
     """
     known = [standard_error(dataset.isel(place), variable) for place in (one, other)]
     along = [name for name, coordinate in dataset.coords.items() if set(coordinate.dims) & {*one, *other}]
@@ -162,13 +163,13 @@ def error_of_sum(
 
 
 def prediction_name(names: Container[Hashable], variable: str) -> str:
-    """Return which variable of some predicts another: with known biases, if the experiment predicts them too."""
+    """Return the name of a variable's prediction: the one that includes biases, if ``names`` has it."""
     whole, part = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
     return whole if whole in names else part
 
 
 def quantities(dataset: xr.Dataset) -> list[str]:
-    """Return the variables that are results of their own: numbers, with one value a point, no errors or predictions."""
+    """Return the variables that are results of their own: numbers at each point, not errors, predictions or samples."""
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
     covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
@@ -177,13 +178,13 @@ def quantities(dataset: xr.Dataset) -> list[str]:
 
 
 def _is_number(dataset: xr.Dataset, name: str) -> bool:
-    """Return whether a variable holds numbers; those of a plain function may be integers and truth values."""
+    """Return whether a variable holds numbers; for a plain function these may be integers and truth values."""
     kind = dataset[name].dtype.kind
     return kind == "f" or (kind in "ib" and FUNCTION in dataset.attrs and name not in COUNTS)
 
 
 def main_quantity(dataset: xr.Dataset) -> str:
-    """Return the variable to use where none is named: the first headline with an error, headline, or quantity."""
+    """Return the variable to use if none is named: the first headline output (with errors, if any), or quantity."""
     if names := headlines(dataset):
         return names[0]
     raise SweepError("holds no results that are numbers")
@@ -199,8 +200,8 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
 
 
 def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return the coordinates of numbers along which a variable has at least two points, longest first: axes of the
-    study, and dimensions of its own; points of a table or a design are in no order, so that they are along none.
+    """Return the numeric coordinates along which a variable has at least two points, longest first: axes of the study,
+    and dimensions of its own.  Points of a table or a design have no order, so that they have no such axis.
     """
     dims = [d for d in dataset[variable].dims if d != POINT]
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in "if"]

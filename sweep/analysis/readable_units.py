@@ -1,6 +1,6 @@
 """Results in the units in which they read best: 0.54 uas/yr and not 0.0005411 mas/yr.
 
-For tables, figures and pages; what is computed with results takes them in the units of the store.
+For tables, figures and pages only: computations use results in the units of the store.
 """
 
 from typing import Any
@@ -15,8 +15,8 @@ from sweep.readable import prefixed
 def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     """Return the results with each quantity, and all that belongs to it, in the unit in which most numbers read well.
 
-    One component of several has its own; several of different units stay as they are.  Nothing changes of a quantity
-    whose unit takes no prefix, of axes, and of a dataset that is not over points of a study.
+    A single component that was selected has its own unit; several with different units stay as they are.  Axes,
+    quantities whose unit takes no prefix, and datasets that are not over points of a study do not change.
     """
     if "status" not in dataset:
         return dataset
@@ -44,7 +44,7 @@ def _scaled(array: xr.DataArray, factor: Any, unit: str) -> xr.DataArray:
 
 
 def _component(dataset: xr.Dataset) -> xr.Dataset:
-    """Return the dataset, of one component of several that have units of their own, in the unit that suits this one."""
+    """Return a dataset of one component, of several with units of their own, in the unit in which it reads best."""
     for name in [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]:
         dimension = name.removesuffix("_unit")
         units = {n: units_of(dataset[n].attrs) for n in quantities(dataset)}

@@ -13,7 +13,7 @@ from sweep.formatting import first_of
 def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
     """Return the part of a dataset at values of axes; these become coordinates without a dimension.
 
-    A value may be given as text, as on a command line.  Raises SweepError as `indices`.
+    A value may be given as text, as on a command line.  Raises SweepError like `indices`.
     """
     return dataset.isel(indices(dataset, places))
 
@@ -21,7 +21,7 @@ def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
 def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:
     """Return the index along each dimension that values of axes stand for.
 
-    Raises SweepError that lists every name that is no axis, every value that is not in the grid, and values of axes
+    Raises SweepError that lists every name that is not an axis, every value that is not in the grid, and values of axes
     along one dimension that are not those of one point.
     """
     problems: list[str] = []
@@ -46,7 +46,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:
 
 
 def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Dataset:
-    """Return the part of a dataset where low <= axis <= high; raises SweepError if that is nowhere."""
+    """Return the part of a dataset where low <= axis <= high; raises SweepError if there is none."""
     inside = (dataset[axis].values >= low) & (dataset[axis].values <= high)
     if not inside.any():
         values = dataset[axis].values

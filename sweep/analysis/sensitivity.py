@@ -1,4 +1,4 @@
-"""How much of the variation of a result each parameter makes: Sobol indices of grids, designs and tables."""
+"""How much of the variation of a result each parameter causes: Sobol indices of grids, designs and tables."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -30,22 +30,22 @@ METHOD = "sensitivity_method"
 INDICES: tuple[str, ...] = ("first", "first_error", "total", "total_error")
 
 MEANINGS = {
-    "first": "first-order index: share of the variance that the parameter makes by itself",
-    "total": "total index: share of the variance that it has a part in",
+    "first": "first-order index: share of the variance that the parameter causes by itself",
+    "total": "total index: share of the variance that it causes, interactions included",
     "mu_star": "mean absolute effect of the parameter over its range",
     "mu": "mean effect of the parameter over its range",
     "sigma": "standard deviation of its effects: interactions and curvature",
 }
 
 FEW_VALUES = 8
-"""On an axis of real numbers with fewer values than these a function may do much between them."""
+"""On an axis of real numbers with fewer values, a function may change much between them."""
 
 CORRELATED = 0.3
-"""Points of a table whose parameters go together more than this are said to."""
+"""A note names the parameters of a table that are correlated more than this."""
 
 
 class _Method(NamedTuple):
-    """What makes indices, by these names, of the values and their errors over some dimensions of a variable."""
+    """How to compute ``indices``, by their names, from the values and errors of a variable over some dimensions."""
 
     name: str
     parameters: list[str]
@@ -120,7 +120,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
 
 
 def is_sensitivity(dataset: xr.Dataset) -> bool:
-    """Return whether a dataset is one of indices."""
+    """Return whether a dataset holds sensitivity indices."""
     return METHOD in dataset.attrs
 
 
@@ -144,7 +144,7 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     elif design == "morris":
         words, indices = "SALib, of a morris design", EFFECTS
         estimate = partial(morris_effects, places=np.stack(places, axis=1), seed=seed)
-        notes = ["effects are over the whole range of each parameter; they rank parameters, and are no shares"]
+        notes = ["effects are over the whole range of each parameter; they rank parameters, and are not shares"]
     else:
         words, indices = f"regression on each parameter, of {design or 'given'} points", INDICES[:2]
         estimate = partial(first_order, places=places, even=design not in ("", "random"), seed=seed)
@@ -168,8 +168,8 @@ def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:
         unknown = np.full(len(over), np.nan)
         return (first, unknown, total, unknown) if shared else (first, first_error, total, total_error)
 
-    notes = ["every value of an axis counts the same: of real numbers they are midpoints of equal cells"]
-    notes += [f"{n} goes along with the others of its zipped axes" for n in parameters if "+" in n]
+    notes = ["every value of an axis counts the same: real numbers are midpoints of equal cells"]
+    notes += [f"{n}: zipped axes advance together, and have one index" for n in parameters if "+" in n]
     coarse = [n for n, c, d in zip(parameters, continuous, over, strict=True) if c and dataset.sizes[d] < FEW_VALUES]
     if coarse:
         notes.append(
@@ -195,7 +195,7 @@ def _places(dataset: xr.Dataset, name: str, spec: Any) -> Array:
 
 
 def _correlated(parameters: Sequence[str], places: Sequence[Array]) -> list[str]:
-    """Return a sentence where parameters of a table go together, so that each has a part in the index of the other."""
+    """Return a sentence if parameters of a table are correlated, so that each has a part in the index of the other."""
     if len(parameters) < 2:
         return []
     correlation = np.abs(np.corrcoef(np.stack(places)))
@@ -203,4 +203,4 @@ def _correlated(parameters: Sequence[str], places: Sequence[Array]) -> list[str]
     one, other = map(int, np.unravel_index(int(np.argmax(correlation)), correlation.shape))
     if not correlation[one, other] > CORRELATED:
         return []
-    return [f"{parameters[one]} and {parameters[other]} go together in these points: each has a part of the other's"]
+    return [f"{parameters[one]} and {parameters[other]} go together in these points: their indices share a part"]

@@ -1,14 +1,14 @@
 """Estimators of sensitivity indices, with one-sigma errors: arrays in, arrays out.
 
-Of a full grid by analysis of variance: every value of an axis counts the same.  Where an axis is of real numbers its
-values are taken as the midpoints of equal cells, on the scale on which they are equally spaced; how far rules of higher
-order give other indices is in their errors.
+For a full grid by analysis of variance: every value of an axis counts the same.  The values of an axis of real numbers
+are taken as the midpoints of equal cells, on the scale on which they are equally spaced; the errors include the
+differences from integration rules of higher order.
 
-Of Saltelli and Morris designs by SALib, with bootstrap errors from a fixed seed.
+For Saltelli and Morris designs by SALib, with bootstrap errors from a fixed seed.
 
-Of any points only the first order: how much of the variance the mean at each value of a parameter explains.  Of a
-number the conditional mean is followed by cosines over the parameter's range (Plischke 2012, Reliability Engineering &
-System Safety 107, 149), of a text or few different numbers by the means of the groups.
+For any other points only the first order: how much of the variance the mean at each value of a parameter explains.  For
+numbers this mean is fitted with cosines over the parameter's range (Plischke 2012, Reliability Engineering & System
+Safety 107, 149); for texts and for few different numbers it is the mean of each group.
 """
 
 import warnings
@@ -23,22 +23,22 @@ from sweep.studies.designs import MORRIS_LEVELS, salib, unit_cube
 RESAMPLES = 200
 
 ORDERS = (3, 5, 7)
-"""Neighbouring values of a grid through which the rules of higher order lay a polynomial."""
+"""How many neighbouring values of a grid the rules of higher order fit with a polynomial."""
 
 EFFECTS: tuple[str, ...] = ("mu_star", "mu_star_error", "mu", "sigma")
 """What `morris_effects` returns."""
 
 ONE_SIGMA = 0.6826894921370859
-"""Probability within one sigma, for which SALib gives half the width of its intervals."""
+"""Probability within one sigma: half the width of SALib's confidence intervals is then a one-sigma error."""
 
 HARMONICS = 8
-"""Half-waves over the range of a parameter at most."""
+"""The most half-waves over the range of a parameter."""
 
 POINTS_FOR_EACH = 8
-"""So many points are needed for each coefficient."""
+"""Points that are needed for each coefficient."""
 
 FEW_VALUES = 12
-"""A parameter with no more different values than these is one of groups."""
+"""The points of a parameter with no more different values than this are treated as groups."""
 
 PARTS = 32
 """Parts of the points that are left out in turn for the errors."""
@@ -47,10 +47,10 @@ PARTS = 32
 def indices_of_grid(
     values: Array, errors: Array | None, continuous: Sequence[bool], seed: int = 0
 ) -> tuple[Array, Array, Array, Array]:
-    """Return first-order and total indices with one-sigma errors, each (axes,), of values with one dimension an axis.
+    """Return first-order and total indices with one-sigma errors, each (axes,), of values with one dimension per axis.
 
-    ``errors`` are one sigma of independent values: their variance is taken out of the indices, and their effect is in
-    the errors of these.  ``continuous`` says which axes are of real numbers.
+    ``errors`` are one sigma of independent values: their variance is subtracted from the indices, and their effect is
+    in the errors of the indices.  ``continuous`` says which axes are of real numbers.
 
     The indices of y = a + b, both uniform on two values, where b varies twice as much:
 
@@ -98,7 +98,7 @@ def weights_of_order(order: int, n: int) -> Array:
 def _indices(values: Array, noise: Array, weights: Sequence[Array]) -> Array:
     """Return first-order and total indices, (2, axes)."""
     whole = _variance(values, noise, weights, ())
-    if not whole > 0.0 or values.min() == values.max():  # the weights do not add up to one to the last bit
+    if not whole > 0.0 or values.min() == values.max():  # rounding: the weights may not add up to exactly one
         return np.full((2, values.ndim), np.nan)
     axes = range(values.ndim)
     alone = [_variance(values, noise, weights, [k for k in axes if k != axis]) for axis in axes]
@@ -107,7 +107,7 @@ def _indices(values: Array, noise: Array, weights: Sequence[Array]) -> Array:
 
 
 def _variance(values: Array, noise: Array, weights: Sequence[Array], averaged: Sequence[int]) -> float:
-    """Return the variance of the mean over some axes, less what is of the noise."""
+    """Return the variance of the mean over some axes, less the part that is noise."""
     means, spread = values, noise
     for axis in sorted(averaged, reverse=True):
         means = np.tensordot(means, weights[axis], (axis, 0))
@@ -150,7 +150,7 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
     from SALib.analyze import morris
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of groups that there are none
+        warnings.simplefilter("ignore")  # SALib warns that there are no groups
         options: dict[str, Any] = {"num_levels": MORRIS_LEVELS, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
         found = morris.analyze(unit_cube(places.shape[1]), places, values, seed=seed + 1, **options)
     return [np.ma.getdata(found[key]).astype(float) for key in ("mu_star", "mu_star_conf", "mu", "sigma")]
@@ -160,9 +160,9 @@ def first_order(values: Array, places: Sequence[Array], even: bool = False, seed
     """Return first-order indices and their one-sigma errors, each (parameters,).
 
     ``places`` has for each parameter its places (points,) in the unit interval.  The errors are those of a jackknife
-    over random parts of the points, with what the two shortest waves change.  Independent points explain some of the
-    variance by chance, which is taken out; of points that are ``even``, spread by a design, it is not known how much of
-    that there is: half of it is taken out, and stands in the errors.  Raises SweepError for too few points.
+    over random parts of the points, and include the contribution of the two shortest waves.  Independent points explain
+    some of the variance by chance, which is subtracted.  For points that are ``even``, spread by a design, this share
+    is not known: half of it is subtracted, and included in the errors.  Raises SweepError for too few points.
     """
     n = len(values)
     if n < (least := 2 * POINTS_FOR_EACH + 2):
@@ -188,7 +188,7 @@ def first_order(values: Array, places: Sequence[Array], even: bool = False, seed
 
 def _basis(place: Array) -> tuple[Array, int]:
     """Return functions of a parameter at the points, (points, functions), and how many of them are the longer waves;
-    all, where they are groups.
+    all of them for groups.
     """
     different, group = np.unique(place, return_inverse=True)
     if len(different) <= FEW_VALUES:
@@ -198,8 +198,8 @@ def _basis(place: Array) -> tuple[Array, int]:
 
 
 def _explained(moments: Array) -> tuple[float, float]:
-    """Return the share of the variance that a regression explains, less what it would of noise (adjusted R²), and how
-    much that is; ``moments`` are the sums of products of 1, the functions and the values.
+    """Return the share of the variance that a regression explains, less the share that it would explain of noise
+    (adjusted R²), and this second share; ``moments`` are the sums of products of 1, the functions and the values.
     """
     products, right, squares = moments[:-1, :-1], moments[:-1, -1], moments[-1, -1]
     n = products[0, 0]

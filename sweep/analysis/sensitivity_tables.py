@@ -47,13 +47,13 @@ def columns_of(result: xr.Dataset) -> list[Column]:
 
 
 def as_csv(result: xr.Dataset) -> str:
-    """Return the table as CSV; what is not known is an empty cell."""
+    """Return the table as CSV; an unknown value is an empty cell."""
     everything = rows(result)
     return to_csv(everything[0], (row.values() for row in everything))
 
 
 def as_json(result: xr.Dataset) -> str:
-    """Return the table with what is known of it; what is not known is null."""
+    """Return the table and its attributes as JSON; an unknown value is null."""
     about = {key: value for key, value in result.attrs.items() if key != "notes"}
     return to_json({**about, "notes": notes(result), "rows": rows(result)})
 

@@ -1,4 +1,4 @@
-"""What can be said of any quantity: its range, what changes it, its errors, how it agrees with its prediction."""
+"""Sentences about any quantity: its range, what changes it, its errors, how it agrees with its prediction."""
 
 import math
 from collections.abc import Iterator
@@ -17,22 +17,22 @@ from sweep.studies.provenance import outer_draw_of
 from sweep.studies.study import POINT
 
 ERRORS_ALLOWED = 3.0
-"""A value agrees with its prediction if it is so many of its errors from it."""
+"""A value agrees with its prediction if it differs by at most this many of its errors."""
 
 ERROR_WORDS = {"mc_error": "Monte Carlo", "catalogue_error": "the choice of catalogues"}
 """Where the errors of `sweep.analysis.quantity.ERROR_SUFFIXES` come from."""
 
 VISIBLE_FACTOR = 1.005
-"""An axis that changes a quantity by less is not said to change it."""
+"""An axis that changes a quantity by a smaller factor is not mentioned."""
 
 NEGLIGIBLE = 1e-4
-"""Values that are a smaller share of the largest one are left out where it is said by what factor an axis changes a
-quantity: a corner of the grid without errors would make it a number that nobody can use.
+"""Values that are a smaller share of the largest one do not count for the factor by which an axis changes a quantity: a
+corner of the grid without errors would make the factor uselessly large.
 """
 
 
 def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
-    """Yield sentences about a variable with one value a point, in a unit; '' for one with nothing to say."""
+    """Yield sentences about a variable with one value per point, in a unit; '' for a sentence with nothing to say."""
     dims = [str(d) for d in part["status"].dims]
     values = part[variable].transpose(*dims).values.astype(float)
     known = standard_error(part, variable)
@@ -88,7 +88,7 @@ def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:
 
 
 def _what_changes_it(dims: list[str], values: Array) -> str:
-    """Say by what factor a positive quantity changes at most along each axis, the others being equal."""
+    """Return by what factor a positive quantity changes at most along each axis, all else being equal."""
     if values.ndim == 0 or np.nanmin(values) < 0.0 or np.nanmax(values) == np.nanmin(values):
         return ""
     values = np.where(values >= NEGLIGIBLE * np.nanmax(values), values, np.nan)

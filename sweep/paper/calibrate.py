@@ -24,7 +24,7 @@ FORMULA: dict[Model, str] = {
 
 
 def published_numbers(model: Model) -> dict[str, PublishedSigma]:
-    """Return a model's numbers of the paper, as they are printed, by a label of each: 28 for amex, 13 for gaia."""
+    """Return a model's numbers from the paper, as printed, each with a label as key: 28 for amex, 13 for gaia."""
     numbers = {
         f"quasars to V = {row['v_max']}": _number("quasars", int(row["n_obj"]), row["sigma_spin"])
         for row in _rows("table1_quasars.csv")
@@ -41,7 +41,7 @@ def published_numbers(model: Model) -> dict[str, PublishedSigma]:
 
 
 def calibration_report(n_cat: int = 200) -> dict[str, Any]:
-    """Return both curves' constants, uncertainties and residuals, and what equal weights give; plain values for JSON.
+    """Return both curves' constants, uncertainties and residuals, and the fit with equal weights, as values for JSON.
 
     ``n_cat`` sets how many catalogues the closed form is averaged over.
     """
@@ -57,7 +57,7 @@ def as_text(report: dict[str, Any]) -> "Group":
     from rich.console import Group
 
     about = (
-        "sigma_mu(V) in mas/yr. Each number weighs by its rounding error, the paper's Monte-Carlo error of "
+        "sigma_mu(V) in mas/yr. Each number is weighted by its rounding error, the paper's Monte-Carlo error of "
         f"{100 * report['paper_mc_error']:.1f} %, that of the catalogues drawn here, "
         f"and {100 * report['model_error']:.0f} % for the model itself. Uncertainties: from the curvature of chi2, "
         "scaled by chi2/dof where that is above one. Equal weights: fitted to the quasars alone."
@@ -116,7 +116,7 @@ def _constants(found: Fit) -> dict[str, Any]:
 
 def _equal_weights(model: Model, numbers: dict[str, PublishedSigma], skies: dict[Kind, Skies]) -> dict[str, Any]:
     """Fit the quasars alone with equal weights and predict the rest; radio stars also for a satellite without errors,
-    below which no curve can come.
+    which no curve can improve on.
     """
     quasars_only = [number for number in numbers.values() if number.kind == "quasars"]
     found = calibration.fit(model, quasars_only, skies, "equal")
@@ -146,7 +146,7 @@ def _compared(numbers: dict[str, PublishedSigma], sigma: Any) -> list[dict[str, 
 
 
 def _curve_text(model: str, curve: dict[str, Any]) -> list[Any]:
-    """Return the tables of a curve, and what they say, in lines of 80 characters."""
+    """Return the tables of a curve, and sentences about them, in lines of 80 characters."""
     equal = curve["equal_weights"]
     constants = []
     for name, row in curve["constants"].items():
@@ -175,7 +175,7 @@ def _curve_text(model: str, curve: dict[str, Any]) -> list[Any]:
 
 
 def _lines(*sentences: str) -> str:
-    """Return sentences broken into lines, between blank ones."""
+    """Return sentences broken into lines, with a blank line before and after."""
     return "\n".join(["", *(textwrap.fill(sentence, WIDTH) for sentence in sentences), ""])
 
 

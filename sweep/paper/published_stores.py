@@ -1,4 +1,4 @@
-"""Which stores hold what was published: those a user names, or those of all built-in studies that publish something."""
+"""The stores to compare with published numbers: those a user names, or those of the built-in studies that have some."""
 
 import tomllib
 from collections.abc import Sequence
@@ -18,13 +18,13 @@ PAPER_ORDER = (
     *("algorithm", "error-surface", "sqrt-n", "scatter", "quasars", "galaxies", "completeness", "mission-length"),
     *("aberration", "radio-stars"),
 )
-"""The studies of Metz & Geffert 2004, by section; the others come after them by name."""
+"""The studies of Metz & Geffert 2004, by section; all others follow, sorted by name."""
 
 
 def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]]:
     """Return the comparisons of all stores, and remarks about them.
 
-    Raises SweepError for what is no store, or a store of a study that has neither published numbers nor claims.
+    Raises SweepError for a place without a store, or a store of a study that has neither published numbers nor claims.
     """
     comparisons: list[Comparison] = []
     sentences: list[str] = []
@@ -43,7 +43,7 @@ def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]
 
 
 def published_studies() -> list[Study]:
-    """Return the built-in studies that have published numbers or claims; raises SweepError as `load_study`.
+    """Return the built-in studies that have published numbers or claims; raises SweepError like `load_study`.
 
     The others are not even checked, because a study may need an optional package.
     """
@@ -54,12 +54,12 @@ def published_studies() -> list[Study]:
 
 
 def store_of(study: Study, results: Path) -> Path:
-    """Return where a study's store is by default in a folder of results."""
+    """Return the default place of a study's store in a folder of results."""
     return results / f"{study.name}.zarr"
 
 
 def unfinished(studies: Sequence[Study], results: Path) -> list[Study]:
-    """Return the studies whose store is missing, incomplete or was written for another text or with overrides.
+    """Return the studies whose store is missing or incomplete, or was written for another text or with overrides.
 
     Raises SweepError, before anything runs, for a study whose store cannot be continued.
     """

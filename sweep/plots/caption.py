@@ -1,4 +1,4 @@
-"""The caption of a figure, and a description for who cannot see it, from what is drawn and from the results."""
+"""The caption of a figure, and a description for those who cannot see it, from the drawing and the results."""
 
 import re
 
@@ -11,7 +11,7 @@ from sweep.formatting import first_of
 from sweep.readable import with_micro_signs
 
 MOST_PANELS = 6
-"""A description names the titles of so many panels."""
+"""The most panels whose titles a description names."""
 
 SIGNS = {
     "simulated": "Points are simulated, with one-sigma errors.",
@@ -27,7 +27,7 @@ def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
 
 
 def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> str:
-    """Return the caption: the title, what the signs mean, and the answer of the study if it is wanted."""
+    """Return the caption: the title, what the signs mean, and on request the answer of the study."""
     title = str(dataset.attrs.get("title", "")).rstrip(".")
     entries = _entries(figure)
     signs = [words for entry, words in SIGNS.items() if entry in entries]
@@ -40,7 +40,7 @@ def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> s
 
 
 def description(figure: Figure, dataset: xr.Dataset) -> str:
-    """Return what is seen: which panels, what against what, and between which values it goes."""
+    """Return what is seen: the panels, what each draws against what, and the range of values."""
     panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>" and axes.axison]
     seen = list(dict.fromkeys(_of_panel(axes) for axes in panels))
     titles = [plain(axes.get_title()) for axes in panels if axes.get_title()]
@@ -48,7 +48,7 @@ def description(figure: Figure, dataset: xr.Dataset) -> str:
     named = f" ({first_of(titles, MOST_PANELS, '; ')})" if titles else ""
     ranges = [answer.sentences[0] for answer in answers(dataset)[:1]] if "status" in dataset else []
     signs = [plain(entry) for entry in _entries(figure)]
-    legend = [f"Told apart: {', '.join(signs)}."] if len(signs) > 1 else []
+    legend = [f"Legend: {', '.join(signs)}."] if len(signs) > 1 else []
     whole = [f"{words}{' and '.join(seen)}{named}.", *legend, *map(with_micro_signs, ranges)]
     return " ".join(whole)[:1].upper() + " ".join(whole)[1:]
 
@@ -70,7 +70,7 @@ def _entries(figure: Figure) -> list[str]:
 
 
 def plain(text: str) -> str:
-    """Return a text of a figure without the marks of mathematics.
+    """Return a text of a figure without mathematical markup.
 
     Examples:
         >>> plain(r"$\\sigma(\\omega)$ [mas/yr]"), plain(r"$V_\\mathrm{max}$")

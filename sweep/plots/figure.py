@@ -21,20 +21,20 @@ from sweep.plots.tie.figure import draw_link, is_link
 from sweep.studies.study import POINT
 
 MAP_POINTS = 5
-"""A map is drawn unasked where two axes have at least so many points each."""
+"""A map is the default if two axes have at least this many points each."""
 MAP_PANELS = 6
 
 CURVE_POINTS = 8
-"""Of points in no order curves are drawn unasked where an axis has at least so many values."""
+"""Curves are the default for points of a table or design if an axis has at least this many values."""
 
 
 def draw_figure(
     dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
 ) -> Figure:
-    """Return a figure of a dataset: the kind that suits it, or the one that is asked for.
+    """Return a figure of a dataset: the kind that suits it, or the one asked for.
 
-    ``variables`` are quantities (several become columns of panels), the main one if there is none; ``over`` the axis
-    along which curves go, the two of a map, or the two components of a scatter.
+    ``variables`` are quantities (several become columns of panels), the main one by default; ``over`` is the
+    axis of curves, the two axes of a map, or the two components of a scatter.
     A link or a forecast has its own kinds.
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
@@ -117,7 +117,7 @@ def _title(figure: Figure, whole: xr.Dataset, drawn: xr.Dataset) -> None:
 
 
 def _without_single(dataset: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
-    """Return the dataset without dimensions of one value, but one to draw along."""
+    """Return the dataset without dimensions of one value, except one to draw along if all are."""
     single = [d for d in _single(dataset) if d not in over]
     if len(single) == dataset["status"].ndim and single:
         single = single[1:]
@@ -129,7 +129,7 @@ def _single(dataset: xr.Dataset) -> list[Hashable]:
 
 
 def _require_one_unit(dataset: xr.Dataset, variable: str) -> None:
-    """Raise SweepError for components of different units, which have no axis in common."""
+    """Raise SweepError for components of different units, which cannot share an axis."""
     for dimension in dataset[variable].dims:
         units = dataset.coords.get(f"{dimension}_unit")
         if units is not None and len(set(units.values.tolist())) > 1:

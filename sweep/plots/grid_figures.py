@@ -22,14 +22,14 @@ from sweep.plots.style import figure_size, is_narrow, is_stacked, line_inches, w
 from sweep.studies.study import POINT
 
 BELOW_LINES, BELOW_LINE_INCHES = 12, 0.2
-"""Lines of the labels and numbers of a narrow scatter, and the height of each that the figure has room for."""
+"""Lines of text below a narrow scatter, and the height of each for which the figure has room."""
 
 POINT_LINES = 13
-"""Lines of text that the figure of one point has room for at least."""
+"""The least height of the figure of one point, in lines of text."""
 
 
 class GridFigure(NamedTuple):
-    """A kind of figure: whether a quantity of a dataset can have it, and what draws quantities over axes."""
+    """A kind of figure: whether a quantity of a dataset can have it, and the function that draws it."""
 
     possible: Callable[[xr.Dataset, str], bool]
     draw: Callable[[xr.Dataset, list[str], Sequence[str]], Figure]
@@ -110,7 +110,7 @@ def _scatter(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> 
 
 
 def _one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
-    """Return the axis to draw along: as asked for, or the longest of numbers, or the longest."""
+    """Return the axis to draw along: the one asked for, or the longest numeric one, or the longest."""
     axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)]
     axes += [name for name in numeric_axes(dataset, variable) if name not in axes]
     if over:
@@ -141,7 +141,7 @@ def _two_components(dataset: xr.Dataset, dimension: str) -> tuple[str, str]:
 
 
 def _ordered(dataset: xr.Dataset) -> list[str]:
-    """Return the dimensions of the grid but that of a table of points."""
+    """Return the dimensions of the grid, except that of a table of points."""
     return [str(d) for d in dataset["status"].dims if d != POINT]
 
 

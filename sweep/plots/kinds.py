@@ -1,6 +1,6 @@
-"""The kinds of figures: the one table of which the command's choices, the messages and the report are made.
+"""The kinds of figures: the one table behind the choices of the command, the messages and the report.
 
-A further kind is a line here, and the module that it names.  Nothing is imported before it is drawn.
+To add a kind, add a line here and the module that it names.  No module is imported before its kind is drawn.
 """
 
 from collections.abc import Mapping
@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 
 class Kind(NamedTuple):
-    """What draws a figure, as ``module:name``, and a caption for where its kind alone does not say what it shows."""
+    """What draws a figure, as ``module:name``, and a caption if the name of the kind does not say what it shows."""
 
     reference: str
     caption: str = ""
 
     def load(self) -> Any:
-        """Return what draws."""
+        """Return the object that draws the figure."""
         module, _, name = self.reference.partition(":")
         return getattr(import_module(module), name)
 
@@ -29,16 +29,16 @@ GRID: Mapping[str, Kind] = {
     "pairs": Kind("sweep.plots.grid_figures:PAIRS"),
     "curves": Kind("sweep.plots.grid_figures:CURVES"),
 }
-"""Of the results of a study: values of type `GridFigure`."""
+"""Kinds for the results of a study: objects of type `GridFigure`."""
 
 SCALING: Mapping[str, Kind] = {"scaling": Kind("sweep.plots.standalone:scaling_figure")}
-"""Of what `sweep scaling` measures; a function of its dataset."""
+"""Kinds for the measurements of `sweep scaling`: functions of its dataset."""
 
 STANDALONE: Mapping[str, Kind] = {
     "sky": Kind("sweep.plots.standalone:sky_figure"),
     "accuracy": Kind("sweep.plots.standalone:accuracy_figure"),
 }
-"""Of catalogues and of missions; functions of a dataset of `sweep.plots.views`."""
+"""Kinds for catalogues and missions: functions of a dataset of `sweep.plots.views`."""
 
 LINK: Mapping[str, Mapping[str, Kind]] = {
     "tie": {
@@ -48,13 +48,13 @@ LINK: Mapping[str, Mapping[str, Kind]] = {
         ),
         "separations": Kind(
             "sweep.plots.tie.sources:separation_figure",
-            "Normalised separations of the sources, beside the Rayleigh distribution of right errors",
+            "Normalised separations of the sources, beside the Rayleigh distribution expected if errors are right",
         ),
         "weight": Kind(
             "sweep.plots.tie.sources:weight_figure",
-            "Discrepancy of each source, for one observation, against its share of the weight",
+            "Discrepancy of each source per observation, against its share of the weight",
         ),
-        "ranking": Kind("sweep.plots.tie.sources:influence_figure", "The sources that decide most"),
+        "ranking": Kind("sweep.plots.tie.sources:influence_figure", "The most influential sources"),
         "jackknife": Kind(
             "sweep.plots.tie.left_out:jackknife_figure", "Solutions without each source, and ellipses of the errors"
         ),
@@ -67,10 +67,10 @@ LINK: Mapping[str, Mapping[str, Kind]] = {
     },
     "forecast": {
         "epochs": Kind("sweep.plots.tie.forecasts:epoch_figure", "Formal errors against the epoch of new positions"),
-        "ranking": Kind("sweep.plots.tie.forecasts:ranking_figure", "The sources that decide most"),
+        "ranking": Kind("sweep.plots.tie.forecasts:ranking_figure", "The sources whose observation helps most"),
     },
 }
-"""Of the results of `sweep tie` and `sweep forecast`, functions of them; the first that one can have suits it."""
+"""Kinds for the results of `sweep tie` and `sweep forecast`: functions of these; the first possible is the default."""
 
 
 def all_kinds() -> list[str]:

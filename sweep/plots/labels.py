@@ -18,14 +18,14 @@ _NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
 def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
-    """Return how a name is set: the symbol of its attributes, Greek letters and single ones as such with an index."""
+    """Return a name for a label: its symbol if it has one, or Greek and single letters as mathematics."""
     if attributes and (own := attributes.get("symbol")):
         return str(own)
     match = _NAME.fullmatch(name)
     if match is None:
         return name.replace("_", " ")
     letter, digits, index = match.groups()
-    power = digits if letter == "chi" else ""  # of all others a number tells one from the next
+    power = digits if letter == "chi" else ""  # for all others the number is an index
     index = "_".join(part for part in (digits.removeprefix(power), index) if part)
     letter = rf"\{letter}" if letter in GREEK else letter
     index = index and (index if len(index) == 1 else rf"\mathrm{{{index.replace('_', ',')}}}")
@@ -39,7 +39,7 @@ def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
 
 
 def axis_label(dataset: xr.Dataset, axis: str) -> str:
-    """Return the label of an axis; those that walk with it and have the same values stand beside it."""
+    """Return the label of an axis; axes zipped with it that have the same values stand beside it."""
     dimension = dataset[axis].dims
     names = [str(n) for n, c in dataset.coords.items() if c.dims == dimension and n != axis and c.dtype.kind in "if"]
     same = [n for n in names if np.array_equal(dataset[n].values, dataset[axis].values)]
@@ -53,7 +53,7 @@ def explained_label(array: xr.DataArray, name: str) -> str:
 
 
 def quantity_label(dataset: xr.Dataset, variable: str) -> str:
-    """Return the label of a variable; of one component of it, if that is what the dataset holds."""
+    """Return the label of a variable, or of its one component that the dataset holds."""
     array = dataset[variable]
     unit = units_of(array.attrs)
     chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]

@@ -1,4 +1,4 @@
-"""A power law: points, fit with its band, guide of the expected exponent; and the residuals of the same."""
+"""A power law: points, fit with its band, a guide with the expected exponent; and below these their residuals."""
 
 from typing import Any
 
@@ -20,7 +20,7 @@ GUIDE: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4
 
 def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
     """Draw a variable against an axis on logarithmic scales, with the fitted power law and its one-sigma band; and
-    below the same as percent above the law, where errors can be seen.
+    below that the residuals from the law in percent, where errors can be seen.
 
     There is one colour for every combination of the other dimensions that the study does not exclude everywhere.  The
     dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
@@ -47,7 +47,7 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
             guide = law.amplitude * (fine / law.pivot) ** expected
             upper.plot(fine, guide, label="" if text in guides else text, **GUIDE)
             guides.add(text)
-    logarithmic(upper, "x", dataset[over].values)  # of both, which share it
+    logarithmic(upper, "x", dataset[over].values)  # also of the lower axes, which share x
     logarithmic(upper, "y", dataset[variable].values)
     upper.set_ylabel(quantity_label(dataset, variable))
     finish(upper)

@@ -1,4 +1,4 @@
-"""Which dimension of a quantity becomes colours, which becomes columns and rows of panels."""
+"""Which dimensions of a quantity become colours, and which become columns and rows of panels."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from sweep.plots.style import COLOURS
 MOST_SERIES = len(COLOURS)
 MOST_PANELS = 24
 FAR = 30.0
-"""Series whose typical values differ by more than this factor need panels with axes of their own."""
+"""Series whose medians differ by more than this factor need panels with axes of their own."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Dimensions of a picture: ``series`` become colours of one panel, ``columns`` and ``rows`` are one or none.
+    """Dimensions of a picture: ``series`` become colours of one panel, ``columns`` and ``rows`` panels.
 
-    ``far`` says that columns differ so much that each has a scale of its own.
+    ``far`` is true if columns differ so much that each needs a scale of its own.
     """
 
     series: tuple[str, ...] = ()
@@ -28,11 +28,11 @@ class Layout:
 
 
 def arrange(dataset: xr.Dataset, variable: str, along: tuple[str, ...], series: bool = True) -> Layout:
-    """Return where the dimensions of a variable beside those it is drawn ``along`` go.
+    """Return the layout of the dimensions of a variable other than those it is drawn ``along``.
 
-    What separates the values most becomes columns, if there is more than one dimension or it separates them far; the
-    rest colours, and rows where there are still more.  ``series = False`` leaves no dimension to colours.
-    Raises SweepError where there are more colours or panels than can be told apart.
+    The dimension along which values differ most becomes columns, if there are several or values differ by more than
+    `FAR`.  The others become colours, and one of them rows if there are three or more.  With ``series = False`` none
+    becomes colours.  Raises SweepError where there are more colours or panels than can be told apart.
     """
     array = dataset[variable]
     others = [str(d) for d in array.dims if d not in along and array.sizes[d] > 1]

@@ -1,4 +1,4 @@
-"""Legends: in the panel that they are of, or one below all panels."""
+"""Legends: one in each panel, or one below all panels."""
 
 from typing import Any, Final
 
@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from sweep.plots.style import line_inches, shown_letters, wanted_width
 
 LEGEND_INCHES = (0.6, 0.065)
-"""Width of an entry of a legend, and of each of its letters."""
+"""Width of an entry of a legend without its text, and of each letter, in inches."""
 
 BEST: Final = "best"
-"""Where matplotlib finds the most room.  It does so by itself, too, but warns then where drawing takes a second."""
+"""Where matplotlib finds the most room.  Given explicitly, as here, it does not warn if it is slow."""
 
 LAST = ("predicted", "published")
-"""What is the same for all series stands at the end of a legend."""
+"""Entries that are the same for all series come last in a legend."""
 
 
 def legend(axes: Axes, **options: Any) -> None:

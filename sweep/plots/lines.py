@@ -23,7 +23,7 @@ DASH: Mapping[str, Any] = NO_LINE | {"marker": "_", "markersize": 14.0, "markere
 
 DODGE = 0.12
 COVERED, COVERED_SHARE = 0.015, 0.25
-"""Points cover each other that are nearer than such a share of the axis; series are moved aside if so many do."""
+"""Points closer than this share of the axis cover each other; series are moved aside if more than this share do."""
 
 
 def draw_lines(
@@ -31,8 +31,8 @@ def draw_lines(
 ) -> Axes:
     """Draw a variable against an axis of the grid, one colour for every combination of the other dimensions.
 
-    ``numbers`` holds the number of each series, by its name, in all panels of a figure: a series without values in one
-    of them must not leave its colour to another there.
+    ``numbers`` holds the number of each series, by its name, for all panels of a figure: each keeps its colour even if
+    another series has no values in a panel.
 
     Points have their one-sigma errors (Monte Carlo and catalogues).  The line is the closed-form prediction, with the
     band of its catalogue error; without a prediction it joins the points, with the band of their errors.  Open symbols
@@ -67,13 +67,13 @@ def draw_lines(
 
 
 def _positions(axis: xr.DataArray) -> np.ndarray[Any, Any]:
-    """Return where the values of an axis stand; names one after the other."""
+    """Return the positions of the values of an axis; names stand one after the other."""
     return axis.values.astype(float) if _is_numeric(axis) else np.arange(axis.size, dtype=float)
 
 
 def _dodges(seen: list[xr.Dataset], variable: str) -> list[float]:
-    """Return by what share of the distance between points each series is moved aside: 0 unless points of two are so
-    near each other, in many places, that one covers the other.
+    """Return by what share of the distance between points each series is moved aside: 0 unless points of two
+    series cover each other in many places.
     """
     if len(seen) < 2:
         return [0.0] * len(seen)
@@ -89,7 +89,7 @@ def _dodges(seen: list[xr.Dataset], variable: str) -> list[float]:
 
 
 def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray[Any, Any]:
-    """Return places moved by a share of the least distance between two of them, on the scale of the axis."""
+    """Return places moved by a share of the smallest distance between two of them, on the scale of the axis."""
     if share == 0.0 or len(x) < 2:
         return x
     scale = np.log(x) if logarithm else x
@@ -128,7 +128,7 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
 
 
 def _has(one: xr.Dataset, name: str) -> bool:
-    """Return whether a variable has anything to draw: a prediction without errors of observation is 0."""
+    """Return whether a variable has anything to draw: without errors of observation a prediction is 0."""
     return name in one and bool(np.any(np.nan_to_num(one[name].values) != 0.0))
 
 

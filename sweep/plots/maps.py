@@ -23,7 +23,7 @@ DECADES = 30.0
 def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: Normalize) -> Axes:
     """Draw a variable over two axes: colours at the points of the grid, solid contours, dashed ones of the prediction.
 
-    ``limits`` are those of the colours, which all panels of a figure share.  Points that are not there are left white.
+    ``limits`` are those of the colours, which all panels of a figure share.  Points without a value are left white.
     """
     dataset = dataset.sortby([x, y])
     part = dataset[variable].transpose(dataset[y].dims[0], dataset[x].dims[0])
@@ -59,8 +59,8 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
 
 
 def colour_limits(dataset: xr.Dataset, variable: str) -> Normalize:
-    """Return the scale of colours for all values of a variable, logarithmic where most of these, a corner near 0 does
-    not count, span more than a linear scale can show.
+    """Return the scale of colours for all values of a variable, logarithmic if the middle 80 % of them, without any
+    corner near 0, span more than a linear scale can show.
     """
     values = dataset[variable].values.astype(float)
     finite = values[np.isfinite(values)]
@@ -70,7 +70,7 @@ def colour_limits(dataset: xr.Dataset, variable: str) -> Normalize:
 
 
 def add_bar(figure: Figure, dataset: xr.Dataset, variable: str) -> None:
-    """Add the one bar of colours that all maps of a figure share."""
+    """Add the one colour bar that all maps of a figure share."""
     meshes = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
     figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
 

@@ -17,13 +17,13 @@ from sweep.plots.legends import legend_below
 from sweep.plots.style import figure_size, in_lines, is_narrow, least_height, most_columns, wanted_width
 
 MOST_INSIDE = 4
-"""A legend of more entries stands below the one panel, where it covers nothing."""
+"""A legend with more entries than this stands below the panel, where it covers nothing."""
 
 MOST_ACROSS = 4
-"""More panels than these beside one another, of one dimension, go on in further rows."""
+"""The most panels of one dimension side by side; more of them continue in further rows."""
 
 BESIDE_INCHES = 0.4
-"""What labels and ticks take of the width and of the height of a panel; its titles have the rest."""
+"""Width and height of a panel that labels and ticks take; its titles have the rest."""
 
 Draw = Callable[[Axes, xr.Dataset, str], Any]
 
@@ -52,8 +52,8 @@ def draw_panels(
     """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
 
     Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
-    their own, unless ``one_unit``.  Where the figure is too narrow for the columns they go on in further rows.
-    There is no legend where ``draw`` names what it draws beside it (``rows_named``).
+    their own, unless ``one_unit``.  If the figure is too narrow for the columns, they continue in further rows.
+    With ``rows_named`` there is no legend, because ``draw`` writes the names beside what it draws.
     """
     columns, rows = layout.columns, layout.rows
     if len(variables) > 1:
@@ -65,7 +65,7 @@ def draw_panels(
     panels = list(_panels(dataset, variables, columns, rows, layout.far and not one_unit))
     wanted = len({panel.column for panel in panels})
     across = min(most_columns(wanted), MOST_ACROSS if rows is None else wanted)
-    across = -(-wanted // -(-wanted // across))  # as many in every row
+    across = -(-wanted // -(-wanted // across))  # the same number in every row
     folded = across < wanted
     places = [(i // across, i % across) for i in range(len(panels))] if folded else _without_gaps(panels)
     n_rows = 1 + max(row for row, _ in places)
@@ -97,7 +97,7 @@ def draw_panels(
 
 
 def _entitle(axes: Axes, panel: Panel, room: list[float], folded: bool, row: int, is_last: bool) -> None:
-    """Write what a panel is of: of a column at its top, of a row at its right; all above it where panels are folded."""
+    """Write the titles of a panel: of its column above, of its row at the right; both above if ``folded``."""
     if folded or not (panel.row_title and panel.column_title):
         title = (",\n" if folded else ", ").join(filter(None, (panel.row_title, panel.column_title)))
         axes.set_title(in_lines(title, room[0]))
@@ -125,7 +125,7 @@ def _figure_size(panels: int, across: int, rows: int) -> tuple[float, float]:
 
 
 def _without_gaps(panels: list[Panel]) -> list[tuple[int, int]]:
-    """Return the places of panels without rows and columns in which there is none."""
+    """Return the places of panels after empty rows and columns are removed."""
     rows, columns = sorted({panel.row for panel in panels}), sorted({panel.column for panel in panels})
     return [(rows.index(panel.row), columns.index(panel.column)) for panel in panels]
 

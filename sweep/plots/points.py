@@ -1,5 +1,5 @@
-"""Points of a table or a design, which are in no order: a quantity over each parameter, parameters in pairs, and a
-series at each.
+"""Points of a table or a design, which have no order: a quantity over each parameter, parameters in pairs, and the
+curve of each point.
 """
 
 import math
@@ -27,26 +27,26 @@ MOST_PARAMETERS = 12
 MOST_PAIRED = 8
 
 FEW_POINTS = 300
-"""More points than these are small and without their errors."""
+"""More points than this are drawn small and without errors."""
 
 FEW_CURVES = 12
-"""No more curves than these are drawn one by one."""
+"""Up to this many curves are drawn one by one."""
 
 BANDS = ((0.05, 0.95, 0.15, "90 % of the points"), (0.25, 0.75, 0.3, "50 % of the points"))
-"""Quantiles over the points between which a band lies, its opacity and what it is called."""
+"""Two quantiles over the points, the opacity of the band between them, and its name."""
 
 SPREAD, GOLDEN = 0.5, 0.6180339887498949
-"""Width over which points of one text are spread, and the step of that, by which no two stand together."""
+"""Width over which points of one text are spread, and the step as a share of it, which keeps them apart."""
 
 MOST_VECTORS = 2000
-"""More points than these are one image in the picture."""
+"""More points than this are drawn as one image."""
 
 
 def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    """Return a figure with a row for each variable and a column for each parameter (all, or those ``over`` which it is
-    drawn), more rows where these are many.
+    """Return a figure with a row for each variable and a column for each parameter: all, or those in ``over``.  With
+    one variable, many parameters take several rows.
 
-    Raises SweepError for a variable with dimensions that leave too many series, and unknown or too many parameters.
+    Raises SweepError for a variable whose dimensions give too many series, and for unknown or too many parameters.
     """
     parameters = _parameters(dataset, over, MOST_PARAMETERS)
     across = len(parameters) if len(variables) > 1 else min(len(parameters), 4)
@@ -70,9 +70,9 @@ def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
 
 
 def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    """Return a figure of parameters in pairs, coloured by a variable; on the diagonal is the variable over each.
+    """Return a figure of parameters in pairs, coloured by a variable; the diagonal has the variable over each one.
 
-    Raises SweepError for several variables, one parameter, unknown or too many ones, and where the variable has further
+    Raises SweepError for several variables, for one, unknown or too many parameters, and for a variable with further
     dimensions.
     """
     if len(variables) > 1:
@@ -113,8 +113,8 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
 
 
 def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
-    """Draw a variable of points in no order along a dimension of its own, one colour for every combination of the
-    others: the median and the bands of many points, each curve of few.
+    """Draw a variable of points without order along a dimension of its own, one colour for every combination of the
+    others: the median and bands of many points, or the curve of each of a few.
 
     Raises SweepError where the other dimensions leave more combinations than colours.
     """
@@ -166,8 +166,8 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
 def _told_apart(
     dataset: xr.Dataset, variable: str, along: Collection[str], where: str
 ) -> list[tuple[dict[str, int], str]]:
-    """Return the place of every combination of the dimensions of a variable beside those it is drawn ``along``, each in
-    words; raises SweepError where they are more than the colours.
+    """Return the place of every combination of the dimensions of a variable, except those it is drawn ``along``, each
+    with its name; raises SweepError if there are more of them than colours.
     """
     array = dataset[variable]
     others = [str(d) for d in array.dims if d not in along]
@@ -182,8 +182,8 @@ def _told_apart(
 def _places(
     axes: Axes, dataset: xr.Dataset, parameter: str, which: str, few_ticks: bool = False
 ) -> NDArray[np.float64]:
-    """Return where the values of a parameter stand on an axis, whose scale and ticks are set for them; what has no
-    numbers is spread a little, so that points do not hide each other.
+    """Return the positions of the values of a parameter on an axis, and set its scale and ticks; values that are not
+    numbers are spread a little, so that points do not hide each other.
     """
     array = dataset[parameter]
     if array.dtype.kind in "if":
@@ -199,7 +199,7 @@ def _places(
 
 
 def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str]:
-    """Return the parameters that are asked for, or all in which the points differ, at most so many."""
+    """Return the parameters asked for, or all in which the points differ; raises SweepError for more than ``most``."""
     known = varied_parameters(dataset)
     if unknown := [name for name in over if name not in known]:
         raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from sweep.attributes import LOGARITHMIC_UNITS
 
 FEW_TICKS = 8.0
-"""Over less than this factor ticks at 1, 2 and 5 of each decade are too few."""
+"""On axes that span less than this factor, ticks at 1, 2 and 5 of each decade are too few."""
 
 WIDE_RATIO = 5.0
-"""Positive numbers whose largest is more than so many times the smallest are drawn on a logarithmic axis."""
+"""Positive numbers that span more than this factor are drawn on a logarithmic axis."""
 
 
 def is_wide(values: Any, unit: str = "") -> bool:
@@ -37,7 +37,7 @@ def fit_scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bo
 
 
 def logarithmic(axes: Axes, which: str, values: Any) -> None:
-    """Make an axis logarithmic; over less than two decades it has ticks at 1, 2 and 5 of each, all with numbers."""
+    """Make an axis logarithmic; if it spans less than two decades, all its ticks, such as 1, 2 and 5, have numbers."""
     (axes.set_xscale if which == "x" else axes.set_yscale)("log")
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known) & (known > 0.0)]

@@ -19,7 +19,7 @@ CONFIDENCES = (0.683, 0.954)
 
 
 def sampled(dataset: xr.Dataset) -> str | None:
-    """Return the variable of kept samples of several components, None if there is none."""
+    """Return the variable with the kept samples of several components; None if there is none."""
     known = {"sample", *dataset["status"].dims}
     names = [str(n) for n, v in dataset.data_vars.items() if "sample" in v.dims and set(v.dims) - known]
     return names[0] if names else None
@@ -28,9 +28,9 @@ def sampled(dataset: xr.Dataset) -> str | None:
 def draw_scatter(
     axes: Axes, dataset: xr.Dataset, variable: str, components: tuple[str, str], below: bool = False
 ) -> Axes:
-    """Draw the samples of two components against each other, with the ellipses that hold 68 and 95 % of a normal law.
+    """Draw the samples of two components against each other, with ellipses of 68 and 95 % of a normal distribution.
 
-    ``variable`` has the dimensions sample and one of components; where the dataset has a ``bias`` the truth (mean
+    ``variable`` has the dimensions sample and one of components; where the dataset has a ``bias``, the truth (mean
     estimate - bias) is a cross.  The standard deviations stand in the legend with their errors, sigma/sqrt(2 n),
     beside the picture or ``below`` it.
     """
@@ -82,7 +82,7 @@ def component_dimension(dataset: xr.Dataset, variable: str) -> str:
 
 
 def confidence_ellipse(centre: np.ndarray, covariance: np.ndarray, confidence: float, **style: object) -> Ellipse:
-    """Return the outline that holds a share of a normal law of two numbers."""
+    """Return the ellipse that holds a share ``confidence`` of a normal distribution of two numbers."""
     values, vectors = np.linalg.eigh(covariance)
     width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - confidence))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))

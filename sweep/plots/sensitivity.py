@@ -22,7 +22,7 @@ def sensitivity_figure(dataset: xr.Dataset) -> Figure:
     further = [str(d) for d in dataset[kinds[0]].dims if d != "parameter" and dataset.sizes[d] > 1]
     dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
     if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):
-        raise SweepError(f"indices of {' and '.join(further)} are no one picture; fix some with --at AXIS=VALUE")
+        raise SweepError(f"indices of {' and '.join(further)} do not fit one picture; fix some with --at AXIS=VALUE")
     size = (7.0, 4.4) if further else (6.4, 1.4 + 0.45 * dataset.sizes["parameter"])
     figure = Figure(figsize=size, layout="constrained")
     if further:
@@ -46,7 +46,7 @@ def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
     axes.set_ylim(-0.6, len(names) - 0.4)
     unit = units_of(dataset[kinds[0]].attrs)
     if "first" in kinds:
-        low, high = axes.get_xlim()  # with the errors of all marks in it
+        low, high = axes.get_xlim()  # which include the errors of all marks
         axes.set_xlim(min(-0.02, low), max(1.02, high))
         axes.set_xlabel("share of the variance")
     else:

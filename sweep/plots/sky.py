@@ -1,4 +1,4 @@
-"""All-sky maps: Mollweide, longitude growing to the left; positions in ICRS with the Galactic plane."""
+"""All-sky maps in the Mollweide projection, with longitude increasing to the left, and the Galactic plane."""
 
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ class SkyFrame(NamedTuple):
 
 
 ICRS = SkyFrame(r"right ascension $\alpha$ (ICRS)", r"declination $\delta$", 180.0)
-"""The Galactic plane crosses such a map as one arch."""
+"""On this map the Galactic plane is a single arch."""
 GALACTIC = SkyFrame("Galactic longitude $l$", "Galactic latitude $b$", 0.0)
 
 
@@ -51,7 +51,7 @@ def add_sky(figure: Figure, place: Any = 111, frame: SkyFrame = ICRS) -> Any:
 
 
 def draw_sky(axes: Any, dataset: xr.Dataset) -> Any:
-    """Draw positions ``ra`` and ``dec`` (deg) on axes of `add_sky`, coloured by ``v_mag`` where it is there, and the
+    """Draw positions ``ra`` and ``dec`` (deg) on axes of `add_sky`, coloured by ``v_mag`` if there is one, and the
     Galactic plane with its centre.
     """
     ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
@@ -62,7 +62,7 @@ def draw_sky(axes: Any, dataset: xr.Dataset) -> Any:
         axes.scatter(x, y, color=COLOURS[0], **style)
     else:
         values = dataset["v_mag"].values.astype(float)
-        order = np.argsort(-values, kind="stable")  # small magnitudes, the bright ones, on top and dark
+        order = np.argsort(-values, kind="stable")  # bright objects, of small magnitude, on top and dark
         points = axes.scatter(x[order], y[order], c=values[order], cmap="viridis", **style)
         text = label(dataset["v_mag"], "v_mag")
         axes.figure.colorbar(points, ax=axes, orientation="horizontal", shrink=0.5, pad=0.02, aspect=30, label=text)
@@ -84,5 +84,5 @@ def _plane(axes: Any) -> None:
 
 
 def on_map(longitude_deg: Array, frame: SkyFrame = ICRS) -> Array:
-    """Return the map's coordinate of a longitude, in radians: to the left, -180..180 about the middle."""
+    """Return the map's coordinate of a longitude, in radians: it increases to the left, with 0 in the middle."""
     return np.asarray(-((longitude_deg - frame.centre_deg + 180.0) % 360.0 - 180.0) * DEGREE)

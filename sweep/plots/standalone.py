@@ -1,4 +1,4 @@
-"""Figures of what is no result of a store: the sky of a catalogue, the accuracy of missions, how a run scales."""
+"""Figures of data other than results: the sky of a catalogue, the accuracy of missions, how a run scales."""
 
 import numpy as np
 import xarray as xr
@@ -16,7 +16,7 @@ LINES = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3
 
 
 def sky_figure(dataset: xr.Dataset) -> Figure:
-    """Return an all-sky map of ``ra`` and ``dec`` (deg), coloured by the magnitude ``v_mag`` where it is there."""
+    """Return an all-sky map of ``ra`` and ``dec`` (deg), coloured by the magnitude ``v_mag`` if there is one."""
     figure = Figure(figsize=figure_size(7.6, 4.9), layout="constrained")
     draw_sky(add_sky(figure), dataset)
     return _entitled(figure, dataset)
@@ -65,7 +65,7 @@ def draw_scaling(axes: Axes, dataset: xr.Dataset, name: str) -> None:
     """Draw the "efficiency" against w workers, or the "speed-up" over one, w times the efficiency, by kind, with the
     ideal line.
 
-    ``dataset`` has dimensions kind ("strong": the same work, "weak": the same work a worker) and workers, variables
+    ``dataset`` has dimensions kind ("strong": the same work, "weak": the same work per worker) and workers, variables
     seconds and efficiency (1 is ideal), each with a one-sigma NAME_error where it is known.
     """
     if not is_scaling(dataset):

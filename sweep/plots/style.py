@@ -1,4 +1,4 @@
-"""How pictures look: colours that everyone can tell apart, sizes, scales, legends, files that do not change."""
+"""How pictures look: colours that everyone can tell apart, sizes, scales, legends, and files that are reproducible."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -19,10 +19,10 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7
 MARKERS = "osD^vP*X"
 BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
 FORMATS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-"""Endings of pictures, and what would make two files of one picture differ."""
+"""Endings of pictures, with the metadata to leave out, because they would make two files of one picture differ."""
 
 RC: Mapping[Any, Any] = {
-    "svg.hashsalt": "linksweep",  # the same picture, the same file
+    "svg.hashsalt": "linksweep",  # the same picture gives the same file
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "legend.fontsize": 8.0,
@@ -48,26 +48,26 @@ STYLES: Mapping[str, Mapping[Any, Any]] = {
         **{"figure.titlesize": 15.0, "axes.linewidth": 1.0, "lines.markersize": 8.0},
     },
 }
-"""Sizes of letters in points, as they are printed or shown: a figure is made as wide as it will be."""
+"""Sizes of letters in points, as printed or shown: a figure is made in its final width."""
 
 MM_PER_INCH = 25.4
 TALK_MM = 250.0
-"""The width of a figure in the style of a talk unless another is asked for."""
+"""The default width of a figure in the style of a talk."""
 
 LETTER_WIDTH = 0.58
-"""The width of a letter over its size, on average."""
+"""The average width of a letter, as a fraction of its size."""
 
 PANEL_PT = 14.0
-"""A panel is at least so many times the size of its letters wide, of labels and ticks too."""
+"""The least width of a panel with labels and ticks, in sizes of its letters."""
 
 INSIDE_PT = 25.0
-"""A figure is at least so many times the size of its letters wide if a legend stands in its panel."""
+"""The least width of a figure with a legend inside its panel, in sizes of its letters."""
 
 STACKED_INCHES = 6.0
 """A narrower figure has one part below the other."""
 
 LEGEND_LINE = 1.6
-"""Height of a line of a legend over the size of its letters."""
+"""Height of a line of a legend, in sizes of its letters."""
 
 _width: ContextVar[float | None] = ContextVar("width", default=None)
 
@@ -76,7 +76,7 @@ _width: ContextVar[float | None] = ContextVar("width", default=None)
 def settings(width: float | None = None, style: str | None = None) -> Iterator[None]:
     """Make and save pictures with the settings of this package, except for those that the user has changed.
 
-    ``width`` is that of figures in mm, each kind's own unless given; ``style`` is "paper" or "talk".
+    ``width`` is that of figures in mm, by default each kind's own; ``style`` is "paper" or "talk".
     """
     if style is None and width is not None:
         style = "paper"
@@ -99,13 +99,13 @@ def settings(width: float | None = None, style: str | None = None) -> Iterator[N
 
 
 def figure_size(width: float, height: float) -> tuple[float, float]:
-    """Return the size of a figure in inches: its own, or of the same shape and as wide as is asked for."""
+    """Return the size of a figure in inches: its own, or about the same shape in the width asked for."""
     wanted = _width.get()
     return (width, height) if wanted is None else (wanted, max(height * wanted / width, 0.7 * min(wanted, width)))
 
 
 def wanted_width() -> float | None:
-    """Return the width in inches that is asked for, None where each figure has its own."""
+    """Return the width asked for in inches; None if each figure has its own."""
     return _width.get()
 
 
@@ -120,13 +120,13 @@ def line_inches() -> float:
 
 
 def most_columns(columns: int) -> int:
-    """Return how many panels go side by side, of those that are wanted."""
+    """Return how many of the wanted columns of panels fit side by side."""
     wanted = _width.get()
     return columns if wanted is None else max(1, min(columns, int(wanted / in_letters(PANEL_PT))))
 
 
 def least_height() -> float:
-    """Return how high a panel is at least, in inches, where a width is asked for."""
+    """Return the least height of a panel in inches, for figures with a width that was asked for."""
     return max(1.7, in_letters(PANEL_PT))
 
 
@@ -137,7 +137,7 @@ def is_narrow() -> bool:
 
 
 def is_stacked() -> bool:
-    """Return whether figures are too narrow for parts beside one another, so that these stand below one another."""
+    """Return whether figures are so narrow that their parts stand below one another."""
     return (wanted_width() or STACKED_INCHES) < STACKED_INCHES
 
 
@@ -147,7 +147,7 @@ def wrapped(text: str, figure: Figure) -> str:
 
 
 def in_lines(text: str, inches: float, least: int = 12) -> str:
-    """Return a text in lines that are as long as a width allows, but at least so many letters."""
+    """Return a text in lines that are as long as a width allows, but of at least ``least`` letters."""
     letters = max(int(inches / in_letters(LETTER_WIDTH)), least)
     lines = []
     for part in text.split("\n"):
@@ -199,5 +199,5 @@ def finish(axes: Axes, grid: bool = True) -> None:
 
 
 def shown_letters(text: str) -> int:
-    """Return about how many letters a text shows, without the words of its mathematics."""
+    """Return about how many letters a text shows, without its mathematical markup."""
     return len(re.sub(r"\\[a-z]+|[${}^_]", "", text)) + 1

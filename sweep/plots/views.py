@@ -1,4 +1,4 @@
-"""What the link has beside results, as datasets for pictures: the sky of a catalogue, the accuracy of missions."""
+"""Datasets for pictures of the link that are not results: the sky of a catalogue, the accuracy of missions."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,15 +28,15 @@ BRIGHTEST_MAG, FAINTEST_MAG, STEP_MAG = 9.0, 21.0, 0.1
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 
 CALIBRATION_CATALOGUES = 50
-"""Catalogues for the errors of the calibrated curves: a quarter of what `sweep calibrate` takes, for errors to 10 %."""
+"""Catalogues for the errors of calibrated curves: a quarter of those of `sweep calibrate`; errors are known to 10 %."""
 
 
 def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
     """Return sigma_pm (mas/yr) and sigma_pos (mas) of one object, dimensions (model, v), of missions at nominal length.
 
-    ``models`` are all built-in ones whose packages are installed if there are none.  Beyond a mission's faint limit
-    there is NaN.  The curves that were calibrated with the paper's tables have a _error from that fit, one sigma;
-    others NaN.
+    ``models`` are by default all built-in ones whose packages are installed.  Values beyond a mission's faint limit are
+    NaN.  The curves that were calibrated with the paper's tables have one-sigma errors ``_error`` from that fit; for
+    others these are NaN.
     Raises SweepError for an unknown model, one whose package is missing, or a function that has no value somewhere.
     """
     v = np.round(np.arange(BRIGHTEST_MAG, FAINTEST_MAG + 0.5 * STEP_MAG, STEP_MAG), 6)
@@ -71,7 +71,7 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
 
 
 def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
-    """Return the missions of a study of the link, or those ``chosen`` of them.
+    """Return the missions of a study of the link, or those of them in ``chosen``.
 
     Raises SweepError for another experiment, or a mission that the study does not have.
     """
@@ -88,7 +88,7 @@ def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
 def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     """Return the first catalogue of a point of a store as it was drawn: ra, dec (deg) and v_mag of each object.
 
-    Raises SweepError where the store is not of the link, or ``at`` is not one point of it.
+    Raises SweepError if the store is not of the link, or ``at`` is not one point of it.
     """
     study = study_to_look_at(store)
     if study.experiment.name != "link":
@@ -106,7 +106,7 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
 
 
 def catalogue_of_table(path: Path, columns: tuple[str, str] = ("ra", "dec")) -> xr.Dataset:
-    """Return the positions in a table as ra, dec (deg); raises SweepError where there are none."""
+    """Return the positions in a table as ra, dec (deg); raises SweepError if there are none."""
     table = table_file(path)
     ra, dec = (table.numbers(name, "deg") for name in columns)
     if np.any(np.abs(dec) > 90.0):

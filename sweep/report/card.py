@@ -13,15 +13,15 @@ from sweep.readable import with_micro_signs
 from sweep.tie.text import as_format
 
 WIDTH = "46rem"
-"""Of a card, at most; narrower where there is less room."""
+"""The largest width of a card; it is narrower where there is less room."""
 
 
 @dataclass(frozen=True)
 class Card:
     """What results say: ``print`` shows the sentences, a notebook the figure too.
 
-    ``sentences`` are those of the answer, after what the results lack where they are not complete; of a link or a
-    forecast of real tables there is the ``table`` of its unknowns instead.
+    ``sentences`` are those of the answer, after what is missing if the results are incomplete; a link or a forecast of
+    real tables has the ``table`` of its unknowns instead.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""The interactive view of a grid: its numbers as the page's script takes them, and the library that draws them."""
+"""The interactive view of a grid: its numbers as the page's script reads them, and the library that draws them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,10 +13,10 @@ from sweep.readable import prefixed, written
 from sweep.studies.study import POINT
 
 DIGITS = 7
-"""Significant digits of a number in the page: more than any Monte Carlo knows."""
+"""Significant digits of a number in the page: more than any Monte-Carlo result needs."""
 
 MOST_NUMBERS = 200_000
-"""So many numbers a page may hold for its interactive views together, some 2 MB."""
+"""The most numbers in a page for all its interactive views together, some 2 MB."""
 
 BESIDE = ("published", "published_rounding")
 
@@ -28,7 +28,7 @@ def library() -> str:
 
 
 def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict[str, Any], int, list[str]]:
-    """Return what a grid holds in at most ``room`` numbers, how many they are, and the quantities left out.
+    """Return the contents of a grid in at most ``room`` numbers, how many these are, and the quantities left out.
 
     ``first`` are the quantities that come first; each has flat lists in C order of its own dimensions, None where a
     value is missing.
@@ -59,7 +59,7 @@ def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
     return {
         suffix: part.broadcast_like(value).transpose(*value.dims)
         for suffix, part in wanted.items()
-        if suffix == "value" or np.nan_to_num(part.values).any()  # a prediction without errors is 0
+        if suffix == "value" or np.nan_to_num(part.values).any()  # without errors of observation a prediction is 0
     }
 
 
@@ -85,8 +85,8 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
 
 
 def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> list[str]:
-    """Return the coordinates along dimensions, and the dimensions without one; of unordered points those of numbers,
-    last.
+    """Return the coordinates along dimensions, and the dimensions without one; those along points without order
+    come last, and only if they are numeric.
     """
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and str(n).removesuffix("_unit") == str(n)]
     found = [n for d in dims for n in dict.fromkeys([d, *(m for m in names if dataset[m].dims == (d,))])]
@@ -95,7 +95,7 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> list[str]:
 
 
 def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
-    array = dataset[name]  # xarray counts along a dimension without a coordinate
+    array = dataset[name]  # a dimension without a coordinate gives 0, 1, 2, ...
     numeric = array.dtype.kind in "iuf"
     values = _numbers(array.values) if numeric else list(map(str, array.values.tolist()))
     unit = units_of(array.attrs)
@@ -111,7 +111,7 @@ def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
 
 
 def _numbers(values: np.ndarray[Any, Any]) -> list[float | int | None]:
-    """Return the numbers of an array in C order with `DIGITS` digits, None for what is not finite."""
+    """Return the numbers of an array in C order with `DIGITS` digits, None for those that are not finite."""
     return [_number(value) for value in values.reshape(-1).tolist()]
 
 

@@ -31,12 +31,12 @@ POINTS_PER_INCH = 72.0
 SUFFIX = "from_prediction"
 
 ONE_PANEL, SHRINK = 6.4, 0.8
-"""Pictures are made for paper: those of one panel, at most so many inches wide, are made so much smaller with the same
-letters, to be read on a phone; others are moved sideways there.
+"""Pictures are made for paper.  Those of one panel, at most ONE_PANEL inches wide, are scaled by SHRINK with letters of
+the same size, to be read on a phone; others are scrolled sideways there.
 """
 
 MOST_MARKS = 2000
-"""More points than these are one image in the picture: each of them is some 100 bytes."""
+"""More points than this are drawn as one image: in SVG each of them takes some 100 bytes."""
 
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _STYLE = re.compile(r'style="[^"]*"')
@@ -55,8 +55,8 @@ class Picture:
 
 
 def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list[Picture]:
-    """Return the figures of variables that vary, each of the kind that suits it, after that of kept samples where they
-    are all that there is to draw; ``number`` sets the identifiers in them apart from those of other datasets.
+    """Return the figures of variables that vary, each of the kind that suits it; that of the kept samples of a single
+    point comes first.  ``number`` makes the identifiers in them differ from those of other datasets.
     """
     untitled = dataset.assign_attrs(title="")
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
@@ -86,7 +86,7 @@ def differences(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
 
 
 def _add_band(figure: Figure) -> None:
-    """Mark zero, and the band in which a difference is no more than chance."""
+    """Mark zero, and the band in which a difference may be due to chance."""
     for axes in figure.axes:
         axes.axhline(0.0, color="black", linewidth=0.6)
         axes.axhspan(-ERRORS_ALLOWED, ERRORS_ALLOWED, color=COLOURS[6], **BAND)
@@ -124,8 +124,8 @@ def drawn(
     kind: str | None = None,
     add: Callable[[Figure], None] | None = None,
 ) -> Picture:
-    """Return the figure that suits a dataset, or of a kind, after ``add`` was done to it; ``salt`` sets the identifiers
-    in it apart from those of others.
+    """Return the figure that suits a dataset, or one of a given kind, after ``add`` was called with it; ``salt`` makes
+    the identifiers in it differ from those of other figures.
     """
     with _inside_a_page(salt):
         try:
@@ -143,7 +143,7 @@ def drawn(
 
 
 def _svg(figure: Figure) -> str:
-    """Return the ``svg`` element of a figure: nothing in it reaches out of it."""
+    """Return the ``svg`` element of a figure; nothing in it affects the rest of the page."""
     for artist in figure.findobj(_is_cloud):
         artist.set_rasterized(True)
     out = io.StringIO()
@@ -166,7 +166,7 @@ def _is_cloud(artist: Artist) -> bool:
 
 
 def _themed(colour: re.Match[str]) -> str:
-    """Return a colour for both themes: greys change places, from black to white, others become lighter on dark."""
+    """Return a colour for both themes: greys are inverted on dark, others become lighter."""
     red, green, blue = (int(colour[0][i : i + 2], 16) for i in (1, 3, 5))
     if red == green == blue:
         inverse = 255 - red

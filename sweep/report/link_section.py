@@ -36,7 +36,7 @@ PROVENANCE = {
     "goal": "chosen for",
     "criterion": "criterion",
 }
-"""Attributes of a dataset and what they are called in a page."""
+"""Attributes of a dataset and their names in a page."""
 
 
 def link_section(store: str, dataset: xr.Dataset, number: int) -> Section:

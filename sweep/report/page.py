@@ -1,4 +1,4 @@
-"""The page: sections and citations in a template, scripts that its own policy allows and no others."""
+"""The page: sections and citations in a template, and a policy that allows its own scripts and no others."""
 
 import base64
 import hashlib
@@ -27,7 +27,7 @@ from sweep.studies.provenance import CITATION, is_of_the_link
 from sweep.tie.stored import result_at
 
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
-"""Begins every report: a file that does not is not replaced."""
+"""The beginning of every report: a file that does not begin with it is not replaced."""
 
 TEMPLATES = "templates"
 
@@ -37,7 +37,7 @@ MESSAGE = "If you use these results, please cite what made them."
 
 
 def report_of(stores: Sequence[Where]) -> str:
-    """Return the page about stores; raises SweepError for what is no store, has no results, or is damaged."""
+    """Return the page about stores; raises SweepError for a store that is missing, empty or damaged."""
     datasets = []
     for place in map(located, stores):
         result = result_at(place)
@@ -76,7 +76,7 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
 
 
 def default_path(stores: Sequence[Where]) -> Path:
-    """Return where a report goes if nothing else is said: named for its store, in the working directory."""
+    """Return the default path of a report: named after its store, in the working directory."""
     names = [located(store).name for store in stores]
     stem = names[0].removesuffix(".zarr") if len(names) == 1 else "linksweep"
     return Path(f"{stem}-report.html")
@@ -119,12 +119,12 @@ def _totals(sections: Sequence[Section]) -> list[str]:
 
 
 def _is_ours(dataset: xr.Dataset) -> bool:
-    """Return whether results are of what comes with linksweep."""
+    """Return whether results are of the link, simulated or of real tables, which comes with linksweep."""
     return is_link(dataset) or is_of_the_link(dataset.attrs)
 
 
 def _cited(datasets: Sequence[xr.Dataset], version: str) -> list[str]:
-    """Return what to cite beside the software: what experiments ask for, of our own the paper."""
+    """Return what to cite besides the software: what experiments ask for, and the paper for our own."""
     found: list[str] = []
     for dataset in datasets:
         own = citations(version)[:1] if _is_ours(dataset) else json.loads(dataset.attrs.get(CITATION, "[]"))
@@ -144,7 +144,7 @@ def citations(version: str) -> tuple[str, str]:
 
 
 def _citation_file() -> Any:
-    """Return what is in the file: in the wheel it is beside the package's modules, in a checkout above them."""
+    """Return the contents of the citation file: in the wheel it is beside the modules, in a checkout above them."""
     installed = Path(str(files("sweep") / CITATION_FILE))
     path = installed if installed.is_file() else Path(__file__).parents[2] / CITATION_FILE
     return yaml.safe_load(path.read_text(encoding="utf-8"))

@@ -30,10 +30,10 @@ from sweep.studies.provenance import FUNCTION, outer_draw_of
 from sweep.studies.study import POINT_TABLE
 
 SEVERITY = ("NOT reproduced", "incomplete", "within tolerance", "not comparable", "reproduced")
-"""The order of verdicts in the table: what needs to be looked at comes first."""
+"""The order of verdicts in the table: those that need attention come first."""
 
 MOST_ROWS = 2000
-"""A table has at most so many rows in the page, some 0.5 MB."""
+"""The most rows of a table in the page, some 0.5 MB."""
 
 PROVENANCE = {
     "study_name": "study",
@@ -54,12 +54,12 @@ PROVENANCE = {
     "machine": "machine",
     "git_commit": "git commit of linksweep",
 }
-"""Attributes of a dataset and what they are called in a page."""
+"""Attributes of a dataset and their names in a page."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table to sort: headings, and rows of (text, value that it sorts by)."""
+    """A sortable table: headings, and rows of (text, value to sort by)."""
 
     headings: list[str]
     rows: list[list[tuple[str, Any]]]
@@ -153,7 +153,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
 
 
 def _indices(dataset: xr.Dataset, names: list[str]) -> dict[str, xr.Dataset]:
-    """Return the sensitivity indices of results of a table of points, of those with one number a point."""
+    """Return the sensitivity indices of those results of a table of points that have one number per point."""
     found: dict[str, xr.Dataset] = {}
     for name in names if POINT_TABLE in dataset.attrs and len(varied_parameters(dataset)) > 1 else ():
         if dataset[name].squeeze().ndim == 1:
@@ -163,7 +163,7 @@ def _indices(dataset: xr.Dataset, names: list[str]) -> dict[str, xr.Dataset]:
 
 
 def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
-    """Return what an attribute is called, in the words of its experiment."""
+    """Return the name of an attribute, in the words of its experiment."""
     if FUNCTION in attributes:
         return label.replace("each catalogue", "each point").replace("catalogues of each point", "outer draws")
     return label.replace("catalogue", outer_draw_of(attributes))
@@ -178,7 +178,7 @@ def _table(columns: list[Column], left_out: int = 0) -> Table:
 
 
 def _in_allowances(c: Comparison) -> float:
-    """Return by how many times what is allowed a number differs from the published one."""
+    """Return the difference from the published number, in units of what is allowed."""
     return abs(c.difference) / c.allowance if c.allowance > 0.0 and math.isfinite(c.difference) else 0.0
 
 

@@ -1,4 +1,4 @@
-"""What further observations would do: errors against the epoch of new ones, and which sources to observe."""
+"""What further observations would change: errors against the epoch of new ones, and which sources to observe."""
 
 from typing import Any, Literal
 

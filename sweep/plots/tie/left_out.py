@@ -21,11 +21,12 @@ LINES = ("solid", "dashed", "dotted", "dashdot", (0, (5, 1, 1, 1)), (0, (1, 3)))
 
 
 def jackknife_figure(dataset: xr.Dataset) -> Figure:
-    """Return each pair of components of each vector: the solutions without each source, with their distances from the
-    mean times sqrt(N - 1), so that their scatter is the jackknife error, and an ellipse for each kind of error.
+    """Return a figure of each pair of components of each vector, with the solutions without each source and an ellipse
+    for each kind of error.  Distances of solutions from the mean are multiplied by sqrt(N - 1), so that
+    their scatter is the jackknife error.
     """
     if "estimate_without" not in dataset:
-        raise SweepError("no solutions without each source here: they are not kept of so many sources")
+        raise SweepError("no solutions without each source here: they are not kept for so many sources")
     blocks, symbols = vectors(dataset), unknown_symbols(dataset)
     if not blocks:
         raise SweepError("no jackknife scatter: no block of the unknowns is a vector")
@@ -77,7 +78,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
 
 
 def trajectory_figure(dataset: xr.Dataset) -> Figure:
-    """Return each vector and chi2/dof against the step of the clip; the step that was chosen is a line."""
+    """Return a figure of each vector and chi2/dof against the step of the clip; a line marks the chosen step."""
     if "step_estimate" not in dataset or dataset.sizes["step"] < 2:
         raise SweepError("no trajectory here: give --clip discrepancy or median:K, which go step by step")
     blocks, symbols = vectors(dataset), unknown_symbols(dataset)

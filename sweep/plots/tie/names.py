@@ -1,4 +1,4 @@
-"""Units that can be read, symbols of unknowns, and names beside points that do not cover one another."""
+"""Readable units, symbols of unknowns, and names beside points that do not cover one another."""
 
 import re
 from collections.abc import Iterable
@@ -16,17 +16,17 @@ from sweep.plots.labels import symbol
 from sweep.readable import written
 
 MICRO_BELOW = 0.5
-"""Numbers in mas that are all smaller are shown in micro-arcseconds."""
+"""Numbers in mas that are all smaller than this are shown in micro-arcseconds."""
 
 SHORT = {"glide": "g", "position_glide": "G"}
 _VECTOR = re.compile(r"(epsilon|omega|glide|position_glide)_([xyz])")
 _HARMONIC = re.compile(r"vsh_(?:position|motion)_([ts])_(\d+)_(\d+)(?:_(re|im))?")
 
 LETTER_WIDTH = 0.62
-"""Of a letter's height, on average."""
+"""The average width of a letter, as a fraction of its height."""
 
 SIDES = ((1, 0, "left", "center"), (-1, 0, "right", "center"), (0, 1, "center", "bottom"), (0, -1, "center", "top"))
-"""Where a name may stand of its point, towards the right and up, and its alignment there; the best first."""
+"""Sides of a point for its name, as steps to the right and up, with the alignment there; the best first."""
 
 
 def readable(values: Array, unit: str) -> tuple[float, str]:
@@ -38,7 +38,7 @@ def readable(values: Array, unit: str) -> tuple[float, str]:
 
 
 def unknown_symbol(label: str) -> str:
-    """Return how an unknown is set: epsilon_x, a harmonic as t with degree and order, others as they are named."""
+    """Return the symbol of an unknown: of a vector's component, of a harmonic with its degree and order, or a name."""
     if found := _VECTOR.match(label):
         block, axis = found.groups()
         return rf"${SHORT.get(block, chr(92) + block)}_{axis}$" + label[found.end() :]
@@ -50,7 +50,7 @@ def unknown_symbol(label: str) -> str:
 
 
 def unknown_symbols(dataset: xr.Dataset) -> list[str]:
-    """Return how each unknown of a solution is set."""
+    """Return the symbol of each unknown of a solution."""
     return [unknown_symbol(str(name)) for name in dataset["unknown"].values]
 
 
@@ -66,7 +66,7 @@ def vectors(dataset: xr.Dataset) -> dict[str, list[int]]:
 
 
 def kept_sources(dataset: xr.Dataset) -> NDArray[np.bool_]:
-    """Return which sources the solution has."""
+    """Return which sources the solution uses."""
     return np.asarray((dataset["weight_factor"].values > 0.0) & (dataset["n_observations"].values > 0.0))
 
 

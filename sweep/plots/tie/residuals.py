@@ -15,14 +15,14 @@ from sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked
 from sweep.plots.tie.names import readable
 
 MOST_ARROWS = 150
-"""More rows than these are averaged in cells of equal area."""
+"""More rows than this are averaged in cells of equal area."""
 BANDS = 9
 LONGEST, TYPICAL = 1.5, 0.08
-"""The length that 90 % of the arrows do not reach is TYPICAL of the width of the map; longer ones are cut at
-LONGEST times that.
+"""Arrows of the length that 90 % of them do not exceed take the share TYPICAL of the width of the map; longer ones are
+cut at LONGEST times that length.
 """
 COMMON_SCALE = 5.0
-"""Differences and residuals have one scale unless they differ by more."""
+"""Differences and residuals have the same scale unless they differ by more than this factor."""
 
 
 class _Arrows(NamedTuple):
@@ -38,7 +38,7 @@ class _Arrows(NamedTuple):
 def residual_figure(dataset: xr.Dataset) -> Figure:
     """Return maps of the differences before and the residuals after the fit, of positions and of motions."""
     if "difference" not in dataset:
-        raise SweepError("no residuals here: they are not kept of tables with so many rows")
+        raise SweepError("no residuals here: they are not kept for tables with so many rows")
     pairs = [(name, pair) for name, pair in (("positions", [0, 1]), ("motions", [3, 4])) if _n_rows(dataset, pair)]
     if not pairs:
         raise SweepError("no residuals on the sky: no row has a position or a motion")
@@ -84,7 +84,7 @@ def _arrows(dataset: xr.Dataset, name: str, pair: list[int]) -> _Arrows:
 
 
 def _averaged(ra: Array, dec: Array, values: Array, errors: Array) -> _Arrows:
-    """Return weighted means in the middles of cells: bands of equal area, in each 2 BANDS steps of right ascension."""
+    """Return weighted means at the centres of cells: bands of equal area, each in 2 BANDS steps of right ascension."""
     band = np.minimum(((np.sin(dec * DEGREE) + 1.0) * 0.5 * BANDS).astype(int), BANDS - 1)
     step = ((ra % 360.0) * (BANDS / 180.0)).astype(int) % (2 * BANDS)
     cells, index = np.unique(2 * BANDS * band + step, return_inverse=True)
@@ -101,7 +101,7 @@ def _typical(arrows: _Arrows) -> float:
 
 
 def _draw(axes: Any, arrows: _Arrows, scale: float, unit: str) -> str:
-    """Draw arrows, a key with their scale, and return what the title must say of arrows that were cut."""
+    """Draw arrows and a key with their scale; return words for the title about arrows that are cut or dropped."""
     x = on_map(arrows.ra)
     y = arrows.dec * DEGREE
     length = np.hypot(arrows.east, arrows.north)

@@ -1,4 +1,4 @@
-"""Sources: their separations, their discrepancies against their weights, and those that decide."""
+"""Sources: their separations, their discrepancies against their weights, and the most influential ones."""
 
 import numpy as np
 import xarray as xr
@@ -21,10 +21,10 @@ MARK = {"color": "0.4", "linestyle": "dotted", "linewidth": 1.0, "label": f"{100
 
 def separation_figure(dataset: xr.Dataset) -> Figure:
     """Return histograms of the normalised separations, X before the fit and sqrt(2 Q/n) after it, beside the Rayleigh
-    distribution that right errors give them.
+    distribution that they follow if the errors are right.
     """
     if "normalised_separation" not in dataset:
-        raise SweepError("no separations here: they are not kept of tables with so many rows")
+        raise SweepError("no separations here: they are not kept for tables with so many rows")
     count = dataset["n_observations"].values
     before = dataset["normalised_separation"].values
     used = (count > 0.0) & (before > 0.0)
@@ -63,7 +63,7 @@ def separation_figure(dataset: xr.Dataset) -> Figure:
 
 
 def weight_figure(dataset: xr.Dataset) -> Figure:
-    """Return Q/n of each source against its share of the weight of each block that is solved for."""
+    """Return a figure of Q/n of each source against its share of the weight of each block that is solved for."""
     share = _shares(dataset)
     used = dataset["n_observations"].values > 0.0
     kept = kept_sources(dataset)
@@ -110,7 +110,7 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
     share = _shares(dataset)
     order = np.argsort(-share.max(axis=1))[:RANKED]
     order = order[share.max(axis=1)[order] > 0.0][::-1]
-    height = 1.4 + 0.22 * len(order)  # of any width, since each name needs its line
+    height = 1.4 + 0.22 * len(order)  # whatever the width: each name needs its line
     figure = Figure(figsize=(figure_size(8.0, height)[0], height), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     places = np.arange(len(order))
@@ -138,5 +138,5 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
 
 def _shares(dataset: xr.Dataset) -> Array:
     if "share" not in dataset:
-        raise SweepError("no weights of sources here: they are not kept of so many sources")
+        raise SweepError("no weights of sources here: they are not kept for so many sources")
     return np.asarray(dataset["share"].values, dtype=np.float64)

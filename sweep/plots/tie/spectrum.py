@@ -16,7 +16,7 @@ MOST_SIGMA = 10.0
 
 
 def spectrum_figure(dataset: xr.Dataset) -> Figure:
-    """Return the root of the power of each field against its degree, with the noise, above its significance."""
+    """Return a figure of the root of the power of each field by degree, with the noise, and its significance below."""
     if "power" not in dataset:
         raise SweepError("no spectrum here: no vector spherical harmonics are among the unknowns (--degree)")
     degree = dataset["degree"].values

@@ -4,9 +4,9 @@
   const MOST_SERIES = 14;
   const COLOURS = 7;
   const MARKERS = ["circle", "square", "diamond", "triangle", "inverted_triangle", "star", "x"];
-  const WIDE = 5; // positive numbers whose largest is so many times the smallest are drawn on a logarithmic axis
+  const WIDE = 5; // positive numbers that span more than this factor are drawn on a logarithmic axis
 
-  // BokehJS would load a library for formulae from the network for a text with these.
+  // For a text with these signs BokehJS would load a library for formulae from the network.
   const plain = (text) => String(text).replaceAll("$$", "$\u200b$").replaceAll("\\(", "\\\u200b(").replaceAll("\\[", "\\\u200b[");
   const labelled = (thing) => (thing.unit ? `${thing.name} [${thing.unit}]` : thing.name);
   // A number and its error with two digits of the error, as tables have them.
@@ -25,7 +25,7 @@
     element.append(probe);
     const found = getComputedStyle(probe).color;
     probe.remove();
-    const parts = found.match(/[\d.]+/g).slice(0, 3).map(Number); // of Bokeh's colours, rgb() is what all browsers give
+    const parts = found.match(/[\d.]+/g).slice(0, 3).map(Number); // getComputedStyle gives rgb(r, g, b), Bokeh takes #rrggbb
     return `#${parts.map((part) => Math.round(part).toString(16).padStart(2, "0")).join("")}`;
   };
 
@@ -41,7 +41,7 @@
     return finite.length > 1 && Math.min(...finite) > 0 && Math.max(...finite) > WIDE * Math.min(...finite);
   };
 
-  // Values that are almost all of a size, but for a few next to nothing: there a logarithm would show these only.
+  // Values of about one size, except for a few close to zero: a logarithmic axis would show mainly these few.
   const isExtreme = (values) => {
     const known = values.filter((value) => value > 0).sort((a, b) => a - b);
     return known.length > 4 && known[0] < 1e-4 * known[Math.floor(known.length / 4)];
@@ -61,7 +61,7 @@
       window.addEventListener("afterprint", () => this.showTools(true));
     }
 
-    // The choice stands in the address, so that a view can be linked to.
+    // The choice is kept in the address, so that a view can be linked to.
     recall() {
       const own = new URLSearchParams(window.location.hash.slice(1)).get(this.element.id);
       if (!own) return;
@@ -78,7 +78,7 @@
       window.history.replaceState(null, "", `#${all}`);
     }
 
-    // The middle of an axis of numbers is what a first view is of, not its end, where there may be nothing to see.
+    // The first view is at the middle of a numeric axis: at its end there may be nothing to see.
     index(dim) {
       const known = this.choice.fixed[dim];
       if (known !== undefined && known < this.size(dim)) return known;
@@ -86,7 +86,7 @@
       return axis.numeric ? Math.floor(axis.values.length / 2) : 0;
     }
 
-    // The quantity with its component and the unit of that, or those of the components if several are shown.
+    // The quantity with its component and the unit of this one, or with all units if several components are shown.
     labelOf(quantity) {
       if (!quantity.unit_dim) return labelled(quantity);
       const used = [this.choice.x, this.choice.series].filter(Boolean).map((name) => this.axis(name).dim);
@@ -103,7 +103,7 @@
 
     size(dim) { return this.axis(dim).values.length; }
 
-    // Make the choice one that this quantity has: its own axes, the longest with numbers along x.
+    // Restrict the choice to the axes of this quantity, with the longest numeric one along x.
     settle() {
       const axes = this.axesOf(this.quantity.dims);
       const known = (name) => axes.some((axis) => axis.name === name);
@@ -274,7 +274,7 @@
       return set ? set === "dark" : window.matchMedia("(prefers-color-scheme: dark)").matches;
     }
 
-    // A name that occurs twice along an axis is told apart by its place.
+    // A name that occurs twice along an axis gets its position as a number.
     factors(axis) {
       const names = axis.values.map((value) => (value === null ? "missing" : plain(value)));
       return names.map((name, i) => (names.indexOf(name) === i ? name : `${name} (${i + 1})`));
@@ -371,7 +371,7 @@
       if (this.quantity.meaning) parts.push(`${this.quantity.name}: ${this.quantity.meaning}.`);
       if (this.quantity.error) parts.push("Bars are one-sigma errors.");
       if (this.quantity.predicted) parts.push("The prediction is a line, or a dash where x has no numbers.");
-      if (this.quantity.published) parts.push("Published values are large and open.");
+      if (this.quantity.published) parts.push("Published values are large open symbols.");
       if (drawn < total) parts.push(`The first ${drawn} of ${total} series are drawn; exchange x and series to see all.`);
       const gone = flat.filter((row) => !Number.isFinite(row.value)).length;
       if (gone) parts.push(`${gone} of ${flat.length} values are missing and not drawn.`);

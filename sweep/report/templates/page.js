@@ -1,5 +1,5 @@
 "use strict";
-// The theme, tables that sort, and paper, which shows what is folded away on a screen.
+// The theme, sortable tables, and printing, which also shows what is folded on a screen.
 (() => {
   const root = document.documentElement;
   const prefersDark = window.matchMedia("(prefers-color-scheme: dark)");
@@ -74,7 +74,7 @@
     const rows = [...table.tBodies[0].rows].map((row) => [...row.cells].map((cell) => cell.dataset.value ?? cell.textContent));
     return [heads, ...rows].map((row) => row.map(quoted).join(",")).join("\n") + "\n";
   };
-  // A picture by itself: light, with letters and colours of its own, and not those of the page.
+  // A picture to save: in light colours, and independent of the page.
   const alone = (svg) => {
     const copy = svg.cloneNode(true);
     const [, , w, h] = (copy.getAttribute("viewBox") || "0 0 640 440").split(/\s+/).map(Number);
