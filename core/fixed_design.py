@@ -138,7 +138,7 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
 
 
 def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign]:
-    """Return the design of each setup; that of the largest catalogue must come first.
+    """Return the design of each setup; that of the largest catalogue should come first.
 
     The small matrices of similar designs are computed together: one by one they would take longer than the objects of a
     small catalogue.  Raises LinkError as `fixed_design`.
