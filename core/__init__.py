@@ -1,9 +1,9 @@
 """The link of a satellite's proper-motion system to the extragalactic frame.
 
-Conventions, the same in every module (each is held by a test):
+Conventions, the same in every module (a test checks each):
 
-* Inside ``core`` angles are radians and proper motions rad/yr; a number in another unit carries it in its
-  name (``sigma_mas``, ``mission_length_yr``).  Vectors are ``(3, ...)`` and objects come last.
+* Inside ``core`` angles are radians and proper motions rad/yr; a number in another unit has that unit
+  in its name (``sigma_mas``, ``mission_length_yr``).  Vectors are ``(3, ...)`` and objects come last.
 * ``pmra`` is mu_alpha* = (d alpha/dt) cos(dec), as in the Gaia archive.
 * Differences are **reference - satellite**.  The orientation epsilon and the spin omega rotate the *vector*:
   ``r_ref = R r_sat`` and ``v_ref = R v_sat + omega x r_ref`` with ``R = exp([epsilon x])``.

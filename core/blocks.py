@@ -22,7 +22,7 @@ POSITION, MOTION = (RA, DEC), (PMRA, PMDEC)
 
 @dataclass(frozen=True)
 class Objects:
-    """What derivatives depend on, of N sources: positions (rad), proper motions (rad/yr) and further columns, (N,)."""
+    """The data of N sources for derivatives: positions (rad), proper motions (rad/yr) and further columns, (N,)."""
 
     ra: Array
     dec: Array
@@ -45,7 +45,7 @@ class Objects:
 class Block:
     """A few unknowns that belong together.
 
-    ``name`` is that by which they are asked for, ``labels`` are their own, and ``rows`` the parameters that they act
+    ``name`` is the name of the block, ``labels`` are those of its unknowns, and ``rows`` the parameters that they act
     on.  A ``rate`` is per year: it moves the position of a source whose epoch is not that of the unknowns.
     """
 
@@ -61,7 +61,7 @@ class Block:
 
 @dataclass(frozen=True, kw_only=True)
 class Orientation(Block):
-    """The rotation epsilon: d alpha* = q.eps, d dec = -p.eps, and the terms A21 in the motions: ``corrections``."""
+    """The rotation epsilon: d alpha* = q.eps, d dec = -p.eps and, if ``corrections``, the terms A21 in the motions."""
 
     corrections: bool = field(default=True, kw_only=False)
     name: str = "orientation"
@@ -140,7 +140,7 @@ class Harmonics(Block):
         for kind, degree in self.parts:
             place[kind, degree] = found[start : start + 2 * degree + 1]
             start += 2 * degree + 1
-        fields: dict[int, Array] = {}  # a spheroidal field without the toroidal one is turned in its own place
+        fields: dict[int, Array] = {}  # without the toroidal field, the spheroidal one is turned in place
         for kind, degree in self.parts:
             fields[degree] = place.get(("t", degree), place[kind, degree])
         fill_toroidal(fields, objects.ra, objects.dec)
@@ -186,12 +186,12 @@ class OfMission(Block):
     block: Block
 
     def derivatives(self, objects: Objects) -> Array:
-        """Return those of the block; shape (k, len(rows), N)."""
+        """Return the derivatives of the block; shape (k, len(rows), N)."""
         return self.block.derivatives(objects)
 
 
 def of_mission(block: Block, mission: str, number: int) -> OfMission:
-    """Return a block like hipparcos:spin of a mission, which are counted from 1."""
+    """Return the block of a mission, like hipparcos:spin; missions are counted from 1."""
     return OfMission(
         name=f"{mission}:{block.name}",
         labels=tuple(f"{mission}:{label}" for label in block.labels),

@@ -1,9 +1,9 @@
 """Calibration of the mission curves: the constants that make the closed-form link give the paper's numbers.
 
 The paper says which functions it fitted to the missions' accuracy (two exponentials for AMEX, one for GAIA) but prints
-no constants.  It prints the link errors sigma(omega) that follow from them, so the constants are found backwards: each
-printed number is compared with its closed form, averaged over a fixed set of drawn catalogues.  The seeds are fixed,
-so the model is a smooth function of the constants (common random numbers).
+no constants.  It prints the link errors sigma(omega) that follow from them, so the constants are inferred from these:
+each printed number is compared with its closed form, averaged over a fixed set of drawn catalogues.  The seeds are
+fixed, so the model is a smooth function of the constants (common random numbers).
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ PAPER_MC_ERROR = 1.0 / np.sqrt(2.0 * 3.0 * 10_000)
 MODEL_ERROR = 0.03
 """Relative error of the model itself: one exponential for GAIA, smooth counts for a catalogue that was drawn once.
 
-With it chi2 is about one per degree of freedom for GAIA; without it the most sharply rounded faint cells decide alone
-and the bright GAIA cells are off by 11 %.
+With it chi2 is about one per degree of freedom for GAIA; without it the faint cells, whose rounding errors are the
+smallest, decide alone and the bright GAIA cells are off by 11 %.
 """
 
 DIVA_V_MAG, DIVA_SIGMA_MAS_YR = 9.0, 0.25
@@ -42,8 +42,8 @@ LIMITS: dict[Model, dict[Kind, tuple[float, float]]] = {
 }
 """How far a number may be off, relative or in mas/yr, whichever is more.
 
-Less than what the project promises of the paper's tables (Table 1: AMEX 0.02 mas/yr, GAIA 7 %; galaxies 0.02 mas/yr;
-Table 2: 6 % or 0.0015 mas/yr), to leave room for a simulation's own error.
+Stricter than what the project promises for the paper's tables (Table 1: AMEX 0.02 mas/yr, GAIA 7 %; galaxies 0.02
+mas/yr; Table 2: 6 % or 0.0015 mas/yr), to leave room for a simulation's own error.
 """
 
 CONSTANTS: dict[Model, tuple[str, ...]] = {
@@ -122,8 +122,8 @@ def constants_of(curve: Exponentials) -> Array:
 def all_skies(model: Model, n_cat: int = 200) -> dict[Kind, Skies]:
     """Return the fixed catalogues that a model's numbers are compared with, always the same for one ``n_cat``.
 
-    GAIA's quasars go to V = 20.  AMEX needs them only to V = 17, but more catalogues, and ten times as many of radio
-    stars because few of those carry the weight: an error below 1 % for every number with the default ``n_cat``.
+    GAIA's quasars go to V = 20.  AMEX needs quasars only to V = 17, but more catalogues, most of all of radio stars,
+    because few stars carry the weight.  With the default ``n_cat`` every number has an error below 1 %.
     """
     if model == "gaia":
         return {"quasars": draw_skies("quasars", n_cat // 2, seed=4)}

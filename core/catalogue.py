@@ -1,4 +1,4 @@
-"""Reference catalogues (step A): the record, positions on the sky, and what is drawn by simple laws."""
+"""Reference catalogues (step A): the record, positions on the sky, and catalogues drawn from simple laws."""
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
@@ -45,11 +45,11 @@ class OwnErrors:
 @dataclass(frozen=True)
 class Catalogue:
     """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.  While
-    several catalogues are drawn together it is (catalogues, N).
+    several catalogues are drawn together the shape is (catalogues, N).
 
     ``sigma`` (4, N), where the catalogue has its own errors, are those of (ra*, dec, pmra, pmdec) in rad and rad/yr,
     ``correlation`` (N, 4, 4) the correlations of an object's four errors.  They are those of the satellite where the
-    ``reference`` has others.
+    ``reference`` has its own.
     """
 
     ra: Array
@@ -69,7 +69,7 @@ class Catalogue:
         return self._made(lambda column: column[index], lambda errors: errors.take(index))
 
     def some(self, rng: np.random.Generator, n_obj: int) -> "Catalogue":
-        """Return ``n_obj`` objects at random, in their order, or all of as many; nothing is drawn for those."""
+        """Return ``n_obj`` objects at random, in their order; if there are no more, all of them without a draw."""
         if n_obj >= len(self):
             return self
         chosen = np.sort(rng.choice(len(self), n_obj, replace=False))
@@ -97,7 +97,7 @@ class Catalogue:
         return replace(objects, ra=ra, dec=dec)
 
     def _made(self, column: Callable[[Array], Array], errors: Callable[[OwnErrors], OwnErrors]) -> "Catalogue":
-        """Return what is made of each column, and of the errors of either side."""
+        """Return a catalogue with the functions applied to each column and to the errors of either side."""
         sides = self.own_errors("satellite"), self.reference
         own, reference = (None if side is None else errors(side) for side in sides)
         return Catalogue(
@@ -114,7 +114,7 @@ class Catalogue:
 
 @dataclass(frozen=True)
 class NestedDraw:
-    """Draws a catalogue of ``n_obj`` objects, of equal generators the beginning of every larger one of its family.
+    """Draw a catalogue of ``n_obj`` objects; from equal generators it is the beginning of any larger one of its family.
 
     With ``takes_several`` it also draws several together, see `CatalogueKind.draws_several`.
     """
@@ -131,10 +131,10 @@ class NestedDraw:
 
 @dataclass(frozen=True)
 class Sky:
-    """Where objects may stand: uniform over the sky but for two things.
+    """Where objects may stand: uniform over the sky with two exceptions.
 
-    None at Galactic latitudes |b| < ``zone_of_avoidance`` (rad), and (1 + contrast)/(1 - contrast) times as many north
-    of the Galactic plane as south of it (-1 < ``contrast`` < 1).
+    There are none at Galactic latitudes |b| < ``zone_of_avoidance`` (rad), and (1 + contrast)/(1 - contrast) times as
+    many north of the Galactic plane as south of it (-1 < ``contrast`` < 1).
     """
 
     zone_of_avoidance: float = 0.0
@@ -143,7 +143,7 @@ class Sky:
     def positions(self, rng: np.random.Generator, n_obj: int) -> tuple[Array, Array]:
         """Return ra, dec (rad) of shape (n_obj,), or (catalogues, n_obj) of several that are drawn together."""
         longitude = rng.uniform(0.0, 2.0 * np.pi, n_obj)
-        height = rng.uniform(-1.0, 1.0, n_obj) + self.contrast  # of its sign: uniform on each side, more on one
+        height = rng.uniform(-1.0, 1.0, n_obj) + self.contrast  # uniform on each side of the plane, more on one
         north = height > 0.0
         fraction = height / np.where(north, 1.0 + self.contrast, 1.0 - self.contrast)
         floor = np.sin(self.zone_of_avoidance)
@@ -190,7 +190,7 @@ def galaxies(
     """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint limit,
     and at the bright one if there is any.
     """
-    from scipy.special import ndtr, ndtri  # a tenth of the start of every other study
+    from scipy.special import ndtr, ndtri  # here: it takes a tenth of the start of every other study
 
     ra, dec = sky.positions(rng, n_obj)
     bright = -np.inf if bright_limit_mag is None else bright_limit_mag

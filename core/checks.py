@@ -1,4 +1,4 @@
-"""Why a point cannot be computed, told before anything runs."""
+"""Reasons why a point cannot be computed, found before anything runs."""
 
 import math
 
@@ -23,21 +23,23 @@ from core.scenario import (
 from sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
-"""Errors in mas and mas/yr for which the link is computed: beyond, weights overflow or an error is no small angle."""
+"""Errors in mas and mas/yr between which the link is computed: outside, weights overflow or an error is not a small
+angle.
+"""
 
 LARGEST_PROJECTED_ERROR = 50_000.0
-"""Position error of the reference in mas beyond which no isotropic catalogue keeps within the bound that
-`core.projected.neglected` sets.
+"""Position error of the reference in mas beyond which `core.projected.neglected` is too large for any isotropic
+catalogue.
 """
 
 SMALLEST_GLIDE = 3
-"""Objects that determine nine unknowns: two give twelve observables, but of rank eight."""
+"""Objects that are needed to determine nine unknowns: two give only eight observables."""
 
 
 def check(point: Point) -> str | None:
     """Return why this point cannot be computed, or None.
 
-    It looks at no parameter that does not matter for a point: the platform asks again only where another is different.
+    It reads no parameter that does not matter at the point: the platform asks again only where another one differs.
     """
     if problem := _check_catalogue(point) or _check_glide(point) or _check_systematics(point):
         return problem
@@ -89,7 +91,9 @@ def _check_error_models(point: Point) -> str | None:
 
 
 def _check_errors(point: Point) -> str | None:
-    """Positions or proper motions without any error are not measured; both without are error-free data."""
+    """Return what is wrong with the errors, or None.  If only one kind of observable has errors, the other is not
+    measured; if neither has, the data are error-free.
+    """
     reference, satellite = errors_at_limit(point, "reference"), errors_at_limit(point, "satellite")
     position_mas = math.hypot(reference.pos_mas, satellite.pos_mas)
     motion_mas_yr = math.hypot(reference.pm_mas_yr, satellite.pm_mas_yr)
@@ -127,14 +131,16 @@ def _out_of_bounds(position_mas: float, motion_mas_yr: float) -> str:
 
 
 def _check_method(point: Point, objects: Catalogue | None) -> str | None:
-    """Projected errors need a fixed design; what is near the limit is told by the catalogue when it is drawn."""
+    """Return why the method cannot be used: projected errors need a fixed design.  Near the limit only the drawn
+    catalogue decides.
+    """
     if point["method"] == "catalogue":
         return None
     if zonal_errors(point) is not None:
         return "method = 'projected' needs errors that are independent from object to object, and zonal ones are not"
     for side in SIDES:
         if point[f"{side}_error_ratio"] != 1.0:
-            return f"method = 'projected' needs errors that are as large as they weigh: {side}_error_ratio = 1"
+            return f"method = 'projected' needs true errors that equal those in the weights: {side}_error_ratio = 1"
     if objects is not None and any(error_model(point, side).correlation(objects) is not None for side in SIDES):
         return "method = 'projected' needs uncorrelated errors, and those of the file are correlated"
     if objects is None:

@@ -17,7 +17,7 @@ ARCSEC = DEGREE / 3600.0
 
 
 def _galactic_axes() -> NDArray[np.float64]:
-    """Rows: the Galactic x, y, z axes in ICRS coordinates; shape (3, 3).
+    """Return the Galactic x, y and z axes in ICRS coordinates as rows; shape (3, 3).
 
     Source: ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, sect. 1.5.3: pole at (192.85948, 27.12825) deg,
     longitude of the ascending node of the Galactic plane on the equator 32.93192 deg.
@@ -31,4 +31,4 @@ def _galactic_axes() -> NDArray[np.float64]:
 
 
 GALACTIC_AXES = _galactic_axes()
-"""Matrix that takes an ICRS vector to Galactic axes; shape (3, 3)."""
+"""Matrix that rotates an ICRS vector to Galactic axes; shape (3, 3)."""

@@ -1,8 +1,8 @@
 """The galaxy search: matches of a star catalogue with galaxy catalogues on the sphere, and how sure each one is.
 
 All positions are for one epoch (`core.sky_pairs.at_epoch`).  Every star-galaxy pair within a catalogue's radius is
-found (`core.sky_pairs`), entries that are one galaxy are merged (`core.galaxy_merge`), what is left is resolved one to
-one, closest pair first, and each match is classed (`core.galaxy_classes`).
+found (`core.sky_pairs`), entries that are one galaxy are merged (`core.galaxy_merge`), the rest is resolved one to one,
+closest pair first, and each match is classified (`core.galaxy_classes`).
 
 Source: Metz & Geffert 2004, Sect. 3.
 """
@@ -58,8 +58,8 @@ def cross_match(
     """Return the one-to-one matches of stars with galaxies, with their class.
 
     All positions are for one epoch.  ``supplement`` (N,) marks stars of the supplement, which match like the others.
-    The result does not depend on the order of rows: pairs at equal offset go by the catalogue's place, then by
-    position and identifier.  Raises ValueError as `pairs_within`.
+    The result does not depend on the order of rows: pairs at equal offset are ordered by the place of their
+    catalogue, then by position and identifier.  Raises ValueError as `pairs_within`.
     """
     rules = rules or Rules()
     star_tree, trees = sky_tree(stars), [sky_tree(c.positions) for c in catalogues]

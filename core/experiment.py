@@ -16,7 +16,7 @@ from core.warn import warn
 from sweep.contract import Experiment, Point, small_sample_factor
 
 MEANS = {"sigma_orientation": ORIENTATION, "sigma_spin": SPIN}
-"""The blocks of unknowns of which the mean variance is a result."""
+"""The blocks of unknowns whose mean variance is a result."""
 
 SUMS: Mapping[str, tuple[int, ...]] = {
     "error": (len(LABELS),),
@@ -37,22 +37,23 @@ SUMS: Mapping[str, tuple[int, ...]] = {
 HARMONICS = 20.0
 
 STACK = 2**17
-"""Objects x realisations of the catalogues that are computed together at most."""
+"""Largest number of objects x realisations in the catalogues that are computed together."""
 
 
 def evaluate(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Return the sums of `SUMS` for one catalogue of each point and ``n_sim`` realisations of its errors, one row a
-    point.
+    """Return the sums of `SUMS` for one catalogue of each point and ``n_sim`` realisations of its errors, one row
+    per point.
     """
     return _by_name(simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng), n_sim)
 
 
 def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[Streams]) -> dict[str, Array]:
-    """Return what `evaluate` returns for a catalogue from each pair of generators, one row a catalogue.
+    """Return what `evaluate` returns for a catalogue from each pair of generators, one row per catalogue.
 
-    Small catalogues of one point are computed together: one by one they would cost many times their random numbers.
+    Small catalogues of one point are computed together: one by one they would take many times as long as their random
+    numbers.
     """
     physics = [scenario(point) for point in points]
     together = max(1, STACK // (catalogue_size(points[0]) * n_sim))
@@ -125,7 +126,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
 
 
 def cost(point: Point) -> float:
-    """Return how many normal deviates one realisation takes; a projected one takes a chi-square for each chunk too.
+    """Return how many normal deviates one realisation takes; the projected method draws a chi-square per chunk too.
 
     A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
     """
@@ -146,8 +147,8 @@ def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:
 
 
 def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
-    """Return the sums of one block, or a stack of them, in the shapes of `SUMS`; errors of a glide that was not solved
-    for, and of what nothing measured determines, are NaN.
+    """Return the sums of one block, or a stack of them, in the shapes of `SUMS`; errors are NaN for a glide that was
+    not solved for and for unknowns that no measured observable determines.
     """
     stack = block.error.shape[:-1]
     glide = squares = np.full((*stack, len(GLIDE_LABELS)), np.nan)
@@ -174,22 +175,22 @@ def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
 
 
 def _correlation(covariance: Array) -> Array:
-    """Return correlations, shape (..., K, K); NaN where something does not scatter."""
+    """Return correlations, shape (..., K, K); NaN where an unknown does not scatter."""
     sigma = np.sqrt(np.maximum(np.einsum("...ii->...i", covariance), 0.0))
     scale = np.divide(1.0, sigma, out=np.full_like(sigma, np.nan), where=sigma > 0.0)
     return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
 
 
 def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Array, n_cat: Array) -> Array:
-    """Return the error of a bias as the mean over all possible catalogues, each of which may have a bias of its own;
-    of one catalogue that of its own bias.  NaN where too few catalogues show how they scatter.
+    """Return the error of a bias taken as the mean over all possible catalogues, each of which may have its own bias;
+    for a single catalogue, the error of its own bias.  NaN where catalogues are too few to show their scatter.
 
-    A batch is what a block has of a catalogue: batches of one catalogue share its bias.  The mean squares between and
-    within batches give the variance of both kinds (nested analysis of variance, e.g. Searle, Casella & McCulloch 1992,
-    Variance Components, Sect. 3.6).
+    A batch is the realisations of a catalogue in one block: batches of one catalogue share its bias.  The mean squares
+    between and within batches give the variance of both kinds (nested analysis of variance, e.g. Searle, Casella &
+    McCulloch 1992, Variance Components, Sect. 3.6).
     """
     batches, each, catalogues = sums["batches"][:, None], n[:, None], n_cat[:, None]
-    between = np.maximum(sums["batch_mean_squares"] / each - bias**2, 0.0)  # over n, as are the next two
+    between = np.maximum(sums["batch_mean_squares"] / each - bias**2, 0.0)  # divided by n, like the next two
     total = np.maximum(variance - bias**2, 0.0)
     within = np.maximum(total - between, 0.0)
     factor = small_sample_factor(catalogues)
@@ -199,7 +200,8 @@ def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Arra
         realisations = within / (each - batches)
         catalogue_scatter = (between - (batches - 1.0) * realisations) / (catalogues - 1.0)
         several_batches = np.maximum(factor * (catalogue_scatter + realisations), realisations)
-        # Batches of one realisation do not show the two apart: then each counts as a catalogue, which is too much.
+        # Batches of one realisation cannot separate the two: then each counts as a catalogue, which gives too large an
+        # error.
         apart = (batches > catalogues) & (each > batches)
         variance_of_mean = np.where(apart, several_batches, one_batch_each)
         return np.sqrt(np.where(catalogues > 1.0, variance_of_mean, one_catalogue))

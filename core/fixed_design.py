@@ -1,9 +1,9 @@
 """The link while its design matrix is that of the true reference: matrix products of unit normals.
 
-With the design a (4N, K) and the misclosure m in units of the weighing sigma, and standardised errors z of the
+With the design a (4N, K) and the misclosure m in units of the sigma of the weights, and standardised errors z of the
 satellite (reference - satellite: the sign is minus), the error of the estimate is b - g^T z with the gain g (4N, K) and
 the bias b = g^T m, and the residuals are r - z + a g^T z with r = m - a b.  So chi2 follows from a^T z, g^T z, m^T z
-and z^T z, and g^T z from a^T z, or for equal weights from (sigma^2 a)^T z: the objects are met only in products with
+and z^T z, and g^T z from a^T z, or for equal weights from (sigma^2 a)^T z: the objects enter only in products with
 the columns [a, m] or [a, sigma^2 a, m], which nested catalogues with the same errors have in common.
 """
 
@@ -40,7 +40,7 @@ class FixedDesign:
     condition_number: Array  # of A^T W A, (...)
 
     def begin(self, rows: int, field: DrawnField | None, shared: SharedSums) -> "FixedSums | OwnFixedSums":
-        """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
+        """Return empty sums of ``rows`` realisations, whose zonal errors are drawn already (``field``)."""
         noise = self.setup.satellite
         if not noise or noise.factor is not None or field is not None:
             return OwnFixedSums(self, np.zeros((*self.setup.stack, self.columns.shape[2], rows)), field)
@@ -106,7 +106,7 @@ class FixedSums:
 
 @dataclass
 class OwnFixedSums:
-    """The same sums for a point by itself: its errors are correlated, have zonal ones beside them, or are none."""
+    """The same sums for a point that cannot share them: its errors are correlated, have zonal ones, or are zero."""
 
     design: FixedDesign
     products: Array
@@ -138,9 +138,9 @@ def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
 
 
 def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign]:
-    """Return the design of each; ask for the largest catalogue first.
+    """Return the design of each setup; that of the largest catalogue should come first.
 
-    The small matrices of designs alike are computed together: one by one they would take longer than the objects of a
+    The small matrices of similar designs are computed together: one by one they would take longer than the objects of a
     small catalogue.  Raises LinkError as `fixed_design`.
     """
     found: dict[int, FixedDesign] = {}
@@ -162,7 +162,7 @@ def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign
 def _matrices(products: Array, design: slice, solving: slice, held: slice) -> tuple[Array, ...]:
     """Return the small matrices of `FixedDesign`, in its order, from the products (..., C, C) of the columns."""
     normal, design_misclosure = products[..., design, design], products[..., design, -1]
-    # of equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
+    # for equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
     solved = products[..., design, solving].copy()
     hold(np.moveaxis(solved, (-2, -1), (0, 1)), held)
     inverse, condition_number = inverse_and_condition(solved)
@@ -190,7 +190,7 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
     unknowns, left_out = len(truth), setup.counted == 0.0
 
     def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array) -> Array:
-        """Return [a, m] without weights: they are the same for all missions."""
+        """Return [a, m] without weights, which are the same for all missions."""
         objects = shared.objects(ra, dec, pmra, pmdec)
         require_off_poles(dec, np.concatenate([here.triad.q[2] for _, here in objects]))
         columns = np.empty((len(ra), 4, unknowns + 1))
@@ -198,7 +198,7 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
             _, derivatives = link_unknowns(scenario.solve_glide, scenario.corrections).derivatives(here)
             misclosure = differences[part].T.copy()
             for value, derivative in zip(truth, derivatives, strict=True):
-                misclosure -= derivative * value  # one by one: a matrix product may round an object by its place
+                misclosure -= derivative * value  # one by one: a matrix product may round by an object's place
             columns[part, :, :unknowns] = np.moveaxis(derivatives, -1, 0).swapaxes(1, 2)
             columns[part, :, unknowns] = misclosure.T
         return columns

@@ -59,13 +59,13 @@ def _cross(a: Array, b: Array) -> Array:
 def along(vector: Array, axes: Array) -> Array:
     """Return the scalar products of one vector (3,) with many, (3, ...).
 
-    Unlike those of a matrix product, the bits of each depend neither on how many there are nor on where it stands.
+    Unlike in a matrix product, the bits of each result depend neither on the number of vectors nor on its place.
     """
     return np.asarray(vector[0] * axes[0] + vector[1] * axes[1] + vector[2] * axes[2])
 
 
 def turned(matrix: Array, vectors: Array) -> Array:
-    """Return ``matrix @ vectors`` of shape (3, ...), each by itself as `along`."""
+    """Return ``matrix @ vectors`` of shape (3, ...), each vector by itself as in `along`."""
     return np.array([along(row, vectors) for row in matrix])
 
 
@@ -97,8 +97,9 @@ def satellite_catalogue(
 ) -> tuple[Array, Array, Array, Array]:
     """Return (ra, dec, pmra, pmdec) of reference objects as measured in the satellite's frame (step B).
 
-    Exact for finite angles: ``r_sat = R^T r_ref``, ``v_sat = R^T (v_ref - omega x r_ref)``, read off on the triad at
-    the new position.  Arrays have shape (N,), radians and rad/yr; ``epsilon`` (rad) and ``omega`` (rad/yr) shape (3,).
+    Exact for finite angles: ``r_sat = R^T r_ref``, ``v_sat = R^T (v_ref - omega x r_ref)``, projected on the triad
+    at the new position.  Arrays have shape (N,), radians and rad/yr; ``epsilon`` (rad) and ``omega`` (rad/yr) shape
+    (3,).
     """
     reference = triad(ra, dec)
     back = rotation_matrix(epsilon).T
@@ -126,7 +127,7 @@ def exact_differences(
     """Return the same observables as `stored_differences`, exact to a relative rounding error; shape (4, N).
 
     No two large angles are subtracted: the displacement is (R^T - I) r, and every difference of angles, lengths and
-    triads is written in terms of it.  ``axes`` is the triad at ra, dec where it is known already.
+    triads is written in terms of it.  ``axes`` is the triad at ra, dec if it is already known.
     """
     p, q, r = axes or triad(ra, dec)
     back_minus_identity = rotation_minus_identity(-epsilon)

@@ -9,7 +9,7 @@ from sweep.contract import Function
 
 
 class CurveError(ValueError):
-    """A curve of a user's has no good value at some magnitude."""
+    """A user's curve has no valid value at some magnitude."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class CurveOfFunction:
     def __call__(self, v_mag: Array) -> Array:
         """Return the function's values."""
         name, shape = self.function.name, np.shape(v_mag)
-        flat = np.array(v_mag, dtype=np.float64).reshape(-1)  # a copy: it is the user's to change
+        flat = np.array(v_mag, dtype=np.float64).reshape(-1)  # a copy: the user's function may change it
         try:
-            with np.errstate(all="ignore"):  # the values are looked at below
+            with np.errstate(all="ignore"):  # the values are checked below
                 returned = self.function(flat.copy())
                 found = np.asarray(returned)
         except (Exception, SystemExit) as error:  # whatever a user's function raises

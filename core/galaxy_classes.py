@@ -1,6 +1,6 @@
 """How sure a match of a star with a galaxy is: the rules of the classes, and how many pairs chance would make.
 
-Source: Metz & Geffert 2004, Sect. 3; the rules stand for its inspection by eye.
+Source: Metz & Geffert 2004, Sect. 3; the rules replace the paper's inspection by eye.
 """
 
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ def classify(
 
 
 def chance_pairs(stars: KDTree, galaxies: KDTree, radius: float, n_pairs: int) -> Chance:
-    """Return what chance makes of two sky trees within ``radius`` (rad), beside the ``n_pairs`` that were found."""
+    """Return the chance pairs of two sky trees within ``radius`` (rad), beside the ``n_pairs`` that were found."""
     inner, outer = (chord(multiple * radius) for multiple in RING)
     in_inner, in_outer = np.asarray(stars.count_neighbors(galaxies, np.array([inner, outer])), dtype=np.float64)
     to_circle = chord(radius) ** 2 / (outer**2 - inner**2)  # the area of a cap is pi chord^2
@@ -80,7 +80,7 @@ def chance_pairs(stars: KDTree, galaxies: KDTree, radius: float, n_pairs: int) -
         pairs=n_pairs,
         uniform=uniform_pairs(stars.n, galaxies.n, radius),
         local=in_ring * to_circle,
-        local_error=float(np.sqrt(max(in_ring, 1.0))) * to_circle,  # none is not known to better than one
+        local_error=float(np.sqrt(max(in_ring, 1.0))) * to_circle,  # at least one pair, also where there is none
     )
 
 

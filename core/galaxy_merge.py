@@ -86,7 +86,7 @@ def _closest_links(links: Sequence[_Links], catalogue: GalaxyCatalogue, known: I
 
 
 def _number_the_rest(label: Indices, identifier: Indices, known: Indices) -> Indices:
-    """Number the entries that are no galaxy yet, in place; return the identifiers of all galaxies."""
+    """Number the entries that have no galaxy yet, in place; return the identifiers of all galaxies."""
     new = np.flatnonzero(label < 0)
     named, nameless = new[identifier[new] > 0], new[identifier[new] == 0]
     names, inverse = np.unique(identifier[named], return_inverse=True)

@@ -34,8 +34,8 @@ def toroidal(degree: int, ra: Array, dec: Array) -> Array:
     """Return the toroidal fields of all degrees from 1 to ``degree``; shape (degree (degree + 2), 2, N).
 
     The fields are those that multiply the coefficients, with components along east and north: T_l0, then 2 Re T_lm
-    and -2 Im T_lm for each order, degree by degree in the order of `terms`.  The spheroidal field of the same term is
-    that turned by 90 deg: `turned`.  ``ra`` and ``dec`` are radians of shape (N,); poles are allowed.
+    and -2 Im T_lm for each order, degree by degree in the order of `terms`.  The spheroidal field of a term is the
+    toroidal one turned by 90 deg: `turned`.  ``ra`` and ``dec`` are radians of shape (N,); poles are allowed.
     Source: Mignard & Klioner 2012, A&A 547, A59, Eqs. 2-8; fully normalised recurrences in the degree.
     """
     fields = np.empty((degree * (degree + 2), 2, len(ra)))
@@ -55,7 +55,7 @@ def fill_toroidal(into: Mapping[int, Array], ra: Array, dec: Array) -> None:
     raised = sin_dec * here
     for degree in range(1, highest + 1):
         if degree > 1:
-            low = orders[: degree - 1]  # from the two degrees below, and the highest order from the one before
+            low = orders[: degree - 1]  # from the two degrees below; the highest order from the degree before
             factor = np.sqrt((4 * degree**2 - 1) / (degree**2 - low**2))[:, None]
             below = np.sqrt(((degree - 1) ** 2 - low**2) / (4 * (degree - 1) ** 2 - 1))[:, None]
             before[: degree - 1] *= -below

@@ -21,7 +21,7 @@ KINDS = (slice(0, 2), slice(2, 4))
 """The observables that are positions, and those that are proper motions."""
 
 SMALLEST_EIGENVALUE = 1e-12
-"""Of a normal matrix scaled to a diagonal of 1, below which the link is rank deficient."""
+"""Eigenvalue of a normal matrix scaled to a diagonal of 1 below which the link is rank deficient."""
 
 
 class LinkError(ValueError):
@@ -49,8 +49,8 @@ def pole_error(item: int, dec: float) -> LinkError:
 
 
 def measured(sigma: Array) -> tuple[bool, bool]:
-    """Return whether positions and proper motions are measured, from combined errors (4, N): a kind that has no error
-    at all beside the other one is not; where nothing has an error, all is.
+    """Return whether positions and proper motions are measured, from combined errors (4, N): if only one kind has
+    errors, the other is not measured; if neither has, both are.
     """
     positions, motions = (bool(np.any(sigma[kind])) for kind in KINDS)
     return positions or not motions, motions or not positions
@@ -60,8 +60,8 @@ def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
     """Return the standard error of the differences, sqrt(ref^2 + sat^2), as the link weighs them; shape (4, N).
 
     Error-free data (all zero) get unit errors of 1 mas and 1 mas/yr, that is equal weights; so does a kind of
-    observable that is not `measured`, which only keeps it finite.  Raises LinkError where an error is negative or not
-    finite, or zero beside non-zero ones of its kind.
+    observable that is not `measured`, only to keep its weights finite.  Raises LinkError where an error is negative or
+    not finite, or zero beside non-zero ones of its kind.
     """
     sigma = np.hypot(sigma_reference, sigma_satellite) if np.any(sigma_reference) else np.abs(sigma_satellite)
     _require(np.isfinite(sigma), "non-finite standard error")
@@ -146,8 +146,8 @@ def solve(design: Array, differences: Array, sigma: Array, weighting: Weighting 
 def hold(normal: Array, held: slice) -> Array:
     """Return normal matrices (K, K, ...) with 1 on the diagonal of unknowns that nothing determines.
 
-    Their rows and columns are zero, so the solution leaves them at zero and the others as they are; nor does a 1 change
-    the ratio of the eigenvalues of the others, whose mean is 1.
+    Their rows and columns are zero, so the solution is zero for them and unchanged for the others.  Nor does the
+    eigenvalue 1 change the condition number: it lies between those of the others, whose mean is 1.
     """
     for k in range(len(normal))[held]:
         normal[k, k] = 1.0
@@ -159,8 +159,8 @@ def inverse_and_condition(normal: Array) -> tuple[Array, Array]:
     the ratio of the largest to the smallest eigenvalue, 1 where the unknowns are independent.
 
     Matrices are scaled to a diagonal of 1 first, so that units do not matter.  For a sky that determines the link the
-    condition is of order 1 and the inverse equals the SVD's to rounding (a test says how well).  Raises LinkError where
-    the smallest eigenvalue of a scaled matrix is not above `SMALLEST_EIGENVALUE`.
+    condition is of order 1 and the inverse equals the SVD's to rounding (a test checks how well).  Raises LinkError
+    where the smallest eigenvalue of a scaled matrix is not above `SMALLEST_EIGENVALUE`.
     """
     scale = _scale(np.einsum("...ii->...i", normal))
     scaled = normal * scale[..., :, None] * scale[..., None, :]
@@ -172,17 +172,17 @@ def inverse_and_condition(normal: Array) -> tuple[Array, Array]:
 def solve_normal(normal: Array, right: Array) -> Array:
     """Return x of ``normal`` x = ``right``, shapes (K, K, ...) and (K, ...), as `inverse_and_condition` would give it.
 
-    All together, elimination without pivots on matrices scaled to a diagonal of 1, which is Cholesky's and as
-    stable.  Raises LinkError as `inverse_and_condition`.  The pivots give the determinant, and since the other
-    eigenvalues cannot multiply to more than (K/(K-1))^(K-1), it bounds the smallest one from below: eigenvalues
-    themselves are only computed where that bound does not decide.
+    All systems are solved together by elimination without pivoting on matrices scaled to a diagonal of 1, which equals
+    Cholesky's method and is as stable.  Raises LinkError as `inverse_and_condition`.  The pivots give the determinant,
+    and since the other eigenvalues cannot multiply to more than (K/(K-1))^(K-1), it bounds the smallest one from below:
+    eigenvalues themselves are only computed where that bound does not decide.
     """
     unknowns = len(normal)
     scale = _scale(np.einsum("kk...->k...", normal))
     scaled = normal * scale[:, None] * scale
     solved = right * scale
     upper = scaled.copy()
-    with np.errstate(all="ignore"):  # a pivot of zero is told from the determinant
+    with np.errstate(all="ignore"):  # a pivot of zero shows in the determinant
         for k in range(unknowns - 1):
             factor = upper[k, k + 1 :] / upper[k, k]
             upper[k + 1 :, k + 1 :] -= factor[:, None] * upper[k, k + 1 :]

@@ -31,14 +31,14 @@ def chunks(n_sim: int) -> Iterator[int]:
 
 
 def tile_objects(rows: int) -> int:
-    """Return how many objects have a tile's normals; of ``rows`` alone, so that a point's tiles are its own."""
+    """Return how many objects a tile holds; it depends on ``rows`` alone, so other points do not change the tiles."""
     return max(1, TILE // (4 * rows))
 
 
 @dataclass(frozen=True)
 class Tile:
-    """Unit normals (..., objects, 4, rows) of the objects from ``start`` on, one side's; of a stack of catalogues the
-    first axis is that of these.
+    """Unit normals (..., objects, 4, rows) of one side, for the objects from ``start`` on; for a stack of catalogues
+    the first axis is that of the catalogues.
     """
 
     start: int
@@ -54,7 +54,7 @@ def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: i
     valid until the next one.
     """
     objects = tile_objects(rows)
-    # of the full size even for few objects: where an array begins must not depend on who shares it
+    # full size even for few objects: where an array begins in memory must not depend on the points that share it
     buffer = np.empty((*stack, min(objects, n_obj) if stack else objects, 4, rows))
     for start in range(0, n_obj, objects):
         part = buffer[..., : n_obj - start, :, :]
@@ -67,7 +67,7 @@ def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: i
 class Noise:
     """True errors of one side: standard errors (N, 4) and, where they are correlated, Cholesky factors (N, 4, 4).
 
-    They are ``inflation`` times the errors that weigh.  A ``field`` has further errors, which objects share.
+    They are ``inflation`` times the errors in the weights.  A ``field`` has further errors, which objects share.
     """
 
     sigma: Array
@@ -93,7 +93,7 @@ class Noise:
         return replace(self, sigma=factor * self.sigma, inflation=factor * self.inflation)
 
     def with_zonal(self, errors: ZonalErrors | None, catalogue: Catalogue) -> "Noise":
-        """Return them with zonal errors of the objects of a catalogue."""
+        """Return these errors with zonal errors of the objects of a catalogue added."""
         return self if errors is None else replace(self, field=Field(errors, catalogue.ra, catalogue.dec))
 
     def __bool__(self) -> bool:
@@ -105,12 +105,12 @@ class Noise:
 
     @property
     def as_weighed(self) -> bool:
-        """Whether all errors are independent and as large as they weigh."""
+        """Whether all errors are independent and equal to those in the weights."""
         return self.factor is None and self.field is None and self.inflation == 1.0
 
     @property
     def ratio(self) -> float:
-        """The errors of single objects over those that weigh; 0 where only a field has any."""
+        """The errors of single objects over those in the weights; 0 where only a field has errors."""
         return self.inflation if self._any else 0.0
 
     def draw_field(self, rows: int, rng: np.random.Generator) -> DrawnField | None:

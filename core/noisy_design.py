@@ -14,17 +14,17 @@ ELEMENTS = 8192
 """Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core."""
 
 SMALL_ANGLE = 1e-3
-"""Rad below which two terms of the series of sin x and 1 - cos x are exact to rounding: x^5/120 and x^6/720 are below
-1e-17.
+"""Angle (rad) below which two terms of the series of sin x and 1 - cos x are exact to rounding: x^5/120 and x^6/720 are
+below 1e-17.
 """
 
 FARTHEST = 10.0
-"""Sigma; a normal deviate beyond has a probability of 1e-23."""
+"""Largest normal deviate that is expected, in sigma; one beyond has a probability of 1e-23."""
 
 
 class FullPath:
-    """The link of a catalogue, or a stack of them, whose reference has errors; arrays (..., N, 1) and (..., N, 4, 1)
-    stand beside (..., N, 4, rows).
+    """The link of a catalogue, or a stack of them, whose reference has errors; its arrays (..., N, 1) and (..., N, 4,
+    1) broadcast against (..., N, 4, rows).
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -45,11 +45,11 @@ class FullPath:
         counted = setup.counted[:, None]
         inverse_variance *= counted
         equal = setup.scenario.weighting == "equal"
-        # the weights of the solution, then those of chi2 where they are others
+        # the weights of the solution, then those of chi2 where they differ
         self.weights = [np.ones_like(inverse_variance) * counted, inverse_variance] if equal else [inverse_variance]
 
     def begin(self, rows: int, field: DrawnField | None = None) -> "FullSums":
-        """Return empty sums of ``rows`` realisations, of which the satellite's zonal errors are drawn."""
+        """Return empty sums of ``rows`` realisations, whose zonal errors are drawn already (``field``)."""
         return FullSums(self, rows, field)
 
 
@@ -61,7 +61,7 @@ class FullSums:
         self.path, self.field = path, field
         self.objects = min(max(1, ELEMENTS // rows), n_obj)
         self.squares = np.zeros(stack)
-        # written to again and again: temporary arrays would cost more than the arithmetic
+        # reused for all objects: temporary arrays would cost more than the arithmetic
         self.errors = np.empty((3, *stack, self.objects, 4, rows))
         self.seen = np.empty((len(Seen._fields), *stack, self.objects, rows))
         self.scratch = np.empty((3, *stack, self.objects, rows))
@@ -70,7 +70,7 @@ class FullSums:
         self.sums = [NormalSums(self.objects, rows, turns, scenario.solve_glide, stack) for _ in path.weights]
 
     def add(self, satellite: Tile | None, reference: Tile | None) -> None:
-        """Add the objects of a tile, the same on both sides; a side without errors may have none."""
+        """Add the objects of a tile, the same on both sides; None for a side without errors."""
         n_obj = self.path.setup.n_obj
         if reference is None:
             return
@@ -140,7 +140,7 @@ class FullSums:
         return seen
 
     def _subtract_truth(self, seen: Seen, misclosure: Array) -> None:
-        """Subtract A truth, A the noisy design, so that the solution is estimate - truth."""
+        """Subtract A times the truth, A the noisy design, so that the solution is estimate - truth."""
         scenario, truth = self.path.setup.scenario, self.path.setup.truth
         turn, work = self.scratch[:2, ..., : misclosure.shape[-3], :]
         ra, dec, pmra, pmdec = (misclosure[..., k, :] for k in range(4))
@@ -170,7 +170,7 @@ class FullSums:
 
 
 def _turn(sin: Array, cos: Array, angle: Array, scratch: Array, sin_out: Array, cos_out: Array) -> None:
-    """Write sin and cos of the sum of an angle and one below `SMALL_ANGLE`, by the addition theorem."""
+    """Write sin and cos of the sum of two angles by the addition theorem; ``angle`` is below `SMALL_ANGLE`."""
     small_sin, minus = scratch  # sin of the small angle, and its cos - 1
     np.multiply(angle, angle, out=small_sin)
     np.multiply(small_sin, 1.0 / 24.0, out=minus)

@@ -1,8 +1,9 @@
 """Normal equations added up over objects, for many realisations at once, without their design matrices.
 
-With s, c of ra and S, C of dec (p = (-s, c, 0), q = (-S c, -S s, C), eta = (c, s, 0)/C) the entries of q q^T and p p^T
-are linear in 1 and seven products of these, those of q p^T in five more.  One matrix product with the weights of the
-four observables gives all blocks that proper motions do not enter; those of A21 take a few sums of products.
+With sin and cos s, c of ra and S, C of dec (p = (-s, c, 0), q = (-S c, -S s, C), eta = (c, s, 0)/C), the entries of
+q q^T and p p^T are linear in 1 and seven products of these; those of q p^T need five more.  One matrix product with the
+weights of the four observables gives all blocks that proper motions do not enter; the terms A21 take a few sums of
+products.
 """
 
 from typing import NamedTuple
@@ -18,8 +19,8 @@ Z = 2
 
 
 class Seen(NamedTuple):
-    """Noisy reference objects, each (..., m, rows): sin and cos of ra and dec, proper motions, and these over cos
-    dec.
+    """Noisy reference objects, each (..., m, rows): sin and cos of ra and dec, proper motions, and these divided by
+    cos dec.
     """
 
     s: Array
@@ -44,7 +45,7 @@ class NormalSums:
         self.products = np.empty((12 if glide else 7, *stack, objects, rows))
         self.product_sums = np.zeros((len(self.products), *stack, 4, rows))
         self.scratch = np.empty((4, *stack, objects, rows))
-        # upper rows of A^T W A, those of epsilon, as far as A21 adds to it
+        # what A21 adds to the upper rows of A^T W A, those of epsilon
         self.turns = np.zeros((ORIENTATION.stop, unknowns, *stack, rows))
         self.right = np.zeros((unknowns, *stack, rows))
 

@@ -1,9 +1,9 @@
-"""What comes out of a study of the link: names, units and meanings, nothing else."""
+"""The outputs of a study of the link: names, units and meanings, nothing else."""
 
 from sweep.contract import Output
 
 UNITS = ("mas",) * 3 + ("mas / yr",) * 3
-# Without slashes: astropy warns of several in one string.
+# No slashes: astropy warns about several in one string.
 _EACH = "mas, mas, mas, mas yr-1, mas yr-1, mas yr-1"
 _TOP = "(mas2, mas2, mas2, mas2 yr-1, mas2 yr-1, mas2 yr-1)"
 _BOTTOM = "(mas2 yr-1, mas2 yr-1, mas2 yr-1, mas2 yr-2, mas2 yr-2, mas2 yr-2)"
@@ -17,8 +17,8 @@ def _with_errors(
     prediction = f"closed-form prediction of {name} for the same catalogues"
     beside = {
         "mc_error": f"Monte-Carlo error of {name}, sigma/sqrt(2 n)",
-        "predicted": f"{prediction}, of the errors alone: without a bias",
-        "rms_predicted": f"{prediction}, errors and bias: all of it",
+        "predicted": f"{prediction}, from the errors alone, without the bias",
+        "rms_predicted": f"{prediction}, from errors and bias together",
         "catalogue_error": f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; "
         "NaN below 5",
     }
@@ -54,14 +54,14 @@ OUTPUTS = (
     Output(
         "bias_predicted",
         _EACH,
-        "closed-form prediction of bias for the same catalogues: what aberration or terms left out make",
+        "closed-form prediction of bias for the same catalogues: the effect of aberration or of terms left out",
         _COMPONENT,
         nan=True,
     ),
     Output(
         "bias_mc_error",
         _EACH,
-        "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of one; NaN for 2 to 4",
+        "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of a single one; NaN for 2 to 4",
         _COMPONENT,
         nan=True,
     ),

@@ -1,4 +1,4 @@
-"""What a study of the link can set: names, units, defaults and meanings, nothing else."""
+"""The parameters that a study of the link can set: names, units, defaults and meanings, nothing else."""
 
 from collections.abc import Iterable
 
@@ -146,12 +146,14 @@ PARAMETERS = (
         ("fixed", "random"),
     ),
     Parameter("aberration", "bool", False, "add a glide to the satellite's proper motions (Galactic aberration)"),
-    Parameter("glide", "vector", None, "that glide; default: 4 uas/yr towards the Galactic centre", "uas / yr"),
+    Parameter(
+        "glide", "vector", None, "glide added by aberration; default: 4 uas/yr towards the Galactic centre", "uas / yr"
+    ),
     # systematics
     _number(
         "satellite_floor_pos",
         0.0,
-        "noise floor in the satellite's position errors, in quadrature and after all scales",
+        "noise floor in the satellite's position errors, added in quadrature after all scales",
         "mas",
     ),
     _number("satellite_floor_pm", 0.0, "noise floor in the satellite's proper-motion errors", "mas / yr"),
@@ -160,21 +162,21 @@ PARAMETERS = (
     _positive(
         "satellite_error_ratio",
         1.0,
-        "true errors of the satellite over those that weigh: 2 where they are underestimated by a factor 2",
+        "true errors of the satellite over those in the weights: 2 where they are underestimated by a factor 2",
         maximum=100.0,
     ),
-    _positive("reference_error_ratio", 1.0, "true errors of the reference over those that weigh", maximum=100.0),
+    _positive("reference_error_ratio", 1.0, "true errors of the reference over those in the weights", maximum=100.0),
     _number(
         "zonal_pos",
         0.0,
-        "RMS per coordinate of errors of the satellite's positions that neighbours on the sky share; they do not weigh",
+        "RMS per coordinate of satellite position errors that neighbours on the sky share, not in the weights",
         "mas",
     ),
     _number("zonal_pm", 0.0, "RMS per coordinate of such errors of the satellite's proper motions", "mas / yr"),
     _number(
         "zonal_length",
         30.0,
-        "width of the Gaussian by which zonal errors are correlated over angular distance",
+        "width of the Gaussian correlation of zonal errors over angular distance",
         "deg",
         6.0,
         180.0,
@@ -228,32 +230,32 @@ PARAMETERS = (
     _choice(
         "method",
         "catalogue",
-        "what is drawn: errors of every object, or projected, what the link makes of them, at a cost without n_obj",
+        "what is drawn: the errors of every object, or (projected) their effect on the link, at a cost without n_obj",
         ("catalogue", "projected"),
     ),
 )
 
 SHARED = (
-    # What is made of the normals: gains, weights and units of the errors.
+    # These change what is computed from the normals: gains, weights and units of the errors.
     *("model", "mission_length", "error_scale", "satellite_error_scale", "reference_error_scale"),
     *("satellite_sigma_pos", "satellite_sigma_pm", "reference_sigma_pos", "reference_sigma_pm"),
     *("corrections", "weighting", "solve_glide", "arithmetic"),
-    # Each side's normals are a stream of its own, so one side without errors leaves the other's as they are.
+    # Each side draws its normals from its own stream, so a side without errors does not change those of the other.
     *("satellite_errors", "reference_errors"),
-    # The truth draws nothing but its directions, from a stream beside that of the catalogue.
+    # The truth draws only its directions, from another stream than the catalogue.
     *("epsilon", "omega", "epsilon_size", "omega_size", "directions", "aberration", "glide"),
     *("omega_slope", "omega_slope_size", "magnitude_equation_pmra", "magnitude_equation_pmdec", "v_zero"),
     *("motion_field", "motion_field_size"),
     *("satellite_floor_pos", "satellite_floor_pm", "reference_floor_pos", "reference_floor_pm"),
     *("satellite_error_ratio", "reference_error_ratio"),
-    # Zonal errors are a stream of their own, and those of a wider kernel its beginning.
+    # Zonal errors have their own stream; those of a wider kernel use its first numbers.
     *("zonal_pos", "zonal_pm", "zonal_length"),
     # The same uniform numbers become other positions, magnitudes or motions of the same objects.
     *("v_min", "mean_pm", "pm_distribution", "zone_of_avoidance", "sky_contrast"),
-    # Quasars of a brighter limit (at half magnitudes) are the first of a fainter one; others only change magnitudes,
-    # and a file's are the same rows.
+    # Quasars to a brighter limit (at half magnitudes) are the first of those to a fainter one; in other catalogues only
+    # magnitudes change, and a file gives some of the same rows.
     "v_max",
-    # Not: catalogue, n_obj, counts, positions, file, columns, units, pmra_cos_dec, which make other objects of the same
-    # numbers, so that nothing is common to compare; and method, which draws others.
+    # Not shared: catalogue, n_obj, counts, positions, file, columns, units, pmra_cos_dec, which make other objects from
+    # the same numbers, so that nothing is left to compare; and method, which draws other numbers.
 )
-"""Parameters whose values do not change the random numbers of a block, only what is made of them."""
+"""Parameters whose values do not change the random numbers of a block, only what is computed from them."""

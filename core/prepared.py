@@ -43,9 +43,9 @@ class Scenario:
     """One point's physics: how a catalogue is drawn, its errors, the truth (rad, rad/yr) and how the link is solved.
 
     ``aberration`` is a glide (rad/yr) added to the satellite's proper motions; ``solve_glide`` adds it to the unknowns.
-    ``method`` says whether the errors of every object are drawn or what the link makes of them.  The true errors of a
-    side are its ``error_ratio`` times those of its model, which weigh; ``zonal`` are further errors of the satellite,
-    and ``systematics`` what is wrong in proper motions beside them.
+    ``method`` says whether the errors of every object are drawn or their effect on the link.  The true errors of a side
+    are its ``error_ratio`` times those of its model, which give the weights; ``zonal`` are further errors of the
+    satellite, and ``systematics`` are errors of proper motions that are the same in all realisations.
     """
 
     draw_catalogue: Callable[[np.random.Generator], Catalogue]
@@ -74,7 +74,7 @@ class Scenario:
 class Setup:
     """What all realisations of one catalogue share, in rad and rad/yr; K unknowns, N objects.
 
-    Of a ``stack`` of catalogues the objects of one stand after those of the other, and the truth is the same for all.
+    In a ``stack`` of catalogues the objects of one follow those of the one before, and the truth is the same for all.
     """
 
     scenario: Scenario
@@ -89,11 +89,11 @@ class Setup:
 
     @property
     def n_obj(self) -> int:
-        """The objects of one catalogue."""
+        """The number of objects of one catalogue."""
         return len(self.catalogue) // math.prod(self.stack)
 
     def stacked(self, rows: Array) -> Array:
-        """Return an array whose first axis is that of all objects with that of the catalogues before it."""
+        """Return an array over all objects with its first axis split into catalogues and objects."""
         return rows.reshape(*self.stack, self.n_obj, *rows.shape[1:])
 
     @property
@@ -109,7 +109,7 @@ class Setup:
 
     @property
     def held(self) -> slice:
-        """The unknowns that nothing measured determines, which stay at their true values."""
+        """The unknowns that no measured observable determines, which stay at their true values."""
         positions, motions = self.measured
         return slice(SPIN.start if positions else ORIENTATION.start, SPIN.start if motions else len(self.truth))
 
@@ -131,7 +131,7 @@ class Draw:
 
 def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
     """Return the errors and differences of the objects; raises LinkError where these cannot be weighed, UnlikeError
-    for a stack of which some catalogues have errors that others have not, or of correlated errors.
+    for a stack in which only some catalogues have errors, or errors are correlated.
     """
     catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
     reference = Noise.of(scenario.reference_errors, catalogue, shared)
@@ -157,12 +157,12 @@ def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
 
 
 def _weighing(reference: Array, satellite: Array, shared: Prefixes) -> tuple[Array, tuple[bool, bool]]:
-    """Return the errors that weigh, (N, 4), and whether positions and proper motions are measured."""
+    """Return the errors for the weights, (N, 4), and whether positions and proper motions are measured."""
 
     def combine(*sides: Array) -> Array:
         return np.ascontiguousarray(combined_error(*(side.T for side in sides)).T)
 
-    if np.all(satellite > 0.0):  # what an object gets depends on no other one then
+    if np.all(satellite > 0.0):  # then the result of an object depends on no other one
         return shared.once("combined errors", combine, reference, satellite), (True, True)
     return combine(reference, satellite), measured(reference.T + satellite.T)
 
@@ -181,13 +181,13 @@ def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
             else:
                 found[part] = stored_differences(*observed, epsilon, omega).T
             if np.any(glide):
-                found[part, 2] -= along(glide, here.triad.p)  # it is in the satellite's motions
+                found[part, 2] -= along(glide, here.triad.p)  # minus: the glide is in the satellite's motions
                 found[part, 3] -= along(glide, here.triad.q)
             if systematics:
                 found[part, 2:] += systematics.differences(here.ra, here.dec, *(v[part] for v in v_mag)).T
         return found
 
     settings = "differences", scenario.arithmetic, vectors.tobytes(), systematics
-    # magnitudes only where they matter: others of the same objects do not keep them from being shared
+    # magnitudes only where they matter, so that objects that differ in nothing else are shared
     v_mag = (catalogue.v_mag,) if systematics.of_magnitude else ()
     return shared.once(settings, compute, catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec, *v_mag)

@@ -1,12 +1,12 @@
-"""The projected method: what the link makes of the errors is drawn, not the errors of every object.
+"""The projected method: the effect of the errors on the link is drawn, not the errors of every object.
 
 With the columns P (4N, C) of the fixed design, estimate and chi2 of a realisation follow from P^T z and z^T z of its
-4N unit normals z.  With P = Q R, Q of orthonormal columns, u = Q^T z are unit normals, P^T z = R^T u, and the square of
-what z has outside of Q is an independent chi-square of 4N - C degrees of freedom.  So C normals and a chi-square have
-exactly the distribution of 4N normals, whatever N.
+4N unit normals z.  With P = Q R, Q of orthonormal columns, u = Q^T z are unit normals, P^T z = R^T u, and the squared
+length of z outside the columns of Q is an independent chi-square of 4N - C degrees of freedom.  So C normals and a
+chi-square have exactly the distribution of 4N normals, whatever N.
 
-That needs normal, uncorrelated errors and a fixed design.  Where the reference has errors the design changes with
-them, which is left out here: `neglected` bounds how much that is.
+This needs normal, uncorrelated errors and a fixed design.  Where the reference has errors the design changes with
+them, which is neglected here: `neglected` bounds the effect.
 """
 
 import numpy as np
@@ -18,8 +18,8 @@ from core.link import LinkError
 from core.shared_arrays import parts
 
 LARGEST_NEGLECT = 0.01
-"""Of sigma, for the bound of `neglected`.  What it bounds has been 13 to 75 times smaller where it was tried: under the
-Monte-Carlo error of a million realisations.
+"""Largest bound of `neglected` that is allowed, as a fraction of sigma.  Where it was tried, the effect was 13 to 75
+times smaller than the bound: below the Monte-Carlo error of a million realisations.
 """
 
 
@@ -31,7 +31,7 @@ class Projected:
         if setup.reference.factor is not None or setup.satellite.factor is not None:
             raise LinkError("the projected method needs uncorrelated errors: otherwise chi2 has no chi-square law")
         if not (setup.reference.as_weighed and setup.satellite.as_weighed):
-            raise LinkError("the projected method needs errors that are as large as they weigh, and no zonal ones")
+            raise LinkError("the projected method needs true errors that equal those in the weights, and no zonal ones")
         worst = float(np.max(neglected(design)))
         if worst > LARGEST_NEGLECT:
             raise LinkError(
@@ -51,13 +51,13 @@ class Projected:
             return Drawn(*self.design.solved(np.zeros((self.triangle.shape[1], rows)), 0.0))
         normals = rng.standard_normal((rows, len(self.triangle))).T
         outside = self.design.columns[:, self.design.setup.observables, 0].size - len(self.triangle)
-        # only the sum over the realisations is asked for, and that of chi-squares is one too
+        # only the sum over the realisations is needed, and a sum of chi-squares is a chi-square too
         squares = float(np.vdot(normals, normals)) + (rng.chisquare(rows * outside) if outside else 0.0)
         return Drawn(*self.design.solved(self.triangle.T @ normals, squares))
 
 
 class Drawn:
-    """Realisations that are there already: objects are not asked for."""
+    """Realisations that are drawn already, without objects."""
 
     def __init__(self, error: Array, chi2: Array) -> None:
         self.result = error, chi2
@@ -70,11 +70,12 @@ class Drawn:
 def neglected(design: FixedDesign) -> Array:
     """Return a bound, in units of sigma, of the RMS error of each unknown from the fixed design; shape (K,).
 
-    Of first order in the change D of the design with the errors of the reference: with the gain (A^T W A)^-1 A^T W the
-    estimate changes by (A^T W A)^-1 (D^T W e - A^T W D x), e the errors and residuals, x truth and error of the
-    estimate.  Its mean is that of the one product of an error with itself, e_ra and the turn of q with ra.  Its scatter
-    is bounded by the squared norms of both terms, added up over objects for orientation, spin and glide, with the rows
-    of (A^T W A)^-1 (Cauchy and Schwarz); E(a b)^2 <= 3 E a^2 E b^2 for normal a and b.
+    It is of first order in the change D of the design with the errors of the reference: with the gain (A^T W A)^-1 A^T
+    W the estimate changes by (A^T W A)^-1 (D^T W e - A^T W D x), where e are errors and residuals and x is truth plus
+    error of the estimate.  The mean of this change comes from the only product of an error with itself, e_ra and the
+    turn of q with ra.  Its scatter is bounded by the squared norms of both terms, added up over objects for
+    orientation, spin and glide, with the rows of (A^T W A)^-1 (Cauchy and Schwarz); E(a b)^2 <= 3 E a^2 E b^2 for
+    normal a and b.
     """
     setup, unknowns = design.setup, len(design.bias)
     if not setup.reference:

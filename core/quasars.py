@@ -13,7 +13,7 @@ COUNT = np.array([28, 49, 88, 163, 315, 624, 1156, 2056, 3453, 5542, 8095, 11442
 """Quasars brighter than each of `V_MAX`.  Source: Metz & Geffert 2004, Table 1 (from Veron-Cetty & Veron 2001)."""
 
 BRIGHTEST_MAG = 12.8
-"""Where the counts end; 3C 273 has V = 12.9."""
+"""Bright end of the counts; 3C 273 has V = 12.9."""
 
 _COMPLETENESS = ((16.5, 0.57), (19.0, 0.054))
 """Fraction of all quasars brighter than V that the catalogue holds.  Source: Metz & Geffert 2004, Sect. 5.1 (57 +- 16
@@ -40,7 +40,7 @@ def quasar_count(v_max: float, completed: bool = False) -> int:
 def completeness(v_max: float) -> float:
     """Return which fraction of the quasars brighter than ``v_max`` the paper's catalogue holds.
 
-    Log-linear through the two values of the paper, on both sides too, and at most 1: everything brighter than V = 15.9
+    Log-linear through the two values of the paper, also beyond them, and at most 1: everything brighter than V = 15.9
     is known.  At V = 20 this gives 2.1 % of 740 000 quasars; the paper speaks of about 500 000 for GAIA.
     """
     (bright, f_bright), (faint, f_faint) = _COMPLETENESS

@@ -42,6 +42,6 @@ RADIO_STARS = RadioStars(*(np.array(column) for column in zip(*_ROWS, strict=Tru
 """The 11 stars; ICRS positions, VLBI proper motions.
 
 Source: Lestrade et al. 1999, A&A 344, 1014 (VLBI proper motions and errors); V from the Hipparcos Catalogue (ESA 1997),
-as Metz & Geffert 2004, Sect. 5.3, say they took it.  Algol's row and all V are from compilations of the Hipparcos era
+as Metz & Geffert 2004, Sect. 5.3, say they did.  Algol's row and all V are from compilations of the Hipparcos era
 and were not confirmed in print.
 """

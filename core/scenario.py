@@ -1,4 +1,4 @@
-"""From a point's parameters to the physics of it: catalogue, errors, truth and solution; and the errors to be expected
+"""The physics of a point, from its parameters: catalogue, errors, truth and solution; and the errors to be expected
 before any catalogue is drawn, at the cost of a few multiplications.
 """
 
@@ -19,8 +19,8 @@ from core.zonal import ZonalErrors
 from sweep.contract import Point
 
 GALACTIC_GLIDE_UAS_YR = 4.0
-"""Towards the Galactic centre.  Source: Kovalevsky 2003, as Metz & Geffert 2004, Sect. 5.1; measured since: 5.05
-(Gaia EDR3).
+"""Glide towards the Galactic centre.  Source: Kovalevsky 2003, as quoted by Metz & Geffert 2004, Sect. 5.1; Gaia EDR3
+has since measured 5.05.
 """
 
 
@@ -55,7 +55,7 @@ def zonal_errors(point: Point) -> ZonalErrors | None:
 
 
 def systematics(point: Point) -> Systematics:
-    """Return what is wrong in the proper motions of a point; raises ValueError for a field that is none."""
+    """Return the systematic errors of the proper motions at a point; raises ValueError for an invalid motion_field."""
     return Systematics(
         omega_slope=_radians(point["omega_slope"], point["omega_slope_size"]),
         magnitude_equation=(point["magnitude_equation_pmra"] * MAS, point["magnitude_equation_pmdec"] * MAS),
@@ -83,18 +83,18 @@ def error_model(point: Point, side: str) -> ErrorModel:
 
 def catalogue_size(point: Point) -> int:
     """Return the number of objects of a point's catalogue."""
-    n_obj = point["n_obj"]  # first: the kind does not matter where it is given
+    n_obj = point["n_obj"]  # first: where it is given, the kind does not matter
     return catalogue_kind(point).size(point) if n_obj is None else int(n_obj)
 
 
 def own_objects(point: Point) -> Catalogue | None:
-    """Return the objects of a catalogue that is given as such, None for one that is drawn from a law."""
+    """Return the objects of a catalogue that lists them, None for one that is drawn from a law."""
     return catalogue_kind(point).objects(point)
 
 
 def errors_at_limit(point: Point, side: str) -> Errors:
-    """Return the errors of one side, "reference" or "satellite", for an object at the limit of a catalogue that is
-    drawn.
+    """Return the errors of one side, "reference" or "satellite", for an object at the faint limit of a catalogue
+    that is drawn.
     """
     kind = error_kind(point, side)
     errors = kind.errors_at(point, side, lambda: catalogue_kind(point).magnitudes(point)[1])
@@ -104,7 +104,7 @@ def errors_at_limit(point: Point, side: str) -> Errors:
 
 def errors_of_objects(point: Point, objects: Catalogue) -> tuple[Array, Array]:
     """Return the errors (mas, mas/yr) of the reference and the satellite for objects, shape (4, N) each."""
-    with np.errstate(over="ignore"):  # a curve far beyond its range is infinite, and refused for that
+    with np.errstate(over="ignore"):  # far beyond its range a curve is infinite, which is refused later
         reference, satellite = (error_model(point, side).standard_errors(objects) / MAS for side in SIDES)
     return reference, satellite
 

@@ -1,8 +1,8 @@
 """What points of one block have in common, found by content: arrays over objects that begin with the same objects.
 
-Common random numbers give catalogues that are nested and missions that see the same sky.  What follows for an object
-from that object alone, to the last bit, is computed for the largest catalogue, and the others have the beginning of it:
-the same memory, by which sums over objects know each other too.
+Common random numbers give catalogues that are nested and missions that see the same sky.  What depends on an object
+alone, to the last bit, is computed for the largest catalogue, and the others use the beginning of that array: the same
+memory, by which common sums over objects are recognised too.
 """
 
 from collections.abc import Callable, Hashable
@@ -25,7 +25,7 @@ def parts(n_obj: int, size: int = PART) -> list[slice]:
 
 
 def origin(rows: Array) -> Hashable:
-    """Return what tells an array from all that are alive and contiguous and do not begin as it does, in memory."""
+    """Return what contiguous arrays in use have in common only if they begin at the same place in memory."""
     return rows.__array_interface__["data"][0], rows.shape[1:]
 
 
@@ -40,8 +40,8 @@ class Prefixes:
     def once(self, settings: Hashable, compute: Callable[..., Array], *objects: Array) -> Array:
         """Return ``compute(*objects)``, arrays whose first axis is that of the objects.
 
-        ``settings`` say which computation it is; what a row of the result is may only depend on them and on that row of
-        the arguments.
+        ``settings`` identify the computation; a row of the result may only depend on them and on that row of the
+        arguments.
         """
         known, origins = self._known.setdefault(settings, []), [origin(rows) for rows in objects]
         n_obj = len(objects[0])
@@ -54,7 +54,7 @@ class Prefixes:
         return result
 
     def objects(self, ra: Array, dec: Array, pmra: Array, pmdec: Array) -> list[tuple[slice, Objects]]:
-        """Return the parts of a catalogue and the objects in each, once for all who ask."""
+        """Return the parts of a catalogue and the objects in each, made once for all callers."""
         key = tuple((origin(column), len(column)) for column in (ra, dec, pmra, pmdec))
         if key not in self._objects:
             slices = parts(len(ra), PREPARED)
@@ -64,7 +64,7 @@ class Prefixes:
     def products(self, columns: Array) -> Array:
         """Return the sum over objects and observables of the products of columns (..., N, 4, C); shape (..., C, C).
 
-        It is added up part by part, and a part is multiplied once for all that have it.
+        It is added up part by part, and a part is multiplied once for all columns that begin there.
         """
         *stack, n_obj, _, number = columns.shape
         total = np.zeros((*stack, number, number))

@@ -1,7 +1,7 @@
 """Sums over objects that the points of a block have in common.
 
-Catalogues that are the beginning of each other, with the same errors, make the same of the normals.  It is added up
-once, tile by tile, and each catalogue takes the sum as it stands where its objects end.
+Where one catalogue is the beginning of another, with the same errors, the normals of its objects give the same terms.
+These are added up once, tile by tile, and each catalogue takes the sum as it stands where its objects end.
 """
 
 from collections.abc import Callable, Hashable
@@ -12,11 +12,11 @@ from core.arrays import Array
 from core.noise import Tile
 
 Term = Callable[[Array, slice], Array]
-"""What unit normals (..., m, 4, rows) of the objects at a place add to a sum."""
+"""A function that returns what unit normals (..., m, 4, rows) of the objects at a place add to a sum."""
 
 
 class RunningSum:
-    """The sum of a ``term`` over the objects, as it stands after each of the numbers of objects that are asked for."""
+    """The sum of a ``term`` over the objects, kept for each of the numbers of objects that are asked for."""
 
     def __init__(self, term: Term) -> None:
         self._term = term
@@ -25,7 +25,7 @@ class RunningSum:
         self._found: dict[int, Array | float] = {}
 
     def ask(self, n_obj: int, term: Term) -> None:
-        """Ask, before the first tile, for the sum over ``n_obj`` objects; the term of the most is good for all."""
+        """Ask, before the first tile, for the sum over ``n_obj`` objects; the term of the largest serves all."""
         self._asked = sorted({*self._asked, n_obj})
         if n_obj == self._asked[-1]:
             self._term = term
@@ -46,7 +46,7 @@ class RunningSum:
         return np.asarray(self._found[n_obj])
 
     def _with(self, tile: Tile, n_obj: int) -> Array:
-        """Return the total with those of the first ``n_obj`` objects that are in a tile."""
+        """Return the total plus the terms of those of the first ``n_obj`` objects that are in a tile."""
         return self._total + self._term(tile.head(n_obj), slice(tile.start, n_obj))
 
 
@@ -59,7 +59,7 @@ class SharedSums:
     def ask(self, what: Hashable, n_obj: int, term: Term) -> Callable[[], Array]:
         """Ask for the sum of a term over ``n_obj`` objects, and return a function that gives it after the last tile.
 
-        ``what`` tells the term from all that make something else of the same objects.
+        ``what`` identifies the term among those that compute something else from the same objects.
         """
         running = self._sums.setdefault(what, RunningSum(term))
         running.ask(n_obj, term)

@@ -32,8 +32,8 @@ class BlockSums:
     form's ``predicted_variance`` (K,), the squares of its elements and of its mean over orientation and over spin, its
     ``predicted_bias`` (K,) and the squares of that, the condition number of the normal matrix and the number of
     objects.  ``estimates`` (n_sim, K) are the realisations themselves, where they are kept.  ``error`` and
-    ``estimates`` are NaN for unknowns that nothing measured determines, the rest of those is zero.  Of a stack of
-    catalogues all have a leading axis.
+    ``estimates`` are NaN for unknowns that no measured observable determines; their other sums are zero.  For a stack
+    of catalogues all arrays have a leading axis.
     """
 
     error: Array
@@ -58,9 +58,9 @@ def simulate(
     """Draw a catalogue for each scenario, link ``n_sim`` error realisations of it and add up what came out.
 
     ``catalogue_rng`` decides the catalogue (step A) and the truth, ``rng`` the errors (steps C and D): all scenarios
-    start from the same state of the first, and share the normals that streams spawned from the second give (see
-    `core.noise`).  They are drawn once, and what a scenario makes of them does not depend, to the last bit, on which
-    others are there.  Memory does not grow with ``n_sim`` but for estimates that are kept.  Raises LinkError where a
+    start from the same state of the first, and share the normals from streams spawned from the second (see
+    `core.noise`).  These are drawn once, and the sums of a scenario do not depend, to the last bit, on the other
+    scenarios.  Memory does not grow with ``n_sim``, except for estimates that are kept.  Raises LinkError where a
     catalogue does not determine the link.
     """
     return _simulate(scenarios, n_sim, [(rng, catalogue_rng)], (), keep_estimates)
@@ -71,7 +71,7 @@ def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -
     operations on all of them at once.
 
     Raises UnlikeError for catalogues that cannot be computed together (see `can_stack`), and LinkError as `simulate`;
-    the generators are of no use then.
+    the generators cannot be used again then.
     """
     (sums,) = _simulate([scenario], n_sim, streams, (len(streams),), False)
     return sums
@@ -80,8 +80,8 @@ def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -
 def can_stack(scenario: Scenario, n_sim: int) -> bool:
     """Return whether catalogues of a scenario may be computed together.
 
-    Not where each has a truth of its own or draws more than normals, nor where there is a single realisation: sums
-    over objects add up in another order then.
+    They may not where each has its own truth or draws more than normals, nor for a single realisation, because sums
+    over objects would be added in another order.
     """
     draw = scenario.draw_catalogue
     return (
@@ -98,7 +98,7 @@ def can_stack(scenario: Scenario, n_sim: int) -> bool:
 def _simulate(
     scenarios: Sequence[Scenario], n_sim: int, streams: Sequence[Streams], stack: Stack, keep_estimates: bool
 ) -> list[BlockSums]:
-    """Return the sums of each scenario, for a catalogue from the only streams or for a stack from several."""
+    """Return the sums of each scenario, for a catalogue from one pair of streams or a stack from several pairs."""
     points = _points(scenarios, n_sim, [catalogue_rng for _, catalogue_rng in streams], stack, keep_estimates)
     zonal = any(scenario.zonal is not None for scenario in scenarios)
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
@@ -121,7 +121,7 @@ def _simulate(
 
 
 class _Point:
-    """One scenario's way to estimates, and the sums over what came out."""
+    """How one scenario gets its estimates, and the sums over these."""
 
     def __init__(self, design: FixedDesign, n_sim: int, keep_estimates: bool) -> None:
         setup = design.setup
@@ -147,8 +147,9 @@ class _Point:
     def begin(
         self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums
     ) -> FixedSums | OwnFixedSums | FullSums | Drawn:
-        """Return sums of ``rows`` realisations, those that points share asked for; what is projected is drawn from the
-        beginning of the satellite's stream, zonal errors from that of their own, and both are left there for others.
+        """Return sums of ``rows`` realisations, having asked for those that points share; the projected method draws
+        from the beginning of the satellite's stream, zonal errors from that of their own, and both are reset for other
+        points.
         """
         path = self.path
         if isinstance(path, Projected):
@@ -207,7 +208,7 @@ def _points(
     stack: Stack,
     keep_estimates: bool,
 ) -> list[_Point]:
-    """Return each scenario ready, the largest catalogue made so first, since the others may be the beginning of it."""
+    """Return the scenarios, of which the largest is prepared first, since the others may be the beginning of it."""
     drawn, shared = _draws(scenarios, catalogue_rngs, stack), Prefixes()
     order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))
     setups = [prepare(scenarios[k], drawn[k], shared) for k in order]

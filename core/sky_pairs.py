@@ -1,7 +1,7 @@
 """Positions with errors on the sphere: moved to another epoch, paired within a radius, resolved one to one.
 
-Pairs are found with k-d trees of unit vectors.  Angles are radians, objects come first in arrays of directions because
-that is what a tree wants.
+Pairs are found with k-d trees of unit vectors.  Angles are radians, objects come first in arrays of directions, as a
+tree needs them.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from core.frames import position, triad
 MAX_RADIUS = 1.0 * DEGREE
 
 MAX_PAIRS = 2e6
-"""More chance pairs than this within a radius, half a minute of work, are not a search for counterparts."""
+"""Largest number of chance pairs within a radius, half a minute of work: more are no search for counterparts."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ def at_epoch(
 ) -> Positions:
     """Return positions ``years`` later, with their errors, moved on straight lines in space at unknown distance.
 
-    ``pmra`` (with cos dec), ``pmdec`` and their errors in rad/yr, all of shape (N,).  A start from a pole goes the way
-    of the triad there.  Source: ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, Sect. 1.5.5, without parallax
+    ``pmra`` (with cos dec), ``pmdec`` and their errors in rad/yr, all of shape (N,).  At a pole the motion is along the
+    triad there.  Source: ESA 1997, The Hipparcos and Tycho Catalogues, vol. 1, Sect. 1.5.5, without parallax
     and radial velocity.
     """
     p, q, r = triad(positions.ra, positions.dec)
@@ -60,7 +60,7 @@ def at_epoch(
 def sky_tree(positions: Positions) -> KDTree:
     """Return a k-d tree of the unit vectors of N positions.
 
-    Not balanced: twice as fast to build and to search for points that fill a sphere, 2.5 million in 0.7 s.
+    It is not balanced: it is then built and searched twice as fast for points all over a sphere, 2.5 million in 0.7 s.
     """
     vectors = np.ascontiguousarray(triad(positions.ra, positions.dec).r.T)
     return KDTree(vectors, balanced_tree=False, compact_nodes=False)

@@ -24,7 +24,7 @@ class Skies:
 
     ``v_mag`` (C, N); ``sigma_reference_mas_yr`` (C, D, N) and ``geometry`` (C, D, 6, N), the upper triangles of q q^T
     and p p^T by which pmra and pmdec add to the normal matrix of the spin.  D = 2, or 1 where both coordinates have the
-    same error and their sum will do.
+    same error and their sum is enough.
     """
 
     v_mag: Array

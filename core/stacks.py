@@ -10,7 +10,7 @@ from core.catalogue import Catalogue
 
 
 class Generators:
-    """Generators as one: what a method returns has a first axis of these."""
+    """Several generators as one: the arrays that a method returns have a first axis of generators."""
 
     def __init__(self, generators: Sequence[np.random.Generator]) -> None:
         self._generators = generators
@@ -28,6 +28,6 @@ class Generators:
 def stacked_catalogue(
     draw: Callable[[np.random.Generator], Catalogue], generators: Sequence[np.random.Generator]
 ) -> Catalogue:
-    """Return the objects of a catalogue from each generator, those of one after those of the other."""
+    """Return the objects of a catalogue from each generator, one catalogue after the other."""
     drawn = draw(cast(np.random.Generator, Generators(generators)))
     return (drawn.repeated(len(generators)) if drawn.ra.ndim == 1 else drawn).flattened()

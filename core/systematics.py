@@ -1,4 +1,4 @@
-"""What is wrong in the proper motions and the same in all realisations: fields that the link does not solve for."""
+"""Systematic errors of proper motions, the same in all realisations: fields that the link does not solve for."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -37,7 +37,7 @@ class Systematics:
         return any(self.omega_slope) or any(self.magnitude_equation)
 
     def differences(self, ra: Array, dec: Array, v_mag: Array | None = None) -> Array:
-        """Return what they add to the differences of (pmra, pmdec) of N objects; shape (2, N), in rad/yr."""
+        """Return what the terms add to the differences of (pmra, pmdec) of N objects; shape (2, N), in rad/yr."""
         found = np.zeros((2, len(ra)))
         if v_mag is not None:
             p, q, _ = triad(ra, dec)

@@ -20,7 +20,7 @@ UNITS: Mapping[str, str] = {
     "pmra_error": "mas / yr",
     "pmdec_error": "mas / yr",
 }
-"""The quantities that are read and the units they have where the table does not say."""
+"""The quantities that are read, and their units where the table gives none."""
 
 OBSERVABLES = ("ra", "dec", "pmra", "pmdec")
 CORRELATIONS = {f"{a}_{b}_corr": (i, j) for i, a in enumerate(OBSERVABLES) for j, b in enumerate(OBSERVABLES) if i < j}
@@ -46,7 +46,7 @@ class Table(Protocol):
         """Return the names of the columns."""
 
     def numbers(self, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:
-        """Return a column of finite numbers in a unit; ``stated`` is that of a column whose file gives none."""
+        """Return a column of finite numbers in a unit; ``stated`` is the unit where the file gives none."""
 
     def in_time(self, name: str, stated: str | None = None) -> bool:
         """Return whether a column is in units of time, as seconds of right ascension, which lack cos(dec)."""
@@ -60,12 +60,12 @@ def catalogue_from_table(
 ) -> Catalogue:
     """Return the objects of a table; ``columns`` maps a quantity of `QUANTITIES` to the table's name for it.
 
-    Positions are required; proper motions are zero where the table has none, magnitudes NaN.  Errors are taken if
-    there are those of both proper motions, or of the position alone; what has no error column counts as exact.  A side
-    with columns of its own, as reference_pmra_error, has no others.  ``units`` are those of quantities for which the
-    table has none.  ``pmra_cos_dec`` says whether pmra includes cos(dec); None is good only for a table of Gaia's, a
-    column pm_ra_cosdec or one in seconds of time.  Raises ValueError that says what is ambiguous, impossible or
-    missing, with rows counted from 1.
+    Positions are required; proper motions are zero where the table has none, magnitudes NaN.  Errors are read if
+    both proper motions have them, or the position alone; a quantity without an error column counts as exact.  A side
+    with columns of its own, like reference_pmra_error, uses only these.  ``units`` are those of quantities for which
+    the table has none.  ``pmra_cos_dec`` says whether pmra includes cos(dec); None is allowed only for a table of
+    Gaia's, a column pm_ra_cosdec or one in seconds of time.  Raises ValueError that says what is ambiguous, impossible
+    or missing, with rows counted from 1.
     """
     reader = _Reader(table, columns, units or {})
     ra, dec = reader.read("ra"), reader.read("dec")

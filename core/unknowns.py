@@ -38,7 +38,7 @@ class Unknowns:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The units in which unknowns are shown; inside they are rad and rad/yr."""
+        """The units in which unknowns are shown; internally they are rad and rad/yr."""
         return tuple("mas/yr" if block.rate else "mas" for block in self.blocks for _ in block.labels)
 
     @property
@@ -71,7 +71,8 @@ class Unknowns:
     def derivatives(self, objects: Objects, years: Array | None = None) -> tuple[tuple[int, ...], Array]:
         """Return the parameters that the unknowns act on, and the derivatives of those; shape (K, rows, N).
 
-        ``years`` (N,) is the epoch of each source minus that of the unknowns: a rate moves positions by as much.
+        ``years`` (N,) is the epoch of each source minus that of the unknowns: a rate moves positions by its product
+        with them.
         """
         shift = np.zeros(1) if years is None else years
         moved = bool(np.any(shift != 0.0))
@@ -109,7 +110,7 @@ def _moved(block: Block) -> list[int]:
 
 @dataclass(frozen=True)
 class Asked:
-    """How a block is asked for: its name, the degrees behind it, the names beside it, bins, columns and corrections."""
+    """The request for a block: its name, the degrees after it, the names in the line, bins, columns and corrections."""
 
     name: str
     degrees: str
@@ -120,7 +121,7 @@ class Asked:
 
     @property
     def written(self) -> str:
-        """As the line has it."""
+        """The block as the line names it."""
         return f"{self.name}:{self.degrees}" if self.degrees else self.name
 
 
@@ -135,7 +136,9 @@ KNOWN: dict[str, Callable[[Asked], Block]] = {
     "vsh_position:L": lambda asked: _harmonics(asked, "orientation", "position_glide", POSITION),
     "vsh_motion:L": lambda asked: _harmonics(asked, "spin", "glide", MOTION),
 }
-"""The blocks that a line may name, and what makes them; those with ``:L`` have degrees.  A further one is an entry."""
+"""The blocks that a line may name, and the functions that make them; those with ``:L`` have degrees.  To add
+a block, add an entry.
+"""
 
 
 def parse_unknowns(
@@ -147,10 +150,10 @@ def parse_unknowns(
 ) -> Unknowns:
     """Return the blocks of a line like ``orientation,spin,vsh_motion:3``.
 
-    ``vsh_motion:3`` has all degrees from 1 to 3, ``vsh_motion:2-3`` those two; what the blocks spin, glide, orientation
-    and position_glide already are (degree 1) is left out beside them.  With ``bins`` = (column, edges) the spin is one
-    for each bin of a column of ``columns`` that has sources.  ``hipparcos:spin`` is that of the frame of one of
-    ``missions``.  Raises ValueError that says what is wrong and what is known.
+    ``vsh_motion:3`` has all degrees from 1 to 3, ``vsh_motion:2-3`` those two; terms of degree 1 are left out if the
+    line also names the block that equals them (spin, glide, orientation or position_glide).  With ``bins`` = (column,
+    edges) there is one spin for each bin of that column of ``columns`` that has sources.  ``hipparcos:spin`` is the
+    spin of the frame of one of ``missions``.  Raises ValueError that says what is wrong and what is known.
     """
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:

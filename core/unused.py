@@ -1,4 +1,4 @@
-"""Which parameters change nothing at a point, and why: what a study sets in vain is refused by the platform."""
+"""Which parameters change nothing at a point, and why: the platform refuses a study that sets one in vain."""
 
 from core.catalogues import CATALOGUES
 from core.catalogues.kind import RANDOM_SKY

@@ -1,4 +1,4 @@
-"""A mission that a study defines: its accuracy curves from a table of TOML, checked."""
+"""A mission that a study defines: its accuracy curves, read from a table of TOML and checked."""
 
 import itertools
 import math
@@ -17,7 +17,7 @@ UNITS = {"mas": 1.0, "uas": 1000.0}
 SMALLEST_SIGMA_MAS, LARGEST_SIGMA_MAS = 1e-9, 1e7
 BRIGHTEST_MAG, FAINTEST_MAG = -5.0, 30.0
 STEEPEST = 10.0
-"""Largest change of ln(sigma) with a magnitude: no curve of finite values then vanishes or overflows."""
+"""Largest change of ln(sigma) per magnitude, so that no curve of finite values vanishes or overflows."""
 
 KEYS = (
     *("nominal_length", "faint_limit", "unit", "sigma_pm", "sigma_pos", "position_ratio", "source"),
@@ -35,12 +35,12 @@ def mission_of(model: str | Named) -> Mission:
 
 
 def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]) -> tuple[Mission, dict[str, Any]]:
-    """Return the mission that a table defines, and what of it decides a number.
+    """Return the mission that a table defines, and the part of the table that affects results.
 
     ``nominal_length`` (yr) and ``sigma_pm`` are required, and one of ``sigma_pos`` and ``position_ratio`` (yr,
-    positions as a multiple of proper motions); ``unit`` of every sigma (mas and mas/yr, or uas), ``faint_limit`` (mag;
-    the end of a table by default), ``range`` (two magnitudes; both ends of a table by default), the least errors
-    ``floor_pm`` and ``floor_pos``, and ``source`` are not.  Raises DefinitionError that lists all mistakes.
+    positions as a multiple of proper motions).  Optional are the ``unit`` of every sigma (mas and mas/yr, or uas),
+    ``faint_limit`` (mag; the end of a table by default), ``range`` (two magnitudes; both ends of a table by default),
+    the least errors ``floor_pm`` and ``floor_pos``, and ``source``.  Raises DefinitionError that lists all mistakes.
     """
     return _Table(table, load).mission()
 
@@ -197,5 +197,5 @@ def _sigmas(per_mas: float) -> tuple[float, float]:
 def _number(given: object) -> float:
     """Return a finite number as float, NaN for anything else."""
     if isinstance(given, (int, float)) and not isinstance(given, bool) and abs(given) < 1e300:
-        return float(given) + 0.0  # no negative zero: it would be another identity
+        return float(given) + 0.0  # no negative zero, which would change the identity
     return math.nan

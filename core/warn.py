@@ -7,13 +7,13 @@ from core.scenario import catalogue_kind, error_kind, errors_at_limit, errors_of
 from sweep.contract import Point, SweepError
 
 KINDS = {"positions": ("proper motions", "orientation"), "proper motions": ("positions", "spin")}
-"""Of observables: what else there is, and the unknowns that need them."""
+"""For each kind of observable: the other kind, and the unknowns that need the first."""
 
 EPOCH, SAME_EPOCH_YR = "ref_epoch", 0.01
-"""The column that gives the epoch of a row, and how much epochs may differ without a word."""
+"""The column that gives the epoch of a row, and how much epochs may differ without a warning."""
 
 LARGE_SHARE = 0.1
-"""Of the weight of all objects: one that holds more is named."""
+"""Share of the weight of all objects above which an object is named."""
 
 
 def warn(point: Point) -> list[str]:
@@ -27,7 +27,7 @@ def warn(point: Point) -> list[str]:
 
 
 def _not_measured(point: Point) -> str | None:
-    """Say which observables have no error on either side beside others that have."""
+    """Say which observables have no errors on either side while others have."""
     objects = own_objects(point)
     if objects is None:
         errors = np.sum([errors_at_limit(point, side) for side in SIDES], axis=0)
@@ -43,7 +43,7 @@ def _not_measured(point: Point) -> str | None:
 
 
 def _epochs(point: Point) -> str | None:
-    """Say that the rows of a file are of different epochs, which the simulation does not know."""
+    """Say that the rows of a file are of different epochs, which the simulation ignores."""
     table = point["file"]
     if table is None or EPOCH not in table.names():
         return None

@@ -3,7 +3,7 @@
 A field is a sum of vector spherical harmonics, toroidal and spheroidal of equal power C_l ~ exp(-l (l + 1) L^2/2), the
 Gaussian of width L on the sphere.  So the covariance of two objects' errors depends on their distance alone, with the
 correlation sum (2 l + 1)/(4 pi) C_l d^l_11 in either direction (along the arc between them and across), close to
-exp(-distance^2/(2 L^2)) where L is small.  Cost and memory grow with the objects, not with their square.
+exp(-distance^2/(2 L^2)) where L is small.  Cost and memory grow with the number of objects, not with its square.
 """
 
 from collections.abc import Iterator
@@ -18,10 +18,10 @@ from core.harmonics import toroidal, turned
 from core.link import KINDS
 
 REACH = 5.0
-"""Degrees up to this over the width: the power beyond is exp(-12.5) of all, and goes to those below."""
+"""Degrees go up to this over the width: those beyond have exp(-12.5) of the power, which goes to those below."""
 
 BASIS = 2**20
-"""Numbers in the fields of as many objects as are prepared at a time: 8 MiB."""
+"""Numbers in the fields of the objects that are prepared at a time: 8 MiB."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class ZonalErrors:
 
     @cached_property
     def scatter(self) -> Array:
-        """The standard deviation of each coefficient of one kind, in the order of `toroidal`; order 0 has both parts'
-        variance.
+        """The standard deviation of each coefficient of one kind, in the order of `toroidal`; order 0 has the variance
+        of both parts.
         """
         found = []
         for degree, power in enumerate(self.power, start=1):
@@ -70,14 +70,14 @@ class Field:
     dec: Array
 
     def draw(self, rows: int, rng: np.random.Generator) -> "DrawnField":
-        """Return ``rows`` realisations; of a wider kernel they are made of the first coefficients of a narrower."""
+        """Return ``rows`` realisations; those of a wider kernel use the first normals of a narrower one."""
         scatter = self.errors.scatter
         normals = rng.standard_normal((len(scatter), 2, 2, rows))  # degree by degree: toroidal, spheroidal
         scaled = (scatter[:, None, None, None] * normals).transpose(2, 0, 1, 3)
         return DrawnField(self, np.ascontiguousarray(scaled).reshape(2, -1, rows))
 
     def bases(self, part: slice) -> Iterator[tuple[slice, Array]]:
-        """Yield the harmonics of a few objects of a part at a time: their place in it, and (2 D, 2, n)."""
+        """Yield the harmonics of a part, a few objects at a time: their place in the part, and (2 D, 2, n)."""
         ra, dec = self.ra[part], self.dec[part]
         step = max(1, BASIS // self.errors.coefficients)
         for start in range(0, len(ra), step):

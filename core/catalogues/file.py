@@ -30,7 +30,7 @@ class File(CatalogueKind):
         return len(self.objects(point))
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
-        """Return those of the brightest and the faintest row, NaN for a table without."""
+        """Return the magnitudes of the brightest and the faintest row, NaN for a table without magnitudes."""
         v_mag = self.objects(point).v_mag
         return float(np.min(v_mag)), float(np.max(v_mag))
 
@@ -56,7 +56,7 @@ class File(CatalogueKind):
         return objects, name
 
     def problem(self, point: Point) -> str | None:
-        """The table must be there, readable, and have enough rows; limits need magnitudes."""
+        """Return a problem unless the table is given, readable, and has enough rows; limits need magnitudes."""
         if point["file"] is None:
             return "file: catalogue = 'file' needs a file, and other catalogues have none"
         limits = [name for name in ("v_min", "v_max") if point[name] is not None]
@@ -71,7 +71,7 @@ def _key(point: Point) -> Key:
 
 @lru_cache(maxsize=4)
 def _whole(key: Key) -> Catalogue:
-    """Make a catalogue once in a process for every check and block; a table is known by its content."""
+    """Return all objects of a table, made once in a process; a table is identified by its content."""
     table, columns, units, pmra_cos_dec = key
     return catalogue_from_table(table, dict(columns), pmra_cos_dec, dict(units))
 

@@ -23,7 +23,7 @@ class Galaxies(CatalogueKind):
         return N_GALAXIES
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
-        """Return v_min, or what none is brighter than, and v_max."""
+        """Return v_min, or a limit that no galaxy is brighter than, and v_max."""
         v_min, v_max = point["v_min"], point["v_max"]
         brightest = BRIGHTEST_MAG if v_min is None else max(float(v_min), BRIGHTEST_MAG)
         return brightest, float(GALAXY_FAINT_LIMIT_MAG if v_max is None else v_max)
@@ -33,7 +33,7 @@ class Galaxies(CatalogueKind):
         return galaxies(rng, self.size(point), self.magnitudes(point)[1], sky_of(point), point["v_min"])
 
     def problem(self, point: Point) -> str | None:
-        """The limits must leave some of the distribution of magnitudes."""
+        """Return a problem unless the limits leave some of the distribution of magnitudes."""
         brightest, faintest = self.magnitudes(point)
         if not SMALLEST_V_MAX <= faintest <= GALAXY_FAINT_LIMIT_MAG:
             span = f"from {SMALLEST_V_MAX:g} to {GALAXY_FAINT_LIMIT_MAG} mag"

@@ -18,19 +18,19 @@ RANDOM_SKY = frozenset({"zone_of_avoidance", "sky_contrast"})
 class CatalogueKind:
     """One value of the parameter `catalogue`.
 
-    A new one is a module with a subclass and a line in `core.catalogues.CATALOGUES`.  Of a point it may look at
-    ``n_obj`` and at what `uses` names.
+    A new one is a module with a subclass and a line in `core.catalogues.CATALOGUES`.  It may read ``n_obj`` of a point
+    and the parameters that `uses` names.
     """
 
     parameters: frozenset[str]
-    """Those that it may use, beside n_obj."""
+    """Parameters that it may use, beside n_obj."""
 
     extragalactic = True
 
     draws_several = False
     """Whether `draw` also takes several generators as one, whose methods return arrays with a first axis of catalogues,
-    and then returns a `Catalogue` of shape (catalogues, N), or (N,) where all are the same: many small catalogues are
-    computed faster so.
+    and then returns a `Catalogue` of shape (catalogues, N), or (N,) where all are the same: this makes many small
+    catalogues faster.
     """
 
     def has_random_positions(self, point: Point) -> bool:
@@ -42,13 +42,13 @@ class CatalogueKind:
         return self.parameters if self.has_random_positions(point) else self.parameters - RANDOM_SKY
 
     def available(self, point: Point) -> int:
-        """Return how many objects there are where a point does not say how many it wants; raises ValueError or
-        SweepError where that cannot be told.
+        """Return how many objects there are if a point does not set n_obj; raises ValueError or SweepError where that
+        is not known.
         """
         raise NotImplementedError
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
-        """Return magnitudes that no object is brighter and none fainter than; NaN where they are not known."""
+        """Return two magnitudes between which all objects lie; NaN where they are not known."""
         raise NotImplementedError
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
@@ -56,7 +56,7 @@ class CatalogueKind:
         raise NotImplementedError
 
     def objects(self, point: Point) -> Catalogue | None:
-        """Return the objects of a catalogue that is given as such, None for one that is drawn from a law."""
+        """Return the objects of a catalogue that lists them, None for one that is drawn from a law."""
         return None
 
     def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]] | None:
@@ -84,7 +84,7 @@ class CatalogueKind:
         return NestedDraw(family, self.size(point), partial(self.draw, point), self.draws_several)
 
     def why_not(self, point: Point) -> str | None:
-        """Return `problem`, or what it or reading a table raises, as a sentence."""
+        """Return `problem` as a sentence, also where it or reading a table raises an error."""
         try:
             return self.problem(point)
         except ValueError as error:
@@ -100,14 +100,14 @@ def sky_of(point: Point) -> Sky:
 
 
 def in_limits(brightest: float, faintest: float) -> str | None:
-    """Return why no object can lie between two limits of which v_min may be one, or None."""
+    """Return why no object can lie between two limits, the brighter of which may be v_min, or None."""
     if faintest > brightest:
         return None
     return f"v_max = {faintest:g} mag: must be fainter than the brightest object, v_min = {brightest:g} mag"
 
 
 def too_few(point: Point, available: int, what: str) -> str | None:
-    """Return that a catalogue has too few objects between its limits, or None where there are enough."""
+    """Return a sentence if a catalogue has too few objects between its limits, None if there are enough."""
     wanted = max(2, point["n_obj"] or 0)
     if available >= wanted:
         return None

@@ -27,13 +27,13 @@ class Quasars(CatalogueKind):
         return brightest, float(V_MAX[-1] if v_max is None else v_max)
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
-        """Return all between the limits, or n_obj of them at random."""
+        """Return all quasars between the limits, or n_obj of them at random."""
         brightest, faintest = self.magnitudes(point)
         whole = quasars(rng, faintest, sky_of(point), point["counts"] == "completed", brightest)
         return whole.some(rng, self.size(point))
 
     def problem(self, point: Point) -> str | None:
-        """There must be enough between limits that lie within the counts."""
+        """Return a problem unless there are enough quasars between limits within the counts."""
         brightest, faintest = self.magnitudes(point)
         if point["v_min"] is not None and (problem := in_limits(brightest, faintest)):
             return problem

@@ -16,11 +16,11 @@ class RadioStars(CatalogueKind):
     draws_several = True
 
     def has_random_positions(self, point: Point) -> bool:
-        """Return whether they are not those of the stars."""
+        """Return whether positions are not those of the stars."""
         return bool(point["positions"] != "own")
 
     def available(self, point: Point) -> int:
-        """Return how many there are."""
+        """Return the number of stars."""
         return len(RADIO_STARS.v_mag)
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
@@ -28,7 +28,7 @@ class RadioStars(CatalogueKind):
         return float(np.min(RADIO_STARS.v_mag)), float(np.max(RADIO_STARS.v_mag))
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
-        """Return some, which may be the same star more than once."""
+        """Return some of the stars; one may occur more than once."""
         return resample(
             rng, radio_stars(), self.size(point), sky_of(point) if self.has_random_positions(point) else None
         )
@@ -38,7 +38,7 @@ class RadioStars(CatalogueKind):
         return radio_stars()
 
     def problem(self, point: Point) -> str | None:
-        """All are drawn from, whatever their magnitudes."""
+        """Return a problem if there are limits: all stars are drawn from, whatever their magnitudes."""
         if point["v_max"] is None and point["v_min"] is None:
             return None
         given = "v_min" if point["v_max"] is None else "v_max"

@@ -8,7 +8,7 @@ from core.constants import MAS
 from sweep.contract import Point
 
 BRIGHTEST_MAG, FAINTEST_MAG = 5.0, 15.0
-"""Where a study gives no limits."""
+"""The limits where a study gives none."""
 
 
 class Synthetic(CatalogueKind):
@@ -18,7 +18,7 @@ class Synthetic(CatalogueKind):
     draws_several = True
 
     def available(self, point: Point) -> int:
-        """Return none: there are as many as a study says."""
+        """Return 0: a study must say how many there are."""
         return 0
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
@@ -33,7 +33,7 @@ class Synthetic(CatalogueKind):
         return synthetic(rng, self.size(point), v_min, v_max, sky_of(point), *pm)
 
     def problem(self, point: Point) -> str | None:
-        """There must be a number of objects, and room between the limits."""
+        """Return a problem without a number of objects, or without room between the limits."""
         if point["n_obj"] is None:
             return "n_obj: a synthetic catalogue needs a number of objects"
         return in_limits(*self.magnitudes(point))

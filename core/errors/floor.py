@@ -1,4 +1,4 @@
-"""A noise floor under any error model: errors that no object is without, added in quadrature."""
+"""A noise floor under any error model: errors that every object has, added in quadrature."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class FlooredErrors(ErrorModel):
     floor: Errors
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
-        """Return the root of both squares; shape (4, N)."""
+        """Return the root of the sum of both squares; shape (4, N)."""
         floor = NormalErrors(*self.floor).standard_errors(catalogue)
         return np.asarray(np.hypot(self.model.standard_errors(catalogue), floor))
 

@@ -17,7 +17,7 @@ from core.user_mission import mission_of
 from sweep.contract import Named, Point
 
 PROBES = 100
-"""Magnitudes at which a user's function is asked before anything runs."""
+"""Magnitudes at which a user's function is tested before anything runs."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class MagnitudeErrors(ErrorModel):
 
     @property
     def elementwise(self) -> bool:
-        """Whether the curves are ours: a user's function may round otherwise among other objects."""
+        """Whether no curve is a user's function, which may round differently among other objects."""
         curves = self.mission.curve_pos_mas, self.mission.curve_pm_mas_yr
         return not any(isinstance(curve, CurveOfFunction) for curve in curves)
 
@@ -52,7 +52,7 @@ class Magnitude(ErrorKind):
         return super().uses(side) | {"model", "mission_length"}
 
     def model(self, point: Point, side: str) -> ErrorModel:
-        """Return it with the point's mission and length."""
+        """Return the model with the point's mission and length."""
         return MagnitudeErrors(mission_of(point["model"]), point["mission_length"], scale_of(point, side))
 
     def errors_at(self, point: Point, side: str, v_mag: Callable[[], float]) -> Errors:
@@ -69,8 +69,8 @@ class Magnitude(ErrorKind):
         return scale_of(point, side) > 0.0
 
     def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
-        """Magnitudes must be there, and not beyond the end of the curve; raises CurveError where a user's function has
-        no good value.
+        """Return a problem if magnitudes are missing or beyond the end of the curve; raises CurveError where a user's
+        function has no valid value.
         """
         brightest, faintest = catalogue.magnitudes(point)
         if math.isnan(faintest):
@@ -84,7 +84,7 @@ class Magnitude(ErrorKind):
         return None
 
     def warning(self, point: Point, catalogue: CatalogueKind) -> str | None:
-        """Say which magnitudes lie outside of the range that the curve is known in."""
+        """Say which magnitudes lie outside the range in which the curve is known."""
         name, mission = str(point["model"]), mission_of(point["model"])
         brightest, faintest = catalogue.magnitudes(point)
         low, high = mission.valid_mag
@@ -111,14 +111,14 @@ def _curves(model: str | Named, v_mag: float) -> tuple[float, float, float]:
 
 @lru_cache(maxsize=256)
 def _probe(model: Named, brightest: float, faintest: float) -> None:
-    """Raise CurveError where the functions of a user's mission have no good values between two magnitudes, or others
-    in another call.
+    """Raise CurveError where the functions of a user's mission have no valid values between two magnitudes, or other
+    values in another call.
     """
     mission, v_mag = mission_of(model), np.linspace(brightest, faintest, PROBES)
-    some = slice(-2, 0, -2)  # in another order and without the ends, so that a mean or an extreme is another
+    some = slice(-2, 0, -2)  # in another order and without the ends, so that a mean or an extreme differs
     for errors, sigma in (("positions", mission.sigma_pos_mas), ("proper motions", mission.sigma_pm_mas_yr)):
         values, again = sigma(v_mag)[some], sigma(v_mag[some])
-        differs = ~np.isclose(values, again, rtol=1e-9, atol=0.0)  # a logarithm may round otherwise in another place
+        differs = ~np.isclose(values, again, rtol=1e-9, atol=0.0)  # a logarithm may round differently in another place
         if differs.any():
             first = int(np.argmax(differs))
             raise CurveError(

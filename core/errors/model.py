@@ -1,4 +1,4 @@
-"""What an error model is (steps C and D): the errors of a catalogue's observables, and what a study says of them."""
+"""What an error model is (steps C and D): the errors of a catalogue's observables, and how a study chooses them."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -43,13 +43,14 @@ class Errors(NamedTuple):
 class ErrorKind:
     """One value of `reference_errors` and `satellite_errors`: an error model as a study chooses it.
 
-    ``sides`` may have it.  A new one is a module with a subclass and a line in `core.errors.ERROR_KINDS`.
+    ``sides`` are those that may have it.  A new one is a module with a subclass and a line in
+    `core.errors.ERROR_KINDS`.
     """
 
     sides: tuple[str, ...] = SIDES
 
     def uses(self, side: str) -> frozenset[str]:
-        """Return the names of the parameters that it looks at, for one side."""
+        """Return the names of the parameters that it reads, for one side."""
         return frozenset(
             {"error_scale", *(f"{side}_{name}" for name in ("error_scale", "error_ratio", "floor_pos", "floor_pm"))}
         )
@@ -59,13 +60,13 @@ class ErrorKind:
         raise NotImplementedError
 
     def errors_at(self, point: Point, side: str, v_mag: Callable[[], float]) -> Errors:
-        """Return the errors of an object of magnitude ``v_mag()``, which is asked only where it matters, in a few
-        multiplications; not of errors that are a catalogue's own.
+        """Return the errors of an object of magnitude ``v_mag()``, which is called only where it matters, with a few
+        multiplications; not implemented for errors that a catalogue lists.
         """
         raise NotImplementedError
 
     def any(self, point: Point, side: str, objects: Objects) -> bool:
-        """Return whether there is any error, so that normals are drawn; ``objects`` are the catalogue's own."""
+        """Return whether there is any error, so that normals are drawn; ``objects`` returns those that are listed."""
         raise NotImplementedError
 
     def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
@@ -73,7 +74,7 @@ class ErrorKind:
         return None
 
     def warning(self, point: Point, catalogue: CatalogueKind) -> str | None:
-        """Return in what the errors are less certain than they seem, or None."""
+        """Return why the errors are less certain than they seem, or None."""
         return None
 
 

@@ -40,7 +40,7 @@ class Normal(ErrorKind):
         return super().uses(side) | {f"{side}_sigma_pos", f"{side}_sigma_pm"}
 
     def model(self, point: Point, side: str) -> ErrorModel:
-        """Return it with the point's sigmas."""
+        """Return the model with the point's sigmas."""
         return NormalErrors(point[f"{side}_sigma_pos"], point[f"{side}_sigma_pm"], scale_of(point, side))
 
     def errors_at(self, point: Point, side: str, v_mag: Callable[[], float]) -> Errors:
@@ -69,14 +69,14 @@ class NoErrors(ErrorModel):
 
 
 class ErrorFree(ErrorKind):
-    """`"none"`."""
+    """`"none"`: no errors."""
 
     def uses(self, side: str) -> frozenset[str]:
-        """Return none: the scales do not matter either."""
+        """Return no names: the scales do not matter either."""
         return frozenset()
 
     def model(self, point: Point, side: str) -> ErrorModel:
-        """Return it."""
+        """Return the error-free model."""
         return NoErrors()
 
     def errors_at(self, point: Point, side: str, v_mag: Callable[[], float]) -> Errors:

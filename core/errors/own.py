@@ -37,10 +37,10 @@ class CatalogueErrors(ErrorModel):
 
 
 class Own(ErrorKind):
-    """`"catalogue"`: those of the objects."""
+    """`"catalogue"`: the errors that the catalogue lists."""
 
     def model(self, point: Point, side: str) -> ErrorModel:
-        """Return it with the point's scale."""
+        """Return the model with the point's scale."""
         return CatalogueErrors(scale_of(point, side), side)
 
     def any(self, point: Point, side: str, objects: Objects) -> bool:
@@ -50,7 +50,7 @@ class Own(ErrorKind):
         return own is not None and bool(np.any(own.sigma))
 
     def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
-        """The objects must have errors, and of both sides where both are to have their own."""
+        """Return a problem unless the objects have errors, and of both sides where both are to have their own."""
         objects = catalogue.objects(point)
         if objects is None or objects.own_errors(side) is None:
             return f"{side}_errors = 'catalogue': the {point['catalogue']} catalogue has no errors of its own"

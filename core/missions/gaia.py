@@ -28,7 +28,7 @@ DR3_YEARS = 34 / 12
 
 BRIGHT_MAG, BRIGHT_POS_MAS, BRIGHT_PM_MAS_YR = 8.0, 0.037, 0.048
 """Medians of DR3's proper-motion errors at G < 8 are 0.046 to 0.051 mas/yr, where PyGaia's formula says 0.012;
-positions in the ratio to motions that PyGaia has elsewhere.
+positions follow from PyGaia's ratio of positions to motions.
 """
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from core.arrays import Array
 
 Curve = Callable[[Array], Array]
-"""A standard error as a function of magnitude: that at each magnitude, same shape."""
+"""A function that returns the standard error at each magnitude, in the same shape."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class Floor:
 class Mission:
     """One mission's accuracy at its nominal length, and how it changes with length.
 
-    Positions improve as T^-1/2 and proper motions as T^-3/2, those of the ``floor`` too.  ``faint_limit_mag`` is where
-    the curve ends; from ``valid_mag[0]`` to ``valid_mag[1]`` it rests on the data that ``source`` names, and objects
-    outside are worth a warning.
+    Errors of positions fall as T^-1/2 and those of proper motions as T^-3/2, those of the ``floor`` too.
+    ``faint_limit_mag`` is where the curve ends; from ``valid_mag[0]`` to ``valid_mag[1]`` it rests on the data that
+    ``source`` names, and objects outside cause a warning.
     """
 
     curve_pos_mas: Curve
@@ -96,7 +96,7 @@ class Mission:
 class AccuracyCurves(NamedTuple):
     """Curves of M missions at V magnitudes: names (M,), mag (V,), sigma_pos in mas and sigma_pm in mas/yr (M, V).
 
-    NaN is beyond a mission's faint limit.
+    Values are NaN beyond a mission's faint limit.
     """
 
     name: tuple[str, ...]

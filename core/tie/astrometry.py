@@ -19,7 +19,7 @@ class Astrometry:
 
     ``values`` and ``errors`` (5, N) in rad and rad/yr (pmra is mu_alpha*, the error of ra that of alpha*);
     ``correlations`` (10, N) in the order of `PAIRS`, or None for none; ``epoch`` (N,) in Julian years, NaN where the
-    position has none (an extragalactic source: it is that of any epoch); ``radial_velocity`` (N,) in km/s, NaN where
+    position has none (that of an extragalactic source holds at any epoch); ``radial_velocity`` (N,) in km/s, NaN where
     unknown; ``names`` (N,); ``columns`` are further numbers by name; ``apparent`` (N,) marks positions of a single
     epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in the reference's frame and the number of a
     mission, from 1, for those in a frame of its own.
@@ -49,7 +49,7 @@ class Astrometry:
         def of(array: Any) -> Any:
             if array is None or isinstance(part, slice) or part.dtype == np.bool_:
                 return None if array is None else array[..., part]
-            return np.take(array, part, axis=-1)  # half the time of an index
+            return np.take(array, part, axis=-1)  # half the time of indexing
 
         columns = {name: of(column) for name, column in self.columns.items()}
         arrays = {name: of(array) for name, array in vars(self).items() if name != "columns"}
@@ -86,9 +86,9 @@ def joined(*tables: Astrometry) -> Astrometry:
 
 
 def positive_definite(correlations: Array) -> Flags:
-    """Return whether each matrix of ten correlations (10, N), all finite, is one; shape (N,).
+    """Return whether each matrix of ten finite correlations (10, N) is positive definite; shape (N,).
 
-    By its Cholesky factors, all matrices at once: eigenvalues of a million of them take many seconds.
+    It computes the Cholesky factors of all matrices at once: eigenvalues of a million of them take many seconds.
     """
     n = correlations.shape[1]
     row = dict(zip(PAIRS, correlations, strict=True))

@@ -17,12 +17,12 @@ from core.tie.problem import Problem
 from core.tie.solution import Solution
 
 SEPARATION_LIMIT = 10.0 * MAS
-"""Of a radio-optical counterpart.  Source: Mignard et al. 2018, A&A 616, A14."""
+"""Separation below which a source is a radio-optical counterpart.  Source: Mignard et al. 2018, A&A 616, A14."""
 
 MEDIAN_RAYLEIGH = np.sqrt(2.0 * np.log(2.0))
 ITERATIONS = 200
 TRAJECTORY = 300
-"""As many steps of a clip one by one are kept."""
+"""Steps of the clip `discrepancy` that are computed, or more if more sources are to be dropped."""
 
 SIGNIFICANCE = 0.01
 """Chance that the clip `discrepancy` drops any source of good data at its first step."""
@@ -58,10 +58,10 @@ def parse_clip(text: str) -> Clip:
 
 @dataclass(frozen=True)
 class Sources:
-    """How sources are solved and compared, whatever keeps their sums.
+    """How sources are solved and compared, however their sums are kept.
 
-    ``solve`` of factors of their weights (S,), zero (False) for one left out; ``discrepancies`` Q_i of a solution (S,);
-    ``count`` n_i (S,), zero for a source without observations.
+    ``solve`` returns the solution for factors of the weights (S,), zero (False) for a source left out;
+    ``discrepancies`` returns Q_i of a solution (S,); ``count`` is n_i (S,), zero for a source without observations.
     """
 
     solve: Callable[[Array | Flags], Solution]
@@ -72,8 +72,8 @@ class Sources:
 @dataclass(frozen=True)
 class Clipped:
     """Factors of the weights (S,), or which sources are kept, the solution with them, and the steps: which source was
-    dropped (-1 at the start) and the solution after it.  ``chosen`` is the step of the solution; ``notes`` are for
-    people.
+    dropped (-1 at the start) and the solution after it.  ``chosen`` is the step of the solution; ``notes`` are
+    sentences for the reader.
     """
 
     factors: Array | Flags
@@ -102,7 +102,7 @@ def separation(problem: Problem) -> tuple[Array, Array]:
     """Return the normalised separation X of each source and its separation (rad); shape (S,).
 
     X^2 = d' D^-1 d of the two differences d of position, or of motion where a row has no position (the separation is
-    0 then); the largest of a source's rows.  It follows a Rayleigh distribution where the errors are right.  A row
+    0 then); the largest of a source's rows.  X follows a Rayleigh distribution where the errors are right.  A row
     whose difference depends on a parameter that the satellite lacks counts as 0.
     """
     n = len(problem.satellite)

@@ -1,4 +1,4 @@
-"""Reference rows minus the satellite's five parameters carried to their epochs, and how these enter each row."""
+"""Reference rows minus the satellite's five parameters at the rows' epochs, and the derivatives of the differences."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,8 @@ class Differences:
     """R rows: ``values`` f (R, 5), zero where absent, ``partials`` M (R, 5, 5), ``covariance`` V (R, 5, 5) and which
     of the five are ``present`` (R, 5).
 
-    ``by_frames`` (R, 5, 5 F) are the derivatives of f by what the satellite's frame, and then those of F - 1 further
-    missions, do to the five parameters of the source: M, and -M for the frame that the row is in.
+    ``by_frames`` (R, 5, 5 F) are the derivatives of f by the changes of the source's five parameters in the satellite's
+    frame, and then in those of F - 1 further missions: M, and -M for the mission's frame that the row is in.
     """
 
     values: Array
@@ -30,7 +30,7 @@ def differences(
 ) -> Differences:
     """Return rows - satellite.  ``source`` (R,) says to which source of the satellite a row belongs.
 
-    A row without an epoch is at that of its source.  f is the row minus the exact propagation of the satellite's
+    A row without an epoch has that of its source.  f is the row minus the exact propagation of the satellite's
     parameters, and for the position of a single epoch minus the parallax times its factors.  A motion or parallax
     that the satellite lacks counts as zero here; it is free in the solution, so nothing depends on that.  ``spin`` is
     a known (5, S) displacement of the sources' parameters that is taken out.  ``frames`` is 1 more than the number of

@@ -15,11 +15,11 @@ from core.tie.problem import Problem
 from core.tie.sums import NormalSums
 
 BLOCK = 8192
-"""Sources, in all draws that are made together: the numbers depend on it."""
+"""Sources, counted over all draws that are made together: the random numbers depend on it."""
 
 
 class Draw(NamedTuple):
-    """The sums of each source of one draw, and what `core.tie.clips.clipped` asks for separations."""
+    """The sums of each source of one draw, and the function that gives `core.tie.clips.clipped` the separations."""
 
     sums: NormalSums
     separations: Callable[[], tuple[Array, Array]]
@@ -40,7 +40,7 @@ class Simulation:
     outlier_factor: float = 1.0
 
     def draws(self, number: int, rng: np.random.Generator) -> Iterator[Draw]:
-        """Yield so many draws; memory is that of a block of sources, or of one draw."""
+        """Yield ``number`` draws; memory is that of a block of sources, or of one draw."""
         at_once = max(1, BLOCK // len(self.problem.satellite))
         for start in range(0, number, at_once):
             values = self._values(min(at_once, number - start), rng)
@@ -49,7 +49,7 @@ class Simulation:
 
     @cached_property
     def normals(self) -> NormalSums:
-        """The sums of each source without any difference: N, numbers and averages are those of every draw."""
+        """The sums of each source for differences of zero: N, counts and averages are the same in every draw."""
         return self._sums(self._eliminated(np.zeros((1, *self._found.values.shape))), 1)[0]
 
     @cached_property

@@ -30,8 +30,8 @@ UNDETERMINED = 1e-12
 
 @dataclass(frozen=True)
 class Eliminated(NormalSums):
-    """The sums W, w and yy of S sources, numbers of observations less those of free parameters, and M' G D G' M of
-    other weights G than the best.  ``parameters`` are the P that the matrices have: some of the five of each frame.
+    """The sums W, w and yy of S sources, numbers of observations less those of free parameters, and M' G D G' M for
+    weights G other than the best.  ``parameters`` are the P parameters of the matrices: some of the five of each frame.
     """
 
     parameters: tuple[int, ...] = ()
@@ -73,7 +73,7 @@ def eliminate(
 
 
 def _alike(present: Flags, source: Indices, n_sources: int) -> Iterator[tuple[Indices, Indices]]:
-    """Yield sources with equally many rows and, where it is one, the same kind; and their rows (sources, rows each)."""
+    """Yield sources with equally many rows, single rows also of the same kind; and their rows (sources, rows each)."""
     order = np.argsort(source, kind="stable")
     n_rows = np.bincount(source, minlength=n_sources)
     first = np.cumsum(n_rows) - n_rows
@@ -88,7 +88,7 @@ def _alike(present: Flags, source: Indices, n_sources: int) -> Iterator[tuple[In
 def _observed(
     result: Eliminated, found: Differences, covariance: Array, sources: Indices, rows: Indices, weights: Weights
 ) -> None:
-    """Fill in W, w, yy of sources that are alike; what a row lacks has no derivatives and no difference."""
+    """Fill in W, w, yy of sources that are alike; parameters that a row lacks have zero derivatives and differences."""
     n, n_rows = rows.shape
     size = 5 * n_rows
     present = found.present[rows].reshape(n, size)
@@ -153,7 +153,7 @@ def _require_regular(good: Flags, sources: Indices) -> None:
 
 
 def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
-    """Eliminate parameters without an error of the satellite, as far as the rows determine them."""
+    """Eliminate parameters that the satellite lacks, as far as the rows determine them."""
     weight = result.normal[sources]
     block = weight[:, columns[:, None], columns]
     diagonal = np.einsum("nkk->nk", block)
@@ -177,8 +177,8 @@ def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
 
 
 def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array | None) -> Eliminated | None:
-    """Return what `eliminate` does for the best weights, where row i is the only one of source i, all rows are
-    positions of the sources' epochs or all are motions, and the satellite has both; None where that is not so.
+    """Return what `eliminate` returns for the best weights, if row i is the only one of source i, all rows are
+    positions at the sources' epochs or all are motions, and the satellite has both coordinates; None otherwise.
 
     All rows are in the reference's frame.  The row is then the difference itself: W is the inverse of V + C, and
     nothing is eliminated.

@@ -38,7 +38,7 @@ middle).
 
 
 def factors(old: str, new: str) -> tuple[float, float]:
-    """Return by what errors of positions and parallaxes, and of motions, are multiplied from one release to another.
+    """Return the factors on the errors of positions and parallaxes, and of motions, from one release to another.
 
     Positions go as T^-1/2 and motions as T^-3/2 with the time T that observations span, as on ESA's Gaia science
     performance pages.  Raises ValueError for an unknown release.
@@ -53,7 +53,7 @@ def factors(old: str, new: str) -> tuple[float, float]:
 def released(satellite: Astrometry, old: str, new: str) -> Astrometry:
     """Return the satellite's table as a later release may give it: errors scaled, correlations kept, at its epoch.
 
-    For forecasts: the values are the same, so only errors mean something.
+    For forecasts: the values stay the same, so only errors are meaningful.
     """
     position, motion = factors(old, new)
     scale = np.array([position, position, position, motion, motion])[:, None]
@@ -80,7 +80,7 @@ def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, appar
 
 @dataclass(frozen=True)
 class Goal:
-    """What is to be small: the trace (A) or the log determinant (D) of the covariance of some unknowns."""
+    """What is minimised: the trace (A) or the log determinant (D) of the covariance of some unknowns."""
 
     unknowns: Unknowns
     blocks: tuple[str, ...]
@@ -88,7 +88,7 @@ class Goal:
 
     @property
     def parts(self) -> Indices:
-        """Places of the unknowns of the blocks, which are all of them if none is named (D_s otherwise)."""
+        """Places of the unknowns of the blocks, or of all unknowns if no block is named (D_s otherwise)."""
         names = self.blocks or self.unknowns.names
         return np.concatenate([np.arange(len(self.unknowns))[self.unknowns.part(name)] for name in names])
 
@@ -113,7 +113,7 @@ def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> Choice:
     """Return the sources to observe, the best first, then the best beside it, and so on.
 
     ``now`` and ``new`` are the sums of each source without and with the new rows.  While no single one determines the
-    unknowns, that is taken which adds most to the smallest eigenvalues.
+    unknowns, the one that adds most to the smallest eigenvalues is taken.
     """
     gain = new.normal - now.normal
     normals = [now.normal.sum(axis=0)]
@@ -130,6 +130,6 @@ def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> Choice:
 
 
 def _regularised(normal: Array) -> float:
-    """Return a determinant that a singular matrix has too: relative to its trace."""
+    """Return a log determinant relative to the trace that is finite for a singular matrix too."""
     size = np.trace(normal) / len(normal)
     return float(np.linalg.slogdet(normal / size + 1e-9 * np.eye(len(normal)))[1]) if size > 0.0 else -np.inf

@@ -1,6 +1,6 @@
 """What each source does to a solution: its discrepancy, its share of the weight, and the solution without it.
 
-Errors of the unknowns that do not trust those of the tables follow from the same sums, of sources or of groups.
+Errors of the unknowns that do not rely on those of the tables follow from the same sums, of sources or of groups.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from core.tie.sums import NormalSums
 from core.unknowns import Unknowns
 
 LARGE_SHARE = 0.1
-"""A source that holds more of the weight of a block of unknowns is named."""
+"""A source that holds a larger share of the weight of a block of unknowns is named."""
 
 
 def discrepancies(sums: NormalSums, estimate: Array) -> Array:
@@ -87,7 +87,7 @@ def jackknife(sums: NormalSums, normal: Array, right: Array) -> Array:
     """Return the covariance (K, K) from the solutions without each of G sources (or groups, for cells of the sky).
 
     (G - 1)/G times the sum of squares about their mean, G those that have any observations; NaN where the unknowns
-    hang on a single one.
+    depend on a single one.
     """
     found = leave_one_out(sums.taken(sums.count > 0), normal, right)
     step = found - found.mean(axis=0)

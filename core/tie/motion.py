@@ -14,8 +14,8 @@ DAYS_PER_YEAR = 365.25
 def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_epoch: Array) -> Array:
     """Return (ra, dec, parallax, pmra, pmdec) at another epoch; all (5, N) in rad and rad/yr, epochs in Julian years.
 
-    Uniform motion in space with light time (ERFA `pmsafe`).  ``radial_velocity`` is in km/s.  What is missing (NaN)
-    counts as no motion here and stays missing; a parallax that is not positive stays as it is, at great distance.
+    Uniform motion in space with light time (ERFA `pmsafe`).  ``radial_velocity`` is in km/s.  A missing value (NaN)
+    counts as zero here and stays missing; a parallax that is not positive stays as it is and means a great distance.
     """
     found = values.copy()
     moving = np.flatnonzero(new_epoch != epoch)
@@ -25,7 +25,7 @@ def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_e
     velocity = np.zeros(len(moving)) if radial_velocity is None else np.nan_to_num(radial_velocity[moving])
     distant = parallax <= 0.0
     velocity = np.where(distant, 0.0, velocity)
-    # the ufunc itself, for erfa.pmsafe warns of every distance that it has to assume
+    # the ufunc itself, because erfa.pmsafe warns about every distance that it has to assume
     ra2, dec2, motion_ra, motion_dec, parallax2, _, _ = erfa.ufunc.pmsafe(
         ra,
         dec,
@@ -59,7 +59,7 @@ def parallax_factors(ra: Array, dec: Array, epoch: Array) -> Array:
 def offsets(ra: Array, dec: Array, from_ra: Array, from_dec: Array) -> Array:
     """Return (d alpha*, d dec) of positions as seen from others, in their tangent plane; shape (2, N), rad.
 
-    No two large numbers are subtracted but the angles themselves, and 24 h is no step.
+    No large numbers are subtracted except the angles themselves, and 24 h is not a discontinuity.
     """
     d_ra = ra - from_ra
     east = np.cos(dec) * np.sin(d_ra)

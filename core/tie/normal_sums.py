@@ -16,10 +16,10 @@ BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""
 
 GATHERED = 64 * BLOCK
-"""Sources that are taken out of the tables at a time: bounds the memory beyond these."""
+"""Sources that are taken out of the tables at a time, which bounds the memory beyond that of the tables."""
 
 REGULAR = 1e-6
-"""The determinant of a scaled 2 x 2 matrix from which its root is taken."""
+"""The smallest determinant of a scaled 2 x 2 matrix at which its root is taken."""
 
 
 def source_sums(problem: Problem) -> NormalSums:
@@ -50,7 +50,7 @@ def group_sums(
         factors = None
     equal = factors is None or bool(np.all((factors == 0.0) | (factors == 1.0)))
     sums = NormalSums.zeros(n_groups, len(problem.unknowns), problem.weights != "covariance" or not equal)
-    short = np.min_scalar_type(n_groups)  # short numbers sort in no time
+    short = np.min_scalar_type(n_groups)  # short integers sort much faster
     for part in _blocks(len(group), GATHERED):
         chosen = part if factors is None else part[factors[part] > 0.0]
         _add_block(sums, problem, chosen, group[chosen].astype(short), None if equal else factors)
@@ -64,7 +64,7 @@ def _add_block(
     objects, years, left = problem.sources(chosen)
     if factors is not None:
         left = left.scaled(factors[chosen])
-    if np.any(group[1:] < group[:-1]):  # put in order after the elimination, which leaves less to be moved
+    if np.any(group[1:] < group[:-1]):  # sorted after the elimination, when there is less to move
         order = np.argsort(group, kind="stable")
         group, objects, left = group[order], objects.taken(order), left.taken(order)
         years = years[order] if np.any(years) else years
@@ -125,12 +125,12 @@ def _pieces(group: NDArray[np.integer[Any]]) -> Iterator[slice]:
 def add_products(total: Array, matrix: Array, weight: Array) -> None:
     """Add the sum over n sources of K' W K to ``total`` (K, K).
 
-    Where W has a root this is one product of a matrix with itself, half the work of another.
+    Where W has a root this is one product of a matrix with itself, half the work of a general product.
     ``matrix`` (K, r, n) and ``weight`` (n, r, r), symmetric.  ``matrix`` is overwritten.
     """
     if _apply_root(matrix, weight):
         flat = matrix.reshape(len(total), -1)
-        total += flat @ flat.T  # of which NumPy computes one half
+        total += flat @ flat.T  # NumPy computes only one half of it
         return
     weighted = np.empty_like(matrix)
     for i in range(matrix.shape[1]):
@@ -142,7 +142,7 @@ def add_products(total: Array, matrix: Array, weight: Array) -> None:
 
 
 def _apply_root(matrix: Array, weight: Array) -> bool:
-    """Replace K by L' K with W = L L'; False, and nothing done, where W is not regular of one or two parameters."""
+    """Replace K by L' K with W = L L'; return False and change nothing unless W is regular of one or two parameters."""
     size = matrix.shape[1]
     first = weight[:, 0, 0]
     if size > 2 or not np.all(first > 0.0):

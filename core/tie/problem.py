@@ -19,7 +19,7 @@ class Problem:
     """The tables of a link and what is asked of them.
 
     ``source`` (R,) is the satellite's source of each row of the reference.  ``epoch`` (Julian years) is that of the
-    unknowns.  ``known`` holds values of a block's unknowns to be taken out before, with the block.
+    unknowns.  ``known`` holds unknowns with known values, whose effect is taken out before the solution.
     """
 
     satellite: Astrometry
@@ -53,7 +53,7 @@ class Problem:
         return objects, years, left
 
     def only(self, sources: Indices) -> "Problem":
-        """Return the problem of some sources, in rising order or not, and their rows."""
+        """Return the problem of some sources, in any order, and their rows."""
         place = np.full(len(self.satellite), -1)
         place[sources] = np.arange(len(sources))
         rows = np.flatnonzero(place[self.source] >= 0)
@@ -62,7 +62,7 @@ class Problem:
         )
 
     def objects(self, own: Astrometry) -> tuple[Objects, Array]:
-        """Return what derivatives depend on, and the epoch of each source minus that of the unknowns."""
+        """Return the data for derivatives, and the epoch of each source minus that of the unknowns."""
         ra, dec = own.values[:2]
         pmra, pmdec = np.nan_to_num(own.values[3:])
         objects = Objects(ra, dec, pmra, pmdec, own.columns)
@@ -103,7 +103,7 @@ class Problem:
 
 
 def _as_slice(part: Indices) -> Indices | slice:
-    """Return rising neighbours as a slice, which takes without a copy."""
+    """Return consecutive rising indices as a slice, which needs no copy."""
     if len(part) and part[-1] - part[0] == len(part) - 1 and np.all(np.diff(part) == 1):
         return slice(int(part[0]), int(part[-1]) + 1)
     return part

@@ -16,10 +16,10 @@ from core.tie.solution import Solution, solve
 from core.tie.sums import NormalSums
 
 DIVISIONS = 6
-"""Of the grid of cells of the sky: 72 of them."""
+"""Divisions of the grid of cells of the sky, which has 72 cells."""
 
 KEPT_NUMBERS = 30_000_000
-"""As many numbers the sums of single sources may take (240 MB)."""
+"""Largest size of the sums of single sources, in numbers (240 MB)."""
 
 
 def sky_cells(ra: Array, dec: Array, divisions: int) -> NDArray[np.int16]:
@@ -60,7 +60,7 @@ class Heaviest(NamedTuple):
 
 
 def heaviest(problem: Problem, number: int) -> Heaviest:
-    """Return so many sources with the largest weights; of equal ones the first."""
+    """Return the ``number`` sources with the largest weights; of equal ones the first."""
     sizes = weight_sizes(problem)
     found = np.argsort(-sizes, kind="stable")[:number]
     return Heaviest(sizes[found], found, source_sums(problem.only(found)))
@@ -68,7 +68,7 @@ def heaviest(problem: Problem, number: int) -> Heaviest:
 
 @dataclass(frozen=True)
 class SourceTable:
-    """The sources of a problem, with the sums of each where ``single`` holds, and of cells of the sky."""
+    """The sources of a problem, with the sums of each if ``single``, and those of cells of the sky."""
 
     problem: Problem
     _last: list[tuple[Array | Flags, NormalSums]] = field(default_factory=list, repr=False, compare=False)
@@ -116,7 +116,7 @@ class SourceTable:
         )
 
     def _streamed(self, factors: Array | Flags) -> NormalSums:
-        """Return the sums of cells by a pass over the tables, or those of the last pass where it was the same."""
+        """Return the sums of cells by a pass over the tables, or those of the last pass if ``factors`` are the same."""
         if not self._last or not np.array_equal(self._last[0][0], factors):
             sums = group_sums(self.problem, self.cells, int(self.cells.max()) + 1, factors)
             self._last[:] = [(factors.copy(), sums)]

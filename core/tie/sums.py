@@ -24,7 +24,7 @@ class NormalSums:
 
     @classmethod
     def zeros(cls, groups: int, k: int, with_spread: bool, **further: Any) -> Self:
-        """Return sums of nothing, to be filled in; ``further`` fields are those of a subclass."""
+        """Return sums that are zero, to be filled in; ``further`` fields are those of a subclass."""
         squares, count, expected = np.zeros((3, groups))
         spread = np.zeros((groups, k, k)) if with_spread else None
         return cls(np.zeros((groups, k, k)), np.zeros((groups, k)), squares, count, expected, spread, **further)
@@ -35,7 +35,7 @@ class NormalSums:
     def taken(self, part: slice | Flags | Indices) -> Self:
         """Return the sums of some sources."""
 
-        def of(array: Array) -> Array:  # an index of rows takes several times longer than their numbers one by one
+        def of(array: Array) -> Array:  # indexing with row numbers takes several times longer than np.take
             return array[part] if isinstance(part, slice) or part.dtype == np.bool_ else np.take(array, part, axis=0)
 
         return replace(self, **{name: of(array) for name, array in vars(self).items() if isinstance(array, np.ndarray)})

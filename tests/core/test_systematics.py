@@ -426,7 +426,7 @@ def test_magnitudes_must_be_there(tmp_path):
 
 def test_the_projected_method_refuses_what_it_cannot_draw():
     for changes in ({"zonal_pm": 1.0}, {"satellite_error_ratio": 2.0}):
-        with pytest.raises(LinkError, match="as large as they weigh"):
+        with pytest.raises(LinkError, match="equal those in the weights"):
             simulate([scenario(point(method="projected", **changes))], 1, *generators())
 
 
