@@ -25,16 +25,16 @@ UNITS: Mapping[str, str] = {
     "vt_mag": "mag",
     "phot_g_mean_mag": "mag",
 }
-"""The columns that are read, as in the Gaia archive, and the units they have where the file does not say."""
+"""The columns that are read, named as in the Gaia archive, and their units where the file gives none."""
 
 TYC = ("TYC1", "TYC2", "TYC3")
 
 NAME = "name"
 NAMES = ("name", "objname", "object", "designation", "main_id", "id")
-"""Columns with an object's own name, the first of them first."""
+"""Columns that may hold an object's name, in order of preference."""
 
 _MOTIONS_AND_POSITIONS = ("ra", "dec", "pmra", "pmdec")
-"""Quantities that are found under the names that any archive has for them, as their errors are."""
+"""Quantities that, like their errors, are also found under the names of other archives."""
 
 COLUMNS = (*UNITS, *TYC, "TYC", "PGC", "source_id", NAME)
 
@@ -71,20 +71,20 @@ class ColumnReader:
         return self.column(key) in self.table.colnames
 
     def label(self, key: str) -> str:
-        """Return how messages call a quantity: its name, and that of its column if it is another."""
+        """Return the name of a quantity for messages, with that of its column if the two differ."""
         column = self.column(key)
         return key if column == key else f"{key} (column {column!r})"
 
     def check(self, bad: Flags, what: str, values: NDArray[Any] | None = None) -> None:
-        """Note that rows have something wrong, where ``bad`` holds; ``values`` are shown with them."""
+        """Record what is wrong with the rows where ``bad`` is true; their ``values`` are shown."""
         if bad.any():
             rows, have = ("rows", "have") if np.count_nonzero(bad) > 1 else ("row", "has")
             self.problems.append(f"{rows} {rows_listed(bad, values)} {have} {what}")
 
     def require(self, key: str, hint: str = "") -> bool:
-        """Return `has`, and note a column that is missing."""
+        """Return whether the table has the column of a quantity, and record a problem if it does not."""
         there = self.has(key)
-        if not there and key not in self.columns:  # of a column that is named for it there is a problem already
+        if not there and key not in self.columns:  # `__init__` has reported a column of the map
             self.problems.append(f"no column {key!r}{suggest(key, self.table.colnames)}{hint}")
         return there
 
@@ -134,7 +134,7 @@ class ColumnReader:
         return np.array(texts, dtype=np.str_)
 
     def _plain(self, key: str, column: Any, kinds: str) -> NDArray[Any] | None:
-        """Return a column's values, or None and a problem if they are not of these kinds, one a row."""
+        """Return a column's values; record a problem and return None if they are not of these kinds, one per row."""
         dtype = getattr(column, "dtype", None)
         if dtype is None or dtype.kind not in kinds or column.ndim != 1:
             kind = type(column).__name__ if dtype is None else f"{dtype}, {getattr(column, 'ndim', 0)}-dimensional"

@@ -57,14 +57,14 @@ def matches_table(result: Result) -> Any:
 def read_matches(path: Path) -> Any:
     """Return the astropy Table that `write_outputs` wrote as ECSV; its ``meta`` holds the summary.
 
-    Raises SweepError where a column is missing, in another unit or of another kind, or a class unknown.
+    Raises SweepError if a column is missing or in another unit, or if a class is unknown.
     """
     table = read_table(path)
     problems: list[str] = []
     needed = {"ra", "dec", "ra_error", "dec_error", "PGC", *MATCH_COLUMNS} - {"galaxy_name"}
     for name in sorted(needed):
         if name not in table.colnames:
-            problems.append(f"no column {name!r}{suggest(name, table.colnames)}; this is no table of `sweep match`")
+            problems.append(f"no column {name!r}{suggest(name, table.colnames)}; is this a table of `sweep match`?")
             continue
         unit, (wanted, _) = table[name].unit, COLUMNS.get(name, (None, None))
         if (None if unit is None else str(unit)) != wanted:

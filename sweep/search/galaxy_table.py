@@ -1,4 +1,4 @@
-"""The 46-byte table of galaxies in a star catalogue, as the paper's tables at CDS.
+"""The 46-byte table of galaxies in a star catalogue, in the format of the paper's tables at CDS.
 
 ====== ====== =====================================
 Bytes  Format What
@@ -37,7 +37,7 @@ FIELDS: Mapping[str, tuple[slice, int, int]] = {
     "DEdeg": (slice(32, 44), -90, 90),
     "class": (slice(45, 46), 0, len(LETTERS) - 1),
 }
-"""The place in a line, the smallest and the largest number (or code) of each field."""
+"""The bytes of each field in a line, and its smallest and largest number (or code)."""
 
 BLANKS = (4, 10, 12, 18, 31, 44)
 INTEGERS = ("TYC1", "TYC2", "TYC3", "PGC")
@@ -105,7 +105,7 @@ def read_galaxy_table(path: Path) -> GalaxyTable:
 
 
 def _parse(line: str, number: int, problems: list[str]) -> tuple[float, ...]:
-    """Return the seven numbers of a line, the class as its code; what is wrong goes to ``problems``."""
+    """Return the seven numbers of a line, with the class as its code; add what is wrong to ``problems``."""
     if len(line) != LENGTH:
         problems.append(f"line {number} has {len(line)} bytes, not {LENGTH}")
         return (0.0,) * 7

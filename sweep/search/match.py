@@ -1,4 +1,4 @@
-"""A search from files to files: tables are read, matched, and what is wanted is written."""
+"""A whole search: read the tables, match them, and write the requested files."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -17,9 +17,10 @@ from sweep.search.tables import SkyTable, read_galaxies, read_stars, table_name,
 
 
 def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: bool = False) -> Result:
-    """Read the tables, match them and write what is wanted.
+    """Read the tables, match them and write the requested files.
 
-    Raises SweepError as `check_outputs`, `read_tables`, `match_tables` and `write_outputs`; nothing is written then.
+    Raises SweepError as `check_outputs`, `read_tables`, `match_tables` and `write_outputs`; if a table or an option is
+    wrong, nothing is written.
     """
     outputs = outputs or Outputs()
     check_outputs(outputs, search, overwrite)
@@ -32,7 +33,7 @@ def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: boo
 
 
 def read_tables(search: Search) -> tuple[tuple[SkyTable, ...], tuple[SkyTable, ...]]:
-    """Return the star tables and the galaxy tables of a search; raises SweepError with the problems of them all."""
+    """Return the star tables and the galaxy tables of a search; raises SweepError with the problems of all."""
     tables: list[SkyTable] = []
     problems: list[str] = []
     star_paths = [path for path in (search.stars, search.supplement) if path is not None]

@@ -1,4 +1,4 @@
-"""What is searched and how, from options as on the command line; nothing is read here."""
+"""What to search and how, from the options of the command line; no file is read here."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -19,9 +19,9 @@ DEFAULT_RADIUS_ARCSEC = 5.0
 
 @dataclass(frozen=True)
 class Search:
-    """What is searched and how: files, match radius and `Reading` by table name, epoch (Julian year) and rules.
+    """What to search and how: files, match radius and `Reading` by table name, epoch (Julian year) and rules.
 
-    A second epoch ``epoch_difference_yr`` later with errors of ``second_epoch_error_mas`` is for the summary.
+    The summary assumes a second epoch ``epoch_difference_yr`` later, with errors of ``second_epoch_error_mas``.
     """
 
     stars: Path
@@ -54,13 +54,13 @@ def plan_search(
     epoch_difference_yr: float = 20.0,  # the paper's: 117 and 127 mas give about 6 mas/yr
     second_epoch_error_mas: float = 0.0,
 ) -> Search:
-    """Return the search that options as on the command line ask for; nothing is read yet.
+    """Return the search that the options of the command line ask for; no file is read yet.
 
-    ``radius`` and ``error`` (arcsec) and ``ref_epoch`` (yr) are NAME=VALUE, or VALUE for all galaxy tables, for all
-    galaxy tables and for all star tables; ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one, and
-    ``unit`` likewise KEY=UNIT of a column for which the file gives none.
-    The others are those of `Rules` and `Search`.
-    Raises SweepError for two tables of one name, unknown names and values out of range.
+    ``radius`` and ``error`` (arcsec) are NAME=VALUE, or VALUE for all galaxy tables; ``ref_epoch`` (yr) is NAME=VALUE,
+    or VALUE for all star tables.  ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one table;
+    ``unit``, KEY=UNIT or NAME:KEY=UNIT, gives the unit of a column for which the file gives none.
+    The other arguments are those of `Rules` and `Search`.
+    Raises SweepError for two tables with the same name, unknown names and values out of range.
     """
     star_names = [table_name(path) for path in (stars, supplement) if path is not None]
     galaxy_names = [table_name(path) for path in galaxies]
@@ -112,9 +112,9 @@ def _maps(
     star_names: Sequence[str],
     problems: list[str],
 ) -> dict[str, dict[str, str]]:
-    """Return {table: {key: value}} of an option that is given as KEY=VALUE or NAME:KEY=VALUE."""
+    """Return {table: {key: value}} for an option that is given as KEY=VALUE or NAME:KEY=VALUE."""
     maps: dict[str, dict[str, str]] = {name: {} for name in names}
-    for named_first in (False, True):  # what is for one table goes before what is for all
+    for named_first in (False, True):  # values for one table override those for all
         for text in texts:
             key, value = split_assignment(text)
             name, colon, quantity = key.rpartition(":")
@@ -141,10 +141,10 @@ def _per_table(
     limits: tuple[float, float, str],
     problems: list[str],
 ) -> dict[str, float]:
-    """Return {name: number} of an option that is given as NAME=NUMBER for one of ``names``, or NUMBER for
-    ``common_for``; ``limits`` are a number below, the largest that may be, and their unit.
+    """Return {name: number} for an option that is given as NAME=NUMBER for one of ``names``, or NUMBER for
+    ``common_for``; ``limits`` are a number below all allowed ones, the largest, and their unit.
 
-    An unknown name, what is no such number, and one given twice go to ``problems``.
+    Unknown names, numbers that are not allowed, and repeated ones are added to ``problems``.
     """
     low, high, unit = limits
     found: dict[str, float] = {}

@@ -22,14 +22,14 @@ MAP_SUFFIXES = (".png", ".svg", ".pdf")
 
 @dataclass(frozen=True)
 class Outputs:
-    """Where results go; None for not at all."""
+    """The files to write; None for those that are not wanted."""
 
     ecsv: Path | None = None
     table: Path | None = None
     sky_map: Path | None = None
 
     def paths(self) -> list[Path]:
-        """Return those that are wanted."""
+        """Return the paths of the files that are wanted."""
         return [path for path in (self.ecsv, self.table, self.sky_map) if path is not None]
 
 
@@ -93,14 +93,14 @@ def write_outputs(result: Result, outputs: Outputs, overwrite: bool = False) -> 
 
 
 def galaxy_table(result: Result) -> GalaxyTable:
-    """Return the matches as the paper's table, for stars that `check_for_galaxy_table` lets pass."""
+    """Return the matches as the paper's table, for stars that `check_for_galaxy_table` accepts."""
     columns = match_columns(result)
     tyc = np.stack([columns[name] for name in TYC], axis=1)
     return GalaxyTable(tyc, columns["PGC"], columns["ra"], columns["dec"], result.matches.code)
 
 
 def publish(path: Path, write: Callable[[Path], Any], overwrite: bool) -> None:
-    """Write a file under another name and give it its own when it is whole."""
+    """Write a file under a temporary name, and rename it when it is complete."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -120,7 +120,7 @@ def publish(path: Path, write: Callable[[Path], Any], overwrite: bool) -> None:
 def _rename_new(part: Path, path: Path) -> None:
     """Rename a file unless its new name is taken."""
     try:
-        os.link(part, path)  # unlike a rename it fails where a file came up in the meantime
+        os.link(part, path)  # unlike a rename, this fails if the file exists by now
     except OSError as error:  # the name is taken, or the file system has no hard links
         if isinstance(error, FileExistsError) or path.exists():
             raise FileExistsError(path) from error

@@ -15,7 +15,7 @@ from sweep.search.options import Search
 from sweep.search.tables import SkyTable
 
 STAR_MOTIONS = {name: f"star_{name}" for name in ("pmra", "pmdec", "pmra_error", "pmdec_error")}
-"""A star's proper motion is measured, a galaxy's is zero: so named, a study does not take one for the other."""
+"""Columns for the stars' measured proper motions, so named that a study does not take them for the galaxies' (zero)."""
 
 
 @dataclass(frozen=True)
@@ -29,9 +29,9 @@ class Result:
 
 
 def match_columns(result: Result) -> dict[str, NDArray[Any]]:
-    """Return the matches as columns, a row each: those of the star tables, then those of `ecsv.MATCH_COLUMNS`.
+    """Return columns with a row for each match: those of the star tables, then those of `ecsv.MATCH_COLUMNS`.
 
-    A number that a table does not have is NaN, an identifier 0.
+    Numbers that a table does not have are NaN, identifiers 0.
     """
     stars, galaxies, matches = result.stars, result.galaxies, result.matches
     starts = np.cumsum([0, *(len(table) for table in stars)])
@@ -80,7 +80,7 @@ def _gathered(
     known = [column for column in columns if column is not None]
     if not known:
         return None
-    dtype = np.result_type(*(column.dtype for column in known))  # of the longest text
+    dtype = np.result_type(*(column.dtype for column in known))  # for text, that of the longest
     gathered = np.full((len(row), *known[0].shape[1:]), missing, dtype=dtype)
     for t, column in enumerate(columns):
         if column is not None:

@@ -21,7 +21,7 @@ STYLES = {
 
 BACKGROUND = "#b0b0b0"
 MAX_BACKGROUND = 30_000
-"""More background points than this fill the map; beyond it an even share of them is drawn, and the legend says so."""
+"""More background points would fill the map: of a larger number a random share is drawn, and the legend gives it."""
 
 
 def sky_map_of(result: Result) -> Figure:
@@ -59,7 +59,7 @@ def _plot_background(axes: Any, background: tuple[Array, Array]) -> None:
     if not step:
         return
     share = f", 1 in {step} drawn" if step > 1 else ""
-    # rows of a catalogue often run along the sky, so a random choice and not every step-th
+    # rows of a catalogue are often sorted by position, so a random choice instead of every step-th row
     chosen = np.random.default_rng(0).permutation(len(background[0]))[: len(background[0]) // step]
     style = {"linestyle": "none", "marker": ".", "markeredgewidth": 0.0, "color": BACKGROUND}
     places = _on_map(*(coordinate[chosen] for coordinate in background))

@@ -1,4 +1,4 @@
-"""The summary of a search, for JSON and to read: counts and means for each class, chance pairs for each catalogue."""
+"""The summary of a search, for JSON and as text: counts and means for each class, chance pairs for each catalogue."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def summarise(result: Result) -> dict[str, Any]:
     """Return the summary of a search: what was searched, chance matches, and counts and means for each class.
 
-    The proper-motion error is that from the mean position error and the second epoch of the search; a mean of nothing
-    is None.
+    The proper-motion error follows from the mean position error and the second epoch of the search; a mean of no
+    values is None.
     """
     search, matches = result.search, result.matches
     columns = match_columns(result)
@@ -97,7 +97,7 @@ def _mean_and_scatter(values: Array) -> dict[str, float | None]:
 
 
 def summary_text(summary: Mapping[str, Any]) -> "list[RenderableType]":
-    """Return the summary for reading, as things that rich prints."""
+    """Return the summary as text and tables that rich prints."""
     stars = " + ".join(f"{n:,} in {name}" for name, n in summary["stars"].items())
     reasons = ", ".join(f"{name} {n}" for name, n in summary["reasons"].items())
     lines = [

@@ -29,7 +29,7 @@ _TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASC
 
 @dataclass(frozen=True)
 class Reading:
-    """How one table is read: columns with another name, units that it does not give, and values instead of a column.
+    """How one table is read: names of its columns, units that it does not give, and values in place of a column.
 
     ``error_arcsec`` is the error of each coordinate, ``ref_epoch`` (yr) the epoch of all positions.
     """
@@ -45,9 +45,9 @@ class Reading:
 class SkyTable:
     """A table of N objects: columns in the units of `UNITS`, each of shape (N,).
 
-    ``numbers`` has the columns of `UNITS` that the table has; NaN is a missing magnitude or proper motion, nothing else
-    is missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier, ``names`` are those
-    of galaxies, '' where there is none.
+    ``numbers`` has the columns of `UNITS` that the table has; NaN is a missing magnitude or proper motion; nothing
+    else may be missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier, ``names``
+    are those of galaxies, '' where there is none.
     """
 
     path: Path
@@ -63,15 +63,15 @@ class SkyTable:
 
 
 def table_name(path: Path) -> str:
-    """Return the name by which options call a table: its file name up to the first dot."""
+    """Return the name of a table in options: its file name up to the first dot."""
     return path.name.split(".")[0]
 
 
 def read_stars(path: Path, reading: Reading | None = None) -> SkyTable:
-    """Return a star table: ra, dec and their errors, proper motions with an epoch or none, magnitudes, identifiers.
+    """Return a star table: ra, dec and their errors, any proper motions and their epoch, magnitudes, identifiers.
 
-    Raises SweepError with all that is wrong: a column or unit that is missing or strange, rows without a value or
-    with an impossible one, an identifier twice.
+    Raises SweepError with all problems: missing or unusable columns and units, rows without a value or with an
+    impossible one, repeated identifiers.
     """
     return _read(path, reading or Reading(), stars=True)
 
@@ -79,7 +79,7 @@ def read_stars(path: Path, reading: Reading | None = None) -> SkyTable:
 def read_galaxies(path: Path, reading: Reading | None = None) -> SkyTable:
     """Return a galaxy table: ra, dec, their errors and PGC numbers; raises SweepError as `read_stars`.
 
-    Proper motions are not read: a galaxy has none, a measured one is noise.
+    Proper motions are not read: galaxies do not move, and measured motions are noise.
     """
     return _read(path, reading or Reading(), stars=False)
 
@@ -131,7 +131,7 @@ def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
 
 
 def _with_cos_dec(reader: ColumnReader, key: str, values: Array, numbers: Mapping[str, Array]) -> Array:
-    """Return a column along ra with cos(dec), which one in seconds of time does not include."""
+    """Return the values of a column, times cos(dec) if it is along ra and in units of time, which lack it."""
     if key not in ALONG_RA or not reader.in_time(key) or "dec" not in numbers:
         return values
     return np.asarray(values * np.cos(numbers["dec"] * DEGREE))
@@ -196,7 +196,7 @@ def _tyc(reader: ColumnReader) -> Indices | None:
         reader.check((column < 1) | (column > limit), f"a {reader.label(key)} outside 1..{limit}")
     if len(reader.problems) == n_problems:
         again = pd.Index(tyc_code(tyc)).duplicated()
-        reader.check(again, "a Tycho identifier that stands in the table before")
+        reader.check(again, "the Tycho identifier of an earlier row")
     return tyc
 
 

@@ -26,10 +26,10 @@ from sweep.tie.column_names import (
 from sweep.tie.column_reader import ColumnReader
 
 FASTEST_KM_S = 5000.0
-"""Radial velocities beyond are no star's: they are codes for missing ones, or redshifts."""
+"""No star is faster: larger radial velocities are redshifts, or stand for missing ones."""
 
 COARSE = 0.1
-"""Positions that are rounded by more than this part of their errors are too coarse."""
+"""Positions that are rounded by more than this fraction of their errors are too coarse."""
 
 
 class AstrometryReader(ColumnReader):
@@ -98,7 +98,7 @@ class AstrometryReader(ColumnReader):
         return found, self._names()
 
     def _set_units(self) -> None:
-        """Give columns the units that the options say; a column has another only if it says so itself."""
+        """Give columns the units of the options; record a problem if a column has another one."""
         from astropy import units
 
         self.table = self.table.copy(copy_data=False)
@@ -120,7 +120,7 @@ class AstrometryReader(ColumnReader):
     def _positions(self) -> str:
         said = self.options.positions or self.table.meta.get("positions", "single-epoch")
         if said not in get_args(Positions):
-            self.problems.append(f"positions {said!r}: they are {' or '.join(get_args(Positions))}")
+            self.problems.append(f"positions {said!r}: must be {' or '.join(get_args(Positions))}")
         return str(said)
 
     def _column(self, quantity: str) -> str | None:
@@ -135,7 +135,7 @@ class AstrometryReader(ColumnReader):
         return self.in_unit(name, unit_of(quantity)) * MAS * self._cos_dec(quantity, name, dec)
 
     def _cos_dec(self, quantity: str, name: str, dec: Array) -> Array | float:
-        """Return the factor cos(dec) of columns along right ascension that are without it, as in units of time."""
+        """Return cos(dec) for columns along right ascension that lack this factor, as in units of time; else 1."""
         without = quantity == "pmra" and not self.options.pmra_cos_dec
         return np.cos(dec) if without or (quantity in ("ra", "pmra") and self.in_time(name)) else 1.0
 
@@ -158,18 +158,18 @@ class AstrometryReader(ColumnReader):
         return found
 
     def _doubtful_unit(self, quantity: str, of: str, name: str) -> None:
-        """Say what is taken for the unit of an error without one, where the unit of its value is a special one."""
+        """Note what unit an error without one is taken to have, or refuse it, if the unit of its value is unusual."""
         unit, own = unit_of(quantity), self.table[of].unit
         if quantity in ("ra", "dec"):
             if self.kind(of) in "USO":
-                taken = f"{name!r} has no unit and counts as {unit}, or say --unit {quantity}_error="
+                taken = f"{name!r} has no unit and is taken as {unit}; else say --unit {quantity}_error="
                 self.notes.append(f"{of!r} is sexagesimal; {taken}{'s' if quantity == 'ra' else 'arcsec'}")
         elif own is not None and own.is_equivalent(unit) and not np.isclose(own.to(unit), 1.0):
             say = f"say --unit {quantity}_error={own} (or {unit})"
             self.problems.append(f"column {of!r} is in {own}, and {name!r} has no unit; {say}")
 
     def _correlations(self, present: Flags) -> Array | None:
-        """Return the correlations (10, N) between what is ``present`` (5, N), 0 elsewhere; None for a table without."""
+        """Return the correlations (10, N), 0 unless both parameters are ``present`` (5, N); None without columns."""
         if hipparcos.is_hipparcos(self) and (elements := hipparcos.elements(self)) is not None:
             return hipparcos.correlations(elements)
         names = [self._column(name) for name in CORRELATIONS]
@@ -181,7 +181,7 @@ class AstrometryReader(ColumnReader):
             both = present[i] & present[j]
             if name is None and np.any(both):
                 absent.append(key)
-            if name is not None and np.any(np.isfinite(row)):  # a column of blanks is as none
+            if name is not None and np.any(np.isfinite(row)):  # a blank column counts as none
                 self.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
             row[~(both & np.isfinite(row))] = 0.0
         zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""

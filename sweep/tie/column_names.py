@@ -10,7 +10,7 @@ from sweep.contract import SweepError
 from sweep.tables.names import VALUES, error_column, first_found, value_column
 
 EPOCHS = (1700.0, 2300.0)
-"""Julian years that an epoch may be."""
+"""The smallest and the largest epoch that is allowed, Julian years."""
 
 Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
@@ -18,7 +18,7 @@ Zeros = Literal["error", "missing", "exact"]
 NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
 CORRELATIONS = tuple(f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr" for i, j in PAIRS)
 QUANTITIES = (*VALUES, *(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name")
-"""All that ``columns`` may name."""
+"""The quantities that ``columns`` may name."""
 
 _AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
 _CORRELATIONS_AT_VIZIER = {
@@ -30,10 +30,10 @@ _CORRELATIONS_AT_VIZIER = {
 class TableOptions:
     """How a table is read.
 
-    ``columns``: the table's name for a quantity; ``units``: of quantities whose column says none.  ``epoch`` (Julian
-    year) is for a table without a column of epochs.
-    ``positions`` without parallax and motion: of a single epoch, displaced by the parallax, or mean ones; by default
-    what the table's metadata say under ``positions``, else of a single epoch.  Those without an epoch are mean ones.
+    ``columns`` gives the table's names of quantities, ``units`` the units of quantities whose columns have none.
+    ``epoch`` (Julian year) is for a table without a column of epochs.
+    ``positions`` says whether positions without parallax and motion are of a single epoch, displaced by the parallax,
+    or mean ones; by default as the table's metadata say, else of a single epoch.  Those without an epoch are mean.
     ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*.
     """
 
@@ -46,13 +46,13 @@ class TableOptions:
 
 
 def require_epoch(epoch: float | None, what: str) -> None:
-    """Raise SweepError for what is no Julian year, if it is given."""
+    """Raise SweepError if an epoch is given and is not an allowed Julian year."""
     if epoch is not None and not EPOCHS[0] <= epoch <= EPOCHS[1]:
-        raise SweepError(f"{what} {epoch:.10g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
+        raise SweepError(f"{what} {epoch:.10g}: must be a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
 
 
 def unit_of(quantity: str) -> str:
-    """Return the unit of plain numbers, but positions."""
+    """Return the unit of numbers without one, other than positions themselves."""
     return "mas/yr" if quantity.startswith("pm") else "mas"
 
 
@@ -73,7 +73,7 @@ def error_column_of(quantity: str, names: Collection[str], options: TableOptions
 
 
 def columns_needed(names: Sequence[str], options: TableOptions, further: Collection[str] = ()) -> list[str]:
-    """Return the columns of a table that hold a quantity, in their order, and ``further`` ones."""
+    """Return the columns of a table that hold a quantity or are among ``further``, in their order."""
     found = {column_of(quantity, names, options) for quantity in (*VALUES, *CORRELATIONS)}
     found |= {error_column_of(quantity, names, options) for quantity in PARAMETERS}
     return [name for name in names if name in found or name in further]

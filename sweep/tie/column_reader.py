@@ -14,7 +14,7 @@ from sweep.tables.columns import column_values, in_time, missing_values
 from sweep.tables.rows import MISSING
 
 MJD_FROM = 15000.0
-"""Numbers above are modified Julian dates, and those above `JD_FROM` Julian dates."""
+"""Larger epochs are modified Julian dates, and those above `JD_FROM` Julian dates."""
 
 JD_FROM, JD_OF_MJD = 2.3e6, 2400000.5
 
@@ -27,11 +27,11 @@ class ColumnReader:
         self.problems: list[str] = []
 
     def kind(self, name: str) -> str:
-        """Return what NumPy calls the kind of a column's values, "O" for those of no array."""
+        """Return NumPy's letter for the kind of a column's values, "O" if they are not an array."""
         return str(getattr(getattr(self.table[name], "dtype", None), "kind", "O"))
 
     def rounding(self, name: str) -> float:
-        """Return by which part of itself a number may be rounded; 0 for those in double precision."""
+        """Return the relative rounding error of a column in single precision; 0 for other columns."""
         return 2.0**-24 if self.kind(name) == "f" and self.table[name].dtype.itemsize < 8 else 0.0
 
     def angle(self, name: str, hours: bool) -> Array:
@@ -65,11 +65,11 @@ class ColumnReader:
             return np.full(len(self.table), np.nan)
 
     def in_time(self, name: str) -> bool:
-        """Return whether numbers along right ascension are in units of time, so that they lack cos(dec)."""
+        """Return whether a column of numbers is in units of time; along right ascension it then lacks cos(dec)."""
         return self.kind(name) in "fiu" and in_time(self.table, name)
 
     def in_unit(self, name: str, unit: str) -> Array:
-        """Return a column in a unit, which it has where it does not say; a second of time is 15 arcsec."""
+        """Return a column in a unit, which is also that of a column without one; a second of time is 15 arcsec."""
         from astropy import units
 
         values, own = self.numbers(name), self.table[name].unit
@@ -93,7 +93,7 @@ class ColumnReader:
         return np.asarray(np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(np.float64), np.nan))
 
     def julian_years(self, name: str) -> Array:
-        """Return a column of epochs as Julian years, NaN where it is missing: years, MJD, JD, dates and times."""
+        """Return a column of epochs (years, MJD, JD, dates or times) as Julian years, NaN where it is missing."""
         from astropy.time import Time
 
         column = self.table[name]
@@ -114,7 +114,7 @@ class ColumnReader:
         found = np.full(len(texts), np.nan)
         for row in np.flatnonzero(~missing_values(self.table[name]) & ~np.isin(texts, ("", "--", "None"))):
             try:
-                with warnings.catch_warnings():  # of years without leap seconds
+                with warnings.catch_warnings():  # astropy warns of years whose leap seconds are not known
                     warnings.simplefilter("ignore")
                     found[row] = Time(texts[row].removesuffix("Z")).jyear
             except ValueError:
@@ -127,11 +127,11 @@ class ColumnReader:
         """Return a column of names, integers too, as text."""
         column = self.table[name]
         if self.kind(name) in "iu" and not np.any(np.ma.getmaskarray(column)):
-            return np.asarray(column).astype(np.str_)  # millions of source_id
+            return np.asarray(column).astype(np.str_)  # fast for millions of source_id
         return np.array([" ".join(_written(v).split()) for v in column])
 
     def _first_text(self, name: str) -> str:
-        """Return the first row of a column of text that is no number, else the first row, with its value."""
+        """Return a clause about the first text of a column that is not a number, or else about its first row."""
         if self.kind(name) not in "USO" or np.ndim(self.table[name]) != 1:
             return ""
         texts = [str(text) for text in self.text(name)]
@@ -139,7 +139,7 @@ class ColumnReader:
         return f"row {row + 1} has the text {texts[row]!r}" if texts else ""
 
     def check(self, bad: Flags, what: str) -> None:
-        """Note that rows have something wrong, where ``bad`` holds."""
+        """Record what is wrong with the rows where ``bad`` is true."""
         rows = np.flatnonzero(bad)
         if len(rows):
             self.problems.append(f"{what} in {named_rows(rows)}")

@@ -22,7 +22,7 @@ FIELD_OF = {
     "spin": "motion toroidal",
     "glide": "motion spheroidal",
 }
-"""The fields of which blocks are degree 1."""
+"""The field whose degree 1 a block is."""
 
 _STORED = parse_unknowns("orientation,spin,position_glide,glide,parallax")
 COMPONENTS = _STORED.labels
@@ -48,8 +48,8 @@ def components(values: Array, labels: Sequence[str]) -> Array:
 
 
 class Power(NamedTuple):
-    """Power of one degree of a field (mas^2 or mas^2/yr^2), what noise gives on average, c'V^-1 c, a chi2 of 2 l + 1
-    degrees of freedom without any signal, and the probability that noise is as significant.
+    """Power of one degree l of a field (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c, which
+    for noise alone is a chi2 of 2 l + 1 degrees of freedom, and the probability that noise is as significant.
     """
 
     field: str
@@ -61,7 +61,7 @@ class Power(NamedTuple):
 
 
 def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Power]:
-    """Return the power of each degree that is among the unknowns; those of degree 1 may be vectors."""
+    """Return the power of each degree among the unknowns (rotations, glides: degree 1); none without harmonics."""
     if not any(isinstance(block, Harmonics) for block in unknowns.blocks):
         return []
     found = []
@@ -71,7 +71,7 @@ def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Pow
         if isinstance(block, Harmonics):
             start, where = 0, "motion" if block.rate else "position"
             for kind, degree in block.parts:
-                weights = np.array([1.0, *[2.0] * (2 * degree)])  # of order 0, and of the parts of the others
+                weights = np.array([1.0, *[2.0] * (2 * degree)])  # order 0, then both parts of each other order
                 piece = slice(start, start + len(weights))
                 field = f"{where} {'toroidal' if kind == 't' else 'spheroidal'}"
                 found.append(_power(field, degree, weights, x[piece], v[piece, piece]))
@@ -82,13 +82,13 @@ def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Pow
 
 
 def _power(field: str, degree: int, weights: Array, x: Array, v: Array) -> Power:
-    chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table beside itself has errors of zero
+    chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table linked to itself has errors of 0
     probability = float(chdtrc(2 * degree + 1, chi2))
     return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), chi2, probability)
 
 
 def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
-    """Return the power of each field and degree of an estimate in rad, what noise gives on average, and the
+    """Return the power of each field and degree of an estimate in rad, its mean for noise alone, and the
     probability that noise is as significant; shape (3, fields, degrees), in mas2 and mas2/yr2, NaN if not solved for.
     """
     found = np.full((3, *POWER_SHAPE), np.nan)
@@ -104,14 +104,14 @@ def by_bins(unknowns: Unknowns, values: Array) -> Array:
     for block in unknowns.blocks:
         if isinstance(block, SpinByBin):
             if max(block.used) >= MOST_BINS:
-                raise ValueError(f"bins: results have places for {MOST_BINS} bins, edges make {len(block.edges) + 1}")
+                raise ValueError(f"bins: results hold {MOST_BINS} bins at most, the edges make {len(block.edges) + 1}")
             own = values[..., unknowns.part(block.name)]
             found[..., list(block.used), :] = own.reshape(*values.shape[:-1], len(block.used), 3)
     return found
 
 
 def any_stored(unknowns: Unknowns) -> bool:
-    """Return whether results have a place for any of some unknowns."""
+    """Return whether results have a place for any of the unknowns."""
     parts = components(np.zeros(len(unknowns)), unknowns.labels), by_bins(unknowns, np.zeros(len(unknowns)))
     stored = powers(unknowns, np.zeros(len(unknowns)), np.eye(len(unknowns)))[0]
     return any(np.any(np.isfinite(part)) for part in (*parts, stored))

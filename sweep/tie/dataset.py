@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 ROWS_KEPT = 100_000
-"""Tables with more rows are not repeated in a result."""
+"""The rows of larger tables are not included in a result."""
 
 
 def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dataset":

@@ -77,7 +77,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
 
 
 def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return what decides which rows belong to which sources, as something that can be looked up."""
+    """Return everything that decides which rows belong to which sources, as the key of a cache."""
     reference = None if point["reference"] is None else (point["reference"].path, point["reference"].digest)
     if point["satellite"] is None:
         raise SweepError("satellite is required: the table of the satellite")
@@ -124,7 +124,7 @@ def _set_up(key: tuple[Any, ...]) -> Setup:
 
 
 def _within(setup: Setup, point: Mapping[str, Any]) -> Setup:
-    """Leave out the sources beyond the limits of magnitude, and those without one."""
+    """Leave out the sources outside the limits of magnitude; if there is a limit, also those without a magnitude."""
     low, high, column = point["g_min"], point["g_max"], point["magnitude"]
     if low is None and high is None:
         return setup

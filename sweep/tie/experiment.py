@@ -120,7 +120,7 @@ def _drawn(
 ) -> tuple[Array, Array, float, float]:
     """Return the error of the estimate and its formal error (mas, mas/yr), chi2 over its average, and sources kept."""
     if clip.kind == "none":
-        right, one = draw.sums.right.sum(axis=0), solution  # whose matrices are those of every draw
+        right, one = draw.sums.right.sum(axis=0), solution  # its matrices are the same for every draw
         estimate, expected, kept = one.inverse @ right, one.expected, len(draw.sums)
         squares = max(0.0, float(draw.sums.squares.sum() - right @ estimate))
     else:
@@ -159,8 +159,8 @@ def check(point: Point) -> str | None:
         design = design_of(point)
         solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
         if not any_stored(design.problem.unknowns):
-            places = f"results have places for harmonics to degree {HIGHEST_STORED}"
-            return f"unknowns = {point['unknowns']!r}: {places}, and none is here"
+            places = f"results have no place for any of these; harmonics end at degree {HIGHEST_STORED}"
+            return f"unknowns = {point['unknowns']!r}: {places}"
     except (SweepError, ValueError) as error:  # LinkError is one
         return str(error)
     return None

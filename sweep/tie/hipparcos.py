@@ -1,4 +1,4 @@
-"""Hipparcos-2: correlations from its matrix U; its errors are those of its columns."""
+"""Hipparcos-2: correlations from its matrix U; the errors are in columns of their own."""
 
 import numpy as np
 
@@ -13,12 +13,12 @@ _PLACES = [(i, j) for j in range(5) for i in range(j + 1)]
 
 
 def is_hipparcos(reader: ColumnReader) -> bool:
-    """Return whether a table has positions in radians by the name of Hipparcos-2."""
+    """Return whether a table has the column RArad, by which Hipparcos-2 is recognised."""
     return any(name.casefold() == "rarad" for name in reader.table.colnames)
 
 
 def elements(reader: ColumnReader) -> Array | None:
-    """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; or None."""
+    """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; None without them."""
     for stem in ("UW", "U"):
         if all(f"{stem}{k}" in reader.table.colnames for k in range(1, 16)):
             return np.asarray([reader.numbers(f"{stem}{k}") for k in range(1, 16)], dtype=np.float64)

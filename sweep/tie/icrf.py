@@ -1,4 +1,4 @@
-"""Positions from the ICRF's text tables (ICRF2, ICRF3), whose errors of ra are seconds of time."""
+"""Positions from the ICRF's text tables (ICRF2, ICRF3), whose errors of ra are in seconds of time."""
 
 import re
 from pathlib import Path
@@ -19,7 +19,7 @@ _ROW = re.compile(
 
 
 def is_icrf(path: Path) -> bool:
-    """Return whether a text file has rows of the ICRF's form."""
+    """Return whether a text file has rows in the format of the ICRF."""
     with path.open("rb") as file:
         return any(line.startswith(b"ICRF J") for line, _ in zip(file, range(200), strict=False))
 
@@ -27,7 +27,7 @@ def is_icrf(path: Path) -> bool:
 def read_icrf(path: Path) -> tuple[Astrometry, dict[str, NDArray[np.str_]]]:
     """Return mean positions without an epoch and the names by column: iers_name, icrf_name.
 
-    Raises SweepError that names lines that cannot be read.
+    Raises SweepError that names the lines that cannot be read.
     """
     rows, bad = [], []
     for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 EXPERIMENT = "sweep.tie.experiment:tie"
-"""Workers must have the code of this."""
+"""The experiment whose code the workers must have."""
 
 
 def tie(
@@ -50,8 +50,8 @@ def tie(
         seed: the seed of the bootstrap.
         workers: the number of local worker processes, for millions of quasars in Parquet; none by default.
         scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
-        per_source: whether the dataset has what belongs to single sources and rows; without it the memory that a
-            Parquet table of millions of quasars takes hardly grows with their number.
+        per_source: whether the dataset has the values of single sources and rows; without them the memory for a
+            Parquet table of millions of quasars hardly grows with their number.
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
             ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``,
             ``corrections``, ``missions`` (further tables by name, each with an orientation and a spin of its own),

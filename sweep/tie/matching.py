@@ -21,8 +21,8 @@ _NO_NAME = ("", "--", "nan")
 
 @dataclass(frozen=True)
 class Match:
-    """The rows that were matched (R,), the source of the satellite of each (R,), how, the rows left over, and those
-    for which the nearest source was taken of several within the radius.
+    """The rows that were matched (R,), the source of the satellite for each (R,), how they were matched, the rows left
+    over, and those for which several sources were within the radius, so that the nearest was taken.
     """
 
     rows: Indices
@@ -35,8 +35,8 @@ class Match:
 def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | None = None) -> Match:
     """Match by ``name``, by a column that both tables have, or by ``position`` within 1 arcsec (``position:R``).
 
-    By default by name where both tables have a column of names with a name in common, and by position otherwise.
-    Raises SweepError where nothing matches or the satellite has a name twice.
+    By default by name if columns of names in both tables have a name in common, and by position otherwise.
+    Raises SweepError if nothing matches, or if the satellite's table has a name twice.
     """
     kind, _, radius = (by or "").partition(":")
     if kind == "position":
@@ -76,7 +76,7 @@ def _pairs(satellite: AstrometricTable, reference: AstrometricTable, kind: str) 
 def _by_name(
     satellite: AstrometricTable, reference: AstrometricTable, own: str, other: str, strict: bool = True
 ) -> Match:
-    """Match by two columns; a column that repeats itself is no match, and where it should have names an error."""
+    """Match by two columns; a name that the satellite has twice is an error if ``strict``, else nothing matches."""
     names = [name.casefold() for name in satellite.names[own]]
     wanted = [name.casefold() for name in reference.names[other]]
     place = {name: i for i, name in enumerate(names) if name not in _NO_NAME}
@@ -113,7 +113,7 @@ def _radius(text: str) -> float:
     except ValueError:
         radius = np.nan
     if not 0.0 < radius <= 3600.0:
-        raise SweepError(f"match by position:{text}: the radius is in arcsec, above 0 and at most 3600")
+        raise SweepError(f"match by position:{text}: the radius must be above 0 and at most 3600 arcsec")
     return radius
 
 

@@ -1,4 +1,4 @@
-"""What can be asked of the tables of a link."""
+"""The options of a link of tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,15 +19,15 @@ SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference"
 
 @dataclass(frozen=True)
 class Options:
-    """What is asked of two tables, or of more.
+    """The options of a link of two or more tables.
 
     ``unknowns`` as in `parse_unknowns`, None for those of orientation and spin that the tables determine; ``degree``
     adds vector spherical harmonics up to it.  ``bins`` are a column and edges.  ``epoch`` (Julian year) is that of the
     orientation, by default the satellite's.  ``known_spin`` is a vector (mas/yr, in the sign of ``sign``) or the path
     of a table by magnitude.  ``jitter`` maps kinds of rows to (mas, mas/yr) added in quadrature.  ``aberration``
-    (uas/yr) carries reference positions without an epoch from 2015.0 to the satellite's.  ``missions`` are further
-    tables by name, each in a frame of its own with an orientation and a spin; ``mission_options`` say how these are
-    read.
+    (uas/yr) carries reference positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are
+    further tables by name, each in a frame of its own with an orientation and a spin; ``mission_options`` say how
+    these are read.
     """
 
     unknowns: str | None = None
@@ -47,18 +47,18 @@ class Options:
     mission_options: Mapping[str, TableOptions] = field(default_factory=dict)
 
     def check(self) -> None:
-        """Raise SweepError for choices that there are not."""
+        """Raise SweepError for values that are not allowed."""
         if self.sign not in SIGNS:
-            raise SweepError(f"sign {self.sign!r}: it is {' or '.join(SIGNS)}")
+            raise SweepError(f"sign {self.sign!r}: must be {' or '.join(SIGNS)}")
         if self.weights not in get_args(Weights):
-            raise SweepError(f"weights {self.weights!r}: they are covariance, variance or equal")
+            raise SweepError(f"weights {self.weights!r}: must be covariance, variance or equal")
         require_epoch(self.epoch, "epoch of the orientation")
         if not np.isfinite(self.aberration) or self.aberration < 0.0:
-            raise SweepError(f"aberration {self.aberration:g} uas/yr: it is finite and not negative")
+            raise SweepError(f"aberration {self.aberration:g} uas/yr: must be finite and not negative")
         for options in (self.satellite_options, self.reference_options, *self.mission_options.values()):
             require_epoch(options.epoch, "epoch of a table")
         if self.degree is not None and self.degree < 1:
-            raise SweepError(f"degree {self.degree}: it is at least 1")
+            raise SweepError(f"degree {self.degree}: must be at least 1")
         for name in self.missions:
             try:
                 require_mission_name(name)
@@ -80,12 +80,12 @@ class Options:
 
 
 def parse_bins(text: str) -> tuple[str, list[float]]:
-    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10; raises SweepError for another."""
+    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10; raises SweepError for any other text."""
     column, edges = split_assignment(text)
     try:
         numbers = [float(part) for part in edges.split(",")]
     except ValueError:
         numbers = []
     if not (column and numbers):
-        raise SweepError(f"bins {text!r}: they are COLUMN=EDGE,EDGE and so on")
+        raise SweepError(f"bins {text!r}: must be written COLUMN=EDGE,EDGE and so on")
     return column, numbers

@@ -1,4 +1,4 @@
-"""What a study of a link can set, and what a point of it gives."""
+"""The parameters of a study of a link, and its outputs."""
 
 from core.tie.forecast import RELEASES
 from sweep.contract import Output, Parameter
@@ -12,21 +12,21 @@ def _epoch(name: str, meaning: str) -> Parameter:
 PARAMETERS = (
     Parameter("satellite", "file", None, "table of the satellite; required"),
     Parameter("reference", "file", None, "table of the reference; without one the rows are those of n_new"),
-    Parameter("zero_motion", "bool", False, "sources are quasars, which do not move: no table of a reference"),
+    Parameter("zero_motion", "bool", False, "sources are quasars, which do not move; no table of the reference"),
     Parameter("unknowns", "str", "orientation,spin", "blocks that are solved for, as in sweep tie --unknowns"),
-    Parameter("degree", "int", None, "adds vector spherical harmonics up to it; default none", minimum=1, maximum=50),
+    Parameter("degree", "int", None, "adds vector spherical harmonics up to this; default none", minimum=1, maximum=50),
     Parameter(
         "bins", "str", "", f"a spin for each bin of a column, like phot_g_mean_mag=6,8,10; at most {MOST_BINS} bins"
     ),
     Parameter("clip", "str", "none", "none, rayleigh, median:K, discrepancy[:N] or huber:C"),
     Parameter("weights", "str", "covariance", "of the differences", choices=("covariance", "variance", "equal")),
-    Parameter("correlations", "bool", True, "the correlations of the tables are those of the errors"),
+    Parameter("correlations", "bool", True, "whether the errors have the correlations of the tables"),
     Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
     _epoch("epoch", "of the orientation; default the satellite's"),
     Parameter("release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)),
-    Parameter("from_release", "str", "dr3", "what the satellite's table is", choices=tuple(RELEASES)),
+    Parameter("from_release", "str", "dr3", "release of the satellite's table", choices=tuple(RELEASES)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
     _epoch("new_epoch", "of new positions; default that of the source"),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
@@ -46,8 +46,8 @@ PARAMETERS = (
         choices=("matched", "all"),
     ),
     Parameter("position_jitter", "float", 0.0, "added in quadrature to the reference's positions", "mas", minimum=0.0),
-    Parameter("motion_jitter", "float", 0.0, "added in quadrature to its motions", "mas/yr", minimum=0.0),
-    Parameter("known_spin", "vector", None, "taken out before, reference - satellite; default none", "mas/yr"),
+    Parameter("motion_jitter", "float", 0.0, "added in quadrature to the reference's motions", "mas/yr", minimum=0.0),
+    Parameter("known_spin", "vector", None, "subtracted before the fit, reference - satellite; default none", "mas/yr"),
     Parameter(
         "aberration", "float", 0.0, "Galactic, carries positions without an epoch from 2015.0", "uas/yr", minimum=0.0
     ),
@@ -72,7 +72,7 @@ PARAMETERS = (
     Parameter("outlier_factor", "float", 10.0, "how much larger they are", minimum=1.0),
 )
 
-_EACH, _RATIO = ("component",), ("unknown",)  # the first has units
+_EACH, _RATIO = ("component",), ("unknown",)  # units differ along the first only
 _POWER, _CHANCE = ("field", "power_degree"), ("field_tested", "power_degree")
 _BIN = ("bin", "axis")
 
@@ -95,14 +95,14 @@ def _with_errors(
 
 
 OUTPUTS = (
-    Output("n_sources", "", "sources of the tables that match, or the limits leave"),
+    Output("n_sources", "", "matched sources of the tables, within g_min and g_max"),
     Output("n_kept", "", "sources that the clip keeps, of the tables as they are", nan=True),
     Output("estimate", "", "solution of the tables as they are, reference - satellite", _EACH, nan=True),
     Output("error_formal", "", "its formal error", _EACH, nan=True),
     Output("error_scaled", "", "its formal error times sqrt(chi2/dof)", _EACH, nan=True),
     Output("error_jackknife", "", "its error from the solutions without each source", _EACH, nan=True),
     Output("chi2_ratio", "", "chi2 of the tables over its average", nan=True),
-    Output("largest_share", "", "of the weight of a block of unknowns that one source holds", nan=True),
+    Output("largest_share", "", "largest share of one source in the weight of a block of unknowns", nan=True),
     *_with_errors("sigma", "", "RMS of estimate - truth of the draws", _EACH),
     *_with_errors("bias", "", "mean of estimate - truth of the draws", _EACH, predicted=False),
     *_with_errors("coverage", "", "fraction of draws within their formal error of the truth", _RATIO, predicted=False),
@@ -114,14 +114,14 @@ OUTPUTS = (
     ),
     *_with_errors("sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes", (), True, r"$\sigma_\omega$"),
     Output("power", "", f"of harmonics of degree 1 to {HIGHEST_STORED}, of the tables as they are", _POWER, nan=True),
-    Output("power_noise", "", "what their formal errors give on average", _POWER, nan=True),
-    Output("power_probability", "", "that noise gives as significant a power", _CHANCE, nan=True),
+    Output("power_noise", "", "mean power for noise alone, from the formal errors", _POWER, nan=True),
+    Output("power_probability", "", "probability that noise gives as significant a power", _CHANCE, nan=True),
     *_with_errors("power_drawn", "", "mean power of estimate - truth of the draws", _POWER),
     Output("spin_by_bin", "mas/yr", "spin in each bin, of the tables as they are", _BIN, nan=True),
     Output("spin_by_bin_error", "mas/yr", "its scaled error", _BIN, nan=True),
     *_with_errors("sigma_by_bin", "mas/yr", "RMS of estimate - truth of the draws", _BIN),
     Output("n_drawn", "", "sources that are simulated"),
-    Output("n_kept_drawn", "", "mean number of those that the clip keeps"),
+    Output("n_kept_drawn", "", "mean number of these that the clip keeps"),
     *_with_errors("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", predicted=False),
 )
 

@@ -51,7 +51,7 @@ def forecast(
         release: "dr4" or "dr5", to which the satellite's errors are scaled; not scaled by default.
         from_release: the release of the satellite's table.
         number: the number of sources to choose, one after the other.
-        goal: the blocks that they are best for; all by default.
+        goal: the blocks for which these are best; all by default.
         criterion: what to minimise of the covariance of those blocks, "A" for its trace, "D" for its determinant.
         all_sources: whether sources without rows of the reference are candidates too.
         options: further options of `sweep forecast`, as for `tie`.
@@ -101,16 +101,16 @@ def forecast(
 
 
 def _check(add: Sequence[float], error: float, number: int, criterion: str, options: Mapping[str, Any]) -> None:
-    """Raise SweepError for what no tables could be planned with."""
+    """Raise SweepError for arguments that are wrong for any tables."""
     if not (0.0 < error < np.inf):
-        raise SweepError(f"error {error:g} mas: it is above 0")
+        raise SweepError(f"error {error:g} mas: must be above 0")
     for epoch in add:
         if not EPOCHS[0] <= epoch <= EPOCHS[1]:
-            raise SweepError(f"new epoch {epoch:g}: it is a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
+            raise SweepError(f"new epoch {epoch:g}: must be a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
     if number < 0 or (number and not add):
         raise SweepError(f"{number} sources to choose, but no epochs to observe them at")
     if criterion not in ("A", "D"):
-        raise SweepError(f"criterion {criterion!r}: it is A or D")
+        raise SweepError(f"criterion {criterion!r}: must be A or D")
     if "sign" in options:
         raise SweepError("a forecast has no sign: it is about errors")
 

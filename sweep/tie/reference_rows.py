@@ -22,10 +22,10 @@ ALL = "all"
 
 
 def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> Astrometry:
-    """Return rows with (mas, mas/yr) added in quadrature to the errors of each kind, or of "all"; correlations keep
-    covariances.
+    """Return rows with (mas, mas/yr) added in quadrature to the errors of each kind, or of "all"; covariances do not
+    change.
 
-    Raises SweepError for sizes that are none, and kinds that there are not or that no row is of.
+    Raises SweepError for sizes that are negative or not finite, unknown kinds, and kinds of which there is no row.
     """
     if not jitter:
         return rows
@@ -38,7 +38,7 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> 
     added = np.zeros_like(rows.errors)
     for kind, (position, motion) in jitter.items():
         if not (0.0 <= position < np.inf and 0.0 <= motion < np.inf):
-            raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: errors are finite and not negative")
+            raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: must be finite and not negative")
         at = of == kind if kind != ALL else ~np.isin(of, list(jitter))  # a kind that is named has its own
         added[:, at] = MAS * np.array([position, position, position, motion, motion])[:, None]
     errors = np.hypot(rows.errors, added)
@@ -53,8 +53,8 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> 
 def aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astrometry:
     """Return positions without an epoch carried from 2015.0 to another by the Galactic aberration (uas/yr).
 
-    Sources seem to move towards the Galactic centre.  Source: Charlot et al. 2020, A&A 644, A159.  Raises SweepError
-    where that does nothing.
+    Sources appear to move towards the Galactic centre.  Source: Charlot et al. 2020, A&A 644, A159.  Raises SweepError
+    if there are no such positions.
     """
     if not np.any(rows.present[0] & np.isnan(rows.epoch) & np.isfinite(to_epoch)):
         raise SweepError(
@@ -74,7 +74,7 @@ def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float)
     """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
 
     A table has columns COLUMN_min and COLUMN_max of the satellite's magnitude (or other) COLUMN, or mag_min and
-    mag_max of phot_g_mean_mag, and omega_x, omega_y, omega_z in mas/yr or their unit.  Raises SweepError for anything
+    mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z in mas/yr or their unit.  Raises SweepError for anything
     else, and for sources outside its bins.
     """
     if not isinstance(spin, (str, Path)):

@@ -25,7 +25,7 @@ from sweep.tie.tables import AstrometricTable, astrometric_table, digest_of
 
 @dataclass(frozen=True)
 class RowGroup:
-    """The rows of a table from ``first`` on, and what is asked of them; ``unknowns`` are none before they are known."""
+    """The rows of a table from ``first`` on, and the options; ``unknowns`` are empty until they are known."""
 
     path: Path
     digest: str
@@ -37,7 +37,7 @@ class RowGroup:
     unknowns: Unknowns = field(default_factory=lambda: Unknowns(()))
 
     def problem(self) -> Problem:
-        """Read the rows; raises SweepError for wrong ones, with their numbers in the row group."""
+        """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
         own = self.read().astrometry
         spin = self.options.known_spin
         known = None if spin is None else known_spin(spin, own, SIGNS[self.options.sign])
@@ -58,12 +58,12 @@ class RowGroup:
 
 
 digest_once = lru_cache(maxsize=8)(digest_of)
-"""Returns the SHA-256 of a file, read once in a process."""
+"""Return the SHA-256 of a file, which a process reads only once."""
 
 
 class Scanned(NamedTuple):
-    """What a first look at a row group finds: a value in each bin of the column that bins divide, by its name; the
-    epochs and how many sources have each; the places of the sources (2, n), rad, where they are wanted; and notes.
+    """What a first look at a row group finds: one value in each bin, under the name of the column of bins; the epochs
+    and how many sources have each; the positions of the sources (2, n), rad, if they are wanted; and notes.
     """
 
     sample: dict[str, Array]
@@ -74,7 +74,7 @@ class Scanned(NamedTuple):
 
 
 def look_through(group: RowGroup, per_source: bool) -> Scanned:
-    """Return what a first look finds; the places of the sources with ``per_source``."""
+    """Return what a first look finds, with the positions of the sources if ``per_source``."""
     table = group.read()
     own = table.astrometry
     columns: dict[str, Array] = {}
@@ -88,12 +88,12 @@ def look_through(group: RowGroup, per_source: bool) -> Scanned:
 
 
 def computed(group: RowGroup, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Return what a function of a problem returns for that of a row group."""
+    """Apply a function to the problem of a row group."""
     return function(group.problem(), *arguments)
 
 
 def cell_sums(group: RowGroup, factors: Array | Flags | None) -> NormalSums:
-    """Return the sums of all cells of the sky, each source with a factor of its weight."""
+    """Return the sums of all cells of the sky, with the weight of each source times its factor."""
     problem = group.problem()
     ra, dec = problem.satellite.values[:2]
     cells = sky_cells(ra, dec, DIVISIONS)
@@ -101,13 +101,13 @@ def cell_sums(group: RowGroup, factors: Array | Flags | None) -> NormalSums:
 
 
 def heaviest(group: RowGroup, number: int) -> Heaviest:
-    """Return so many sources with the largest weights."""
+    """Return the ``number`` sources with the largest weights."""
     found = sources.heaviest(group.problem(), number)
     return found._replace(places=group.first + found.places)
 
 
 def heavier(number: int, one: Heaviest, other: Heaviest) -> Heaviest:
-    """Return the heaviest of both; of equal ones the first."""
+    """Return the ``number`` heaviest sources of both; of equal ones the first."""
     sizes = np.concatenate([one.sizes, other.sizes])
     order = np.argsort(-sizes, kind="stable")[:number]
     places, sums = np.concatenate([one.places, other.places]), one.sums.followed_by(other.sums)

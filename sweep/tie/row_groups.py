@@ -1,8 +1,8 @@
 """A satellite's Parquet table of millions of quasars, one row group at a time: on Dask workers, in little memory.
 
-Each pass over the table reads it again.  What is kept is sums of cells of the sky, added in the order of the row
-groups: the same bits whatever computes them; and of each source whether it is kept, and one number while a clip looks
-at all of them.
+Each pass over the table reads it again.  Memory holds sums over cells of the sky, added in the order of the row
+groups, so that any workers give the same bits; and for each source whether it is kept, and one number while a clip
+examines all sources.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -40,12 +40,12 @@ FROM_ROWS = 100_000
 """Smaller tables are solved as a whole."""
 
 MOST_NOTES = 5
-"""Notes on rows that are shown."""
+"""At most so many notes on rows are shown."""
 
 
 def why_whole(satellite: str | Path, reference: str | Path, options: Options) -> str | None:
-    """Return why tables are solved as a whole; None for those that are read by row groups: quasars alone, in Parquet,
-    and many.
+    """Return why tables are solved as a whole; None for those that are read by row groups: many quasars in Parquet,
+    without a reference.
     """
     path = Path(satellite)
     if options.missions:
@@ -53,14 +53,14 @@ def why_whole(satellite: str | Path, reference: str | Path, options: Options) ->
     if str(reference) != ZERO_MOTION:
         return f"rows of a reference are matched with the whole of {path}; only quasars ({ZERO_MOTION}) need no match"
     if not path.is_file() or not is_parquet(path):
-        return f"{path} is no Parquet table, whose row groups can be read one by one: write it as one"
+        return f"{path} is no Parquet table (as Parquet it could be read by row groups)"
     n = sum(row_groups(path)[0])
     return None if n >= FROM_ROWS else f"{path} has {n:,} rows, and tables of fewer than {FROM_ROWS:,} are read at once"
 
 
 @dataclass(frozen=True)
 class RowGroupTable:
-    """The sources of a table that is read by row groups, as `SourceTable` has them."""
+    """The sources of a table that is read by row groups, with the interface of `SourceTable`."""
 
     groups: tuple[RowGroup, ...]
     n_sources: int
@@ -71,7 +71,7 @@ class RowGroupTable:
     """The sums of single sources are not kept."""
 
     def cell_sums(self, factors: Array | Flags) -> NormalSums:
-        """Return the sums of cells of the sky, each source with a factor of its weight."""
+        """Return the sums of cells of the sky, with the weight of each source times its factor."""
         if not self._last or not np.array_equal(self._last[0][0], factors):
             limits = pairwise([*(group.first for group in self.groups), self.n_sources])
             divided = (factors[low:high] for low, high in limits)
@@ -81,12 +81,12 @@ class RowGroupTable:
         return self._last[0][1]
 
     def solve(self, factors: Array | Flags) -> Solution:
-        """Return the solution with a factor of the weight of each source."""
+        """Return the solution with the weight of each source times its factor."""
         return solve(self.cell_sums(factors), self.groups[0].unknowns.labels)
 
     def as_sources(self) -> Sources:
         """Return what the clips need."""
-        counts = self._filled(source_counts, kind=np.float32)  # whole numbers
+        counts = self._filled(source_counts, kind=np.float32)  # whole numbers, exact as float32
         return Sources(self.solve, partial(self._filled, source_discrepancies), counts)
 
     def separations(self) -> tuple[Array, Array]:
@@ -100,7 +100,7 @@ class RowGroupTable:
         return found
 
     def _filled(self, function: Any, *arguments: Any, rows: int | None = None, kind: Any = np.float64) -> Any:
-        """Return what a function of a problem returns of each source, without a second copy of it."""
+        """Return the values of a function of a problem for each source, collected in one array."""
         found = np.empty(self.n_sources if rows is None else (rows, self.n_sources), dtype=kind)
         pieces = self._each(row_group.computed, function, *arguments)
         for group, part in zip(self.groups, map(np.asarray, pieces), strict=True):
@@ -116,7 +116,7 @@ def set_up_row_groups(
 ) -> tuple[Setup, RowGroupTable]:
     """Look through a table once; raises SweepError for whatever is wrong with it or the options.
 
-    Without ``per_source`` the sources have no places in what is returned: memory does not grow with them.
+    Without ``per_source`` the result has no positions of the sources, which saves memory.
     """
     options.check()
     path = Path(satellite).resolve()
@@ -133,7 +133,7 @@ def set_up_row_groups(
         if size
     )
     n = sum(sizes)
-    values = np.zeros((5, n)) if per_source else np.broadcast_to(np.nan, (5, n))  # which takes no memory
+    values = np.zeros((5, n)) if per_source else np.broadcast_to(np.nan, (5, n))  # takes no memory
     samples, of_epochs = [], []
     noted: dict[str, int] = {}
     for group, one in zip(groups, run(row_group.look_through, ((group, per_source) for group in groups)), strict=True):
@@ -156,7 +156,7 @@ def set_up_row_groups(
     problem = Problem(own, zero_motion(n), source, unknowns, epoch, options.weights)
     left = AstrometricTable(str(satellite), digest, own, {})
     matched = Match(source, source, "the satellite's sources", source[:0])
-    notes.append(f"read in {len(groups)} row groups; sources are numbers of rows")
+    notes.append(f"read in {len(groups)} row groups; sources are named by their row numbers")
     right = AstrometricTable(ZERO_MOTION, "", problem.rows, {})
     return Setup(left, right, matched, problem, source, called, tuple(notes)), RowGroupTable(groups, n, run)
 
@@ -169,17 +169,17 @@ def _listed(name: str, noted: Mapping[str, int]) -> list[str]:
 
 
 def _median_epoch(found: Sequence[tuple[Array, Indices]]) -> float:
-    """Return what `default_epoch` returns of all epochs, from the different ones and how often each occurs."""
+    """Return `default_epoch` of all epochs, from the different ones and how often each occurs."""
     epochs, place = np.unique(np.concatenate([epochs for epochs, _ in found]), return_inverse=True)
     last = np.cumsum(np.bincount(place, np.concatenate([counts for _, counts in found]), len(epochs)))
     if not len(epochs):
         return default_epoch(epochs)
-    middle = [(last[-1] - 1) // 2, last[-1] // 2]  # one, or the two beside the middle
+    middle = [(last[-1] - 1) // 2, last[-1] // 2]  # the middle one twice, or the two around the middle
     return default_epoch(epochs[np.searchsorted(last, middle, side="right")])
 
 
 def _unknowns(group: RowGroup, samples: list[dict[str, Array]], notes: list[str]) -> Unknowns:
-    """Return the unknowns of the whole table: what is determined is that of the first rows, the bins those of all."""
+    """Return the unknowns of the whole table: the first rows say which are determined, all rows which bins are used."""
     own = group.read().astrometry
     few = own.taken(slice(0, min(len(own), 1000)))
     if group.options.bins is not None:

@@ -1,4 +1,4 @@
-"""The problem that two tables, or more, and some options make."""
+"""The problem that follows from two or more tables and the options."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,10 +21,10 @@ from sweep.tie.tables import AstrometricTable, read_table
 from sweep.tie.unknowns_of import unknowns_of
 
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
-"""Separations of a row from the source of its name that are noted, and that are refused."""
+"""Separations from the source of the same name above which a row is noted, and is refused."""
 
 ZERO_MOTION = "zero-motion"
-"""Stands for a reference whose sources do not move: quasars, with the satellite's table alone."""
+"""Stands for a reference whose sources do not move: quasars, for which only the satellite's table is needed."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _matched(left: AstrometricTable, table: AstrometricTable, options: Options, 
 
 
 def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:
-    """Return a note of rows that are far from their sources; raises SweepError for what cannot be the same objects."""
+    """Return a note on rows far from their sources; raises SweepError if they cannot be the same objects."""
     apart = separations(left, table, matched) / DEGREE
     for limit, refused in ((FARTHEST_DEG, True), (FAR_DEG, False)):
         far = np.flatnonzero(apart > limit)
@@ -143,14 +143,14 @@ def _unmatched(part: _Part) -> list[str]:
     found = [f"{n} of {total} rows of {name} match no source"] if n else []
     if len(part.matched.ambiguous):
         rows = named_rows(part.matched.ambiguous)
-        found.append(f"{rows} of {name}: several sources are as near as the radius; the nearest is taken")
+        found.append(f"{rows} of {name}: several sources are within the radius; the nearest is taken")
     if len(repeated := _repeated(part)):
-        found.append(f"{named_rows(repeated)} of {name}: the same numbers as another row of the source; each counts")
+        found.append(f"{named_rows(repeated)} of {name}: the same numbers as another row of the source; all are used")
     return found
 
 
 def _repeated(part: _Part) -> Indices:
-    """Return the rows of a table, in its numbers, that repeat another one of their source."""
+    """Return the numbers of the table's rows that repeat another row of the same source."""
     source, rows = part.matched.source, part.rows
     several = np.flatnonzero(np.bincount(source)[source] > 1) if len(source) else source
     numbers = np.array([source, *rows.values, *rows.errors, rows.epoch])[:, several]
@@ -165,7 +165,7 @@ def zero_motion(n: int) -> Astrometry:
 
 
 def _names(left: AstrometricTable, reference: _Part, sources: Indices) -> NDArray[np.str_]:
-    """Return what sources are called: the satellite's first column of names, else the reference's, else numbers."""
+    """Return the names of the sources: the satellite's first column of names, else the reference's, else numbers."""
     if left.names:
         return next(iter(left.names.values()))[sources]
     named: dict[int, str] = {}
@@ -176,6 +176,6 @@ def _names(left: AstrometricTable, reference: _Part, sources: Indices) -> NDArra
 
 
 def default_epoch(epochs: Array) -> float:
-    """Return the median epoch of sources (Julian year), that of ICRF3 where none has one."""
+    """Return the median epoch of the sources (Julian year), or that of ICRF3 if none has an epoch."""
     known = epochs[np.isfinite(epochs)]
     return float(np.median(known)) if len(known) else ICRF3_EPOCH

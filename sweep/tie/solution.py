@@ -25,7 +25,7 @@ ALWAYS = ("formal", "scaled")
 RESAMPLES = 1000
 
 HEAVIEST = 100
-"""Of too many sources to keep the sums of each, so many are looked at for a large share."""
+"""If there are too many sources to keep the sums of each, so many are examined for a large share."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +59,17 @@ def solve_link(
     table: RowGroupTable | None = None,
     per_source: bool = True,
 ) -> Link:
-    """Return the solution of what was set up; raises SweepError where there is none.
+    """Return the solution of a setup; raises SweepError if there is none.
 
-    ``table`` has the sources where they are read by row groups; without ``per_source`` it is not read again for what
-    only single sources have.
+    ``table`` has the sources if they are read by row groups; without ``per_source`` it is not read again for values
+    of single sources.
     """
     if not errors or any(name not in ERRORS for name in errors):
-        raise SweepError(f"errors {', '.join(errors)!r}: they are {', '.join(ERRORS)}")
+        raise SweepError(f"errors {', '.join(errors)!r}: must be among {', '.join(ERRORS)}")
     if resamples < 2:
-        raise SweepError(f"{resamples} resamples: at least 2")
+        raise SweepError(f"{resamples} resamples: must be at least 2")
     try:
-        with threadpool_limits(1):  # the same bits whatever the machine, and products of blocks are small
+        with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
             kept = table or SourceTable(setup.problem)
             sources = kept.as_sources()
             found = clipped(parse_clip(clip), sources, kept.separations)
@@ -104,8 +104,8 @@ def _rows_there_are(setup: Setup) -> str:
 def _influence(
     table: SourceTable | RowGroupTable, sources: Sources, found: Clipped, unknowns: Unknowns
 ) -> tuple[Influence | None, Indices, Array]:
-    """Return the influence of each source, if their sums are kept, and the shares of all or the heaviest and which
-    these are.
+    """Return the influence of each source (None if their sums are not kept), and the places and shares of all sources
+    or of the heaviest.
     """
     if table.kept is not None:
         effect = influence(table.kept, found.solution, unknowns, (found.factors > 0.0) & (sources.count > 0))
@@ -143,7 +143,7 @@ def _covariances(
             if drawn.failed:
                 notes.append(f"{drawn.failed} of {resamples} resamples did not determine the unknowns")
         if not np.all(np.isfinite(covariances[kind])):
-            why = "there are no degrees of freedom" if kind == "scaled" else "some unknowns hang on a single source"
+            why = "there are no degrees of freedom" if kind == "scaled" else "some unknowns depend on a single source"
             notes.append(f"there are no {kind} errors: {why}")
     return covariances, notes
 

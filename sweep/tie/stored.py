@@ -1,4 +1,4 @@
-"""Results of `sweep tie` and `sweep forecast` in a file, told apart from the stores of studies."""
+"""Stored results of `sweep tie` and `sweep forecast`, as opposed to stores of studies."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ RESULTS = ("tie", "forecast")
 
 
 def result_at(where: Any) -> "xr.Dataset | None":
-    """Return the link or forecast that is stored somewhere, in memory, or None for anything else.
+    """Return a stored link or forecast, loaded into memory; None for anything else.
 
     Raises SweepError for one that is damaged.
     """
@@ -30,6 +30,6 @@ def result_at(where: Any) -> "xr.Dataset | None":
     try:
         with xr.open_zarr(folder) as stored:
             result: xr.Dataset = stored.load()
-    except Exception as error:  # whatever a damaged file makes of the decoders
+    except Exception as error:  # decoders of a damaged file may raise anything
         raise SweepError(f"is damaged: {' '.join(str(error).split())}", str(where)) from error
     return result

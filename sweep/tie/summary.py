@@ -21,7 +21,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         name: sums[name] / each for name in ("estimate", "error_formal", "error_scaled", "error_jackknife")
     }
     for name in ("n_sources", "n_kept", "n_drawn"):
-        results[name] = np.round(results[name])  # n times a whole number, over n
+        results[name] = np.round(results[name])  # a whole number times n, over n
     results |= {
         "sigma": sigma,
         "sigma_mc_error": sigma / np.sqrt(2.0 * each),
@@ -34,7 +34,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     }
     for name, key in (("coverage", "within"), ("coverage_scaled", "within_scaled")):
         results[name] = sums[key] / each
-        between = (sums[key] + 1.0) / (each + 2.0)  # never 0 or 1, where draws show no scatter
+        between = (sums[key] + 1.0) / (each + 2.0)  # never 0 or 1, where the error would be 0
         results[f"{name}_mc_error"] = np.sqrt(between * (1.0 - between) / each)
     variance = _error_of_mean(sums["mean_square"], sums["mean_square_squares"], each)
     for which, (name, part) in enumerate((("sigma_orientation", ORIENTATION), ("sigma_spin", SPIN))):

@@ -20,7 +20,7 @@ from sweep.tie.column_names import TableOptions
 
 @dataclass(frozen=True)
 class AstrometricTable:
-    """What a file holds, its path and SHA-256, the columns with names, and what to know about them."""
+    """The astrometry in a file, the file's path and SHA-256, the columns with names, and notes for the user."""
 
     path: str
     digest: str
@@ -36,7 +36,7 @@ class AstrometricTable:
 def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTable:
     """Return the astrometry of a file, or of a built-in table by name (icrf2, icrf3, psrpi ...).
 
-    A table whose metadata say ``extragalactic: true`` needs no epoch: its positions are those of any.  Raises
+    A table whose metadata say ``extragalactic: true`` needs no epoch: its positions hold at any.  Raises
     SweepError with all that is wrong and the rows (counted from 1).
     """
     options = options or TableOptions()
@@ -58,7 +58,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
 
 
 def _built_in(path: Path) -> Path | None:
-    """Return the file of a table that comes with the package, where its name is given and there is no such file."""
+    """Return the file of a built-in table, if ``path`` is its name and no such file exists."""
     if path.suffix or len(path.parts) != 1 or path.exists():
         return None
     folder = Path(str(resources.files("sweeps") / "data"))

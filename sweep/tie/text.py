@@ -1,4 +1,4 @@
-"""Links and forecasts as text to read, and as JSON."""
+"""Links and forecasts as text, JSON, CSV and ECSV."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ STEPS_SHOWN = 10
 
 
 def _link_lines(link: "xr.Dataset") -> Iterator[str]:
-    """Yield a table of the unknowns with every kind of error, and what must be known beside them."""
+    """Yield a table of the unknowns with every kind of error, and what is needed to interpret it."""
     attributes = link.attrs
     yield f"{attributes['sign'].replace('-', ' - ')}, orientation at {attributes['epoch']:.2f}"
     yield (
@@ -117,7 +117,7 @@ def as_format(result: "xr.Dataset", table_format: str) -> str:
 
 
 def _written(result: "xr.Dataset", table_format: str) -> str:
-    """Return a row for each unknown, with its estimate and errors, or its error at each stage of a forecast."""
+    """Return a table of the unknowns, with estimate and errors, or with the error at each stage of a forecast."""
     from io import StringIO
 
     from astropy.table import Table

@@ -1,4 +1,4 @@
-"""The unknowns that are asked for, or else those that the tables determine."""
+"""The requested unknowns, or else those that the tables determine."""
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from sweep.tie.options import Options
 def unknowns_of(
     options: Options, own: Astrometry, rows: Astrometry, source: Indices, epoch: float, notes: list[str]
 ) -> Unknowns:
-    """Return the unknowns of some options; where they are not named, orientation and spin as far as the rows tell.
+    """Return the unknowns of the options; if none are named, those of orientation and spin that the rows determine.
 
-    A note is added where that is not both.  Raises ValueError for unknowns that there are not.
+    A note is added if these are not both.  Raises ValueError for unknowns that do not exist.
     """
     missions = list(options.missions)
     named = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
@@ -26,7 +26,7 @@ def unknowns_of(
         of_reference = np.arange(len(rows)) if rows.frame is None else np.flatnonzero(rows.frame == 0)
         text = _determined(own, rows.taken(of_reference), source[of_reference], epoch)
         if text != "orientation,spin":
-            notes.append(f"the tables determine the {text} only")
+            notes.append(f"the tables determine only the {text}")
     if options.degree is not None:
         text = _with_harmonics(text, options.degree)
     text = ",".join([text, *of_missions])
@@ -58,7 +58,7 @@ def _determined(
     mission: str = "",
     missions: list[str] | None = None,
 ) -> str:
-    """Return those of orientation and spin, of the satellite or a mission, that rows determine beside others."""
+    """Return those of orientation and spin, of the satellite or a mission, that rows determine together with others."""
     for blocks in (("orientation", "spin"), ("orientation",), ("spin",)):
         text = ",".join(f"{mission}:{block}" if mission else block for block in blocks)
         unknowns = parse_unknowns(f"{beside},{text}", missions=missions or ())

@@ -428,7 +428,7 @@ BAD_STARS = {
     "TYC missing": ({"TYC1": MaskedColumn([1, 2, 3, 4], mask=[0, 1, 0, 0])}, "row 2 has no TYC1"),
     "TYC twice": (
         {"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]},
-        "row 3 has a Tycho identifier that stands",
+        "row 3 has the Tycho identifier of an earlier row",
     ),
     "TYC text": (
         {"TYC1": None, "TYC2": None, "TYC3": None, "TYC": ["1-13-1", "1-13", "TYC 1-14-1", ""]},

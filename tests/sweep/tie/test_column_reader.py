@@ -110,7 +110,9 @@ def test_a_correlation_without_a_column_is_said_where_the_others_are_impossible(
 @pytest.mark.parametrize(("name", "unit"), [("ra", "s"), ("dec", "arcsec")])
 def test_the_unit_of_an_error_beside_a_sexagesimal_angle_is_said(tmp_path, name, unit):
     path = gaia(tmp_path / "g.ecsv", stars(3), **{name: ["12:00:00.0", "01:00:00.0", "03:00:00.0"]})
-    wanted = f"'{name}' is sexagesimal; '{name}_error' has no unit and counts as mas, or say --unit {name}_error={unit}"
+    wanted = (
+        f"'{name}' is sexagesimal; '{name}_error' has no unit and is taken as mas; else say --unit {name}_error={unit}"
+    )
     assert read_table(path).notes == [wanted]
     assert not read_table(path, TableOptions(units={f"{name}_error": unit})).notes
 

@@ -25,7 +25,7 @@ def test_several_sources_within_the_radius_are_said(tmp_path):
     assert wide.ambiguous.tolist() == [1, 2]
     assert not len(match(satellite, rows, "position:1").ambiguous)
     notes = tie(tmp_path / "sources.ecsv", path, "orientation", by="position:5").attrs["notes"]
-    assert "row 2, 3 of rows.ecsv: several sources are as near as the radius; the nearest is taken" in notes
+    assert "row 2, 3 of rows.ecsv: several sources are within the radius; the nearest is taken" in notes
 
 
 def test_far_rows_that_were_matched_by_position_have_no_name(tmp_path):
@@ -46,7 +46,7 @@ def test_rows_that_repeat_another_are_said(tmp_path):
     vstack([table, table[4:6], later], metadata_conflicts="silent").write(tmp_path / "twice.ecsv")
     notes = tie(path, tmp_path / "twice.ecsv", "orientation").attrs["notes"]
     repeated = [note for note in notes if "the same numbers" in note]
-    assert repeated == ["row 7, 8 of twice.ecsv: the same numbers as another row of the source; each counts"]
+    assert repeated == ["row 7, 8 of twice.ecsv: the same numbers as another row of the source; all are used"]
 
 
 def test_no_name_in_both_tables_shows_names_that_are_none_of_the_missing(tmp_path):

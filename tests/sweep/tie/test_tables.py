@@ -421,7 +421,7 @@ def test_negative_parallaxes_stay(tmp_path):
         ({"unknowns": "spun"}, "'spun' are not known"),
         ({"known_spin": [1.0]}, "three numbers"),
         ({"bins": ("mag", [3.0])}, "no numbers 'mag'"),
-        ({"epoch": np.nan}, "epoch of the orientation nan: it is a Julian year from 1700 to 2300"),
+        ({"epoch": np.nan}, "epoch of the orientation nan: must be a Julian year from 1700 to 2300"),
         ({"epoch": 91.0}, "epoch of the orientation 91"),
         ({"satellite_options": TableOptions(epoch=99.0)}, "epoch of a table 99"),
         ({"reference_options": TableOptions(epoch=np.inf)}, "epoch of a table inf"),
