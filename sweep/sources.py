@@ -26,7 +26,7 @@ _lock = threading.RLock()
 
 @dataclass(frozen=True)
 class Sources:
-    """A file's absolute path, and the contents of it and of the local modules it imports, by path relative to its folder."""
+    """A file by its absolute path, and the contents of it and of the local modules it imports, by relative path."""
 
     path: str
     files: Mapping[str, bytes]

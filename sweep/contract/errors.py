@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 FEW = 20
-"""As many names as a message may list."""
+"""The most names that a message lists."""
 
 
 class SweepError(Exception):

@@ -1,4 +1,4 @@
-"""What the results of a plain function are: names, types, dimensions with coordinates, units; and how they differ."""
+"""The layout of a plain function's results: names, types, dimensions with coordinates, units; and how two differ."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,13 +16,13 @@ from sweep.contract.declaration import name_problem
 Type = Literal["float", "int", "bool", "text", "datetime"]
 
 DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "<i8", "datetime": "<M8[ns]", "text": "V16"}
-"""How a value of each type stands in a row; of a text its digest."""
+"""How a row holds a value of each type; in place of a text its digest."""
 
 SLOTS: dict[Type, int] = {"float": 1, "int": 1, "bool": 1, "datetime": 1, "text": 2}
-"""So many numbers of a row (8 bytes each) hold one value."""
+"""How many numbers of a row (8 bytes each) hold one value."""
 
 EXACT_INT = 2**53
-"""Up to here every integer is a float."""
+"""Up to here a float holds every integer exactly."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Layout:
         return {field.name: slice(*ends) for field, ends in zip(self.fields, pairwise(ends), strict=True)}
 
     def values(self, rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-        """Return each result of rows (points, width), of shape (points, *shape); of texts the digests."""
+        """Return each result from rows (points, width), of shape (points, *shape); in place of texts their digests."""
         found: dict[str, NDArray[Any]] = {}
         for field in self.fields:
             part = np.ascontiguousarray(rows[:, self.places[field.name]])
@@ -118,7 +118,7 @@ def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str,
 
 @lru_cache(maxsize=256)
 def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
-    """Return a phrase for everything in which results differ from those of the first point, none if they can be held.
+    """Return a phrase for each difference between results and those of the first point, none if they fit the layout.
 
     The order does not matter, and an integer may stand for a float.
     """
@@ -172,7 +172,9 @@ def _differences_of_coordinate(expected: Coordinate, found: Coordinate) -> Itera
 
 
 def held(row: bytes, found: Layout, expected: Layout) -> bytes | None:
-    """Return a row without `differences` in the expected layout; None where an integer is too large to be a float."""
+    """Return a row that has no `differences`, converted to the expected layout; None where an integer is too large to
+    be a float.
+    """
     if found == expected:
         return row
     numbers = np.frombuffer(row, dtype="<f8")
