@@ -90,7 +90,7 @@ def value_of(value: Any) -> Value:
 
 
 def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
-    """Return the type of a value that is no xarray object, and the value as an array; raises ResultError as `value_of`."""
+    """Return the type of a value that is no xarray object, and its array; raises ResultError as `value_of`."""
     if value is None:
         raise ResultError("is None")
     if isinstance(value, int) and not isinstance(value, bool | np.generic):
