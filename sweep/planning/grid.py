@@ -22,7 +22,7 @@ AT_ONCE = 2**16
 
 @dataclass(frozen=True, slots=True)
 class GridPoint:
-    """One point: its place in C order, all its parameters, and the digests that identify it in ledgers and its streams."""
+    """One point: its place in C order, all its parameters, and the digests that name it in ledgers and streams."""
 
     index: int
     parameters: dict[str, Any]

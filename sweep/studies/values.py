@@ -20,7 +20,7 @@ MAX_AXIS_VALUES = 1_000_000
 class Values:
     """Reads values of the parameters of an experiment; ``problems`` takes what is wrong.
 
-    Files stand in ``folder``, or in the working directory where an option names them.
+    Paths of files are relative to ``folder``, or to the working directory where an option gives them.
     """
 
     def __init__(self, experiment: Experiment, folder: Path, problems: Problems) -> None:
@@ -28,7 +28,7 @@ class Values:
         self._folder = folder
 
     def one(self, place: Place, name: str, raw: object, which: str = "") -> Value:
-        """Return the value that stands at a place, None if it is wrong; problems begin with ``which``."""
+        """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         try:
             parameter = self.experiment.parameter(name)
             value = parameter.parse(raw)
@@ -131,7 +131,7 @@ def _numbered(start: float, stop: float, num: object, spacing: object, whole: bo
     values = [_rounded(start * (stop / start) ** (i / parts)) for i in range(num)]
     if not whole:
         return values
-    ends = {0: start, parts: stop} if _are_integers(start, stop) else {}  # 12 digits may not be all of theirs
+    ends = {0: start, parts: stop} if _are_integers(start, stop) else {}  # they may have more than 12 digits
     return [ends.get(i, round(v) if math.isfinite(v) else v) for i, v in enumerate(values)]
 
 
@@ -165,5 +165,5 @@ def is_number(x: object) -> bool:
 
 
 def number_problem(x: object) -> str | None:
-    """Return why x is no such number, None for one."""
+    """Return why x is not a finite number that may stand in a study, None if it is one."""
     return None if is_number(x) else f"{shown(x)}: must be a finite number{bound_in_words(x)}"
