@@ -219,7 +219,7 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], g
     if reference is not None or callable(study) or isinstance(study, Experiment):
         return study_of_function(reference or study, **given)  # type: ignore[arg-type]
     if told := [name for name, value in given.items() if value is not None]:
-        raise SweepError(f"{', '.join(told)}: are for a function; a study has its own")
+        raise SweepError(f"{', '.join(told)}: allowed only for a function; a study has its own")
     if isinstance(study, Study):
         return study
     return live_study(study) if isinstance(study, Mapping) else load_study(str(study))

@@ -36,7 +36,7 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
 
 
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
-    """Return a phrase for each difference between two codes; ``was`` and ``now`` say where the old and the new are."""
+    """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []
     for name in sorted({*old, *new}):
         before, after = old.get(name), new.get(name)

@@ -123,7 +123,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None)
     except SweepError as error:
         if not error.where:
             raise
-        raise SweepError(error.problems, f"{reference}, {error.where}") from error  # in a declaration
+        raise SweepError(error.problems, f"{reference}, {error.where}") from error  # an error in a declaration
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
         where = _line_of(error)
         text = error.msg if isinstance(error, SyntaxError) else str(error)

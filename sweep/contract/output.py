@@ -13,7 +13,7 @@ class Output:
         name: the name of the variable in the dataset.
         unit: as astropy writes it.
         meaning: one line for tables and figures.
-        dims: dimensions beside the axes of the grid; a single one may be a string.
+        dims: dimensions besides those of the grid; a single one may be a string.
         headline: whether it is a column of the printed table and comes first in reports and figures.
         symbol: what figures show instead of the name, in the notation of Matplotlib.
         nan: whether NaN and infinity are allowed; otherwise a point with such a value fails.

@@ -172,7 +172,7 @@ class Parameter:
         return int(raw) if isinstance(raw, int) else int(number)
 
     def _number(self, raw: object) -> float:
-        if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # NaN is not < either
+        if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # refuses NaN too
             number = float(raw) + 0.0  # no negative zero: it would be another point
             whole = self.kind != "int" or isinstance(raw, int) or number.is_integer()
             above_floor = self.minimum is None or number >= self.minimum

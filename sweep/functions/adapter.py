@@ -192,7 +192,7 @@ def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
     """Return a plain function as an experiment; raises SweepError with every reason why it cannot be one."""
     try:
         return _made(function)
-    except TypeError:  # it has no hash
+    except TypeError:  # a function that cannot be hashed cannot be cached
         return _made.__wrapped__(function)
 
 

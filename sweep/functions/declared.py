@@ -1,4 +1,4 @@
-"""`linksweep.experiment`: what a plain function declares beside its signature."""
+"""`linksweep.experiment`: what a plain function declares besides its signature."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -153,7 +153,7 @@ def _problems_of_output(output: Output, signature: Signature, parameters: Sequen
         return
     for dim in dims:
         if name_problem(dim):
-            yield f"the dimension {shown(dim)} cannot be named so"
+            yield f"{shown(dim)} is not allowed as the name of a dimension"
     for dim in output.coords or {}:
         if dim not in dims:
             yield f"coords: {shown(dim)} is none of its dimensions ({', '.join(dims) or 'it has none'})"

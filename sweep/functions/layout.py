@@ -74,7 +74,7 @@ class Layout:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Where in a row each result stands, in numbers of 8 bytes."""
+        """The part of a row that holds each result, in numbers of 8 bytes."""
         ends = accumulate((math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields), initial=0)
         return {field.name: slice(*ends) for field, ends in zip(self.fields, pairwise(ends), strict=True)}
 
@@ -103,7 +103,7 @@ def layout_of_json(document: Mapping[str, Any]) -> Layout:
 
 @lru_cache(maxsize=256)
 def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what is wrong with the names of results: all stand beside the parameters in one dataset."""
+    """Return what is wrong with the names of results, which share one dataset with the parameters."""
     found = []
     names = [field.name for field in layout.fields]
     for kind, name in [("output", n) for n in names] + [("dimension", n) for n in layout.sizes]:

@@ -41,7 +41,7 @@ def make_grid(study: Study) -> Grid:
             if told := warn(parameters):
                 warnings.update(told)
             if check.is_constant and settings.is_constant and warn.is_constant and not warnings:
-                break  # the experiment has no objection or warning, and looks at nothing that differs between points
+                break  # the experiment accepts every point: it looks at nothing that differs between them
             continue
         if reason not in reasons and len(reasons) == MAX_PROBLEMS:
             reasons["... and other reasons; the rest of the grid was not checked"] = 0

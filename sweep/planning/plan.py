@@ -70,7 +70,7 @@ class PlanSize:
 
 @dataclass(frozen=True)
 class Survey:
-    """How large a plan is, as far as known, what of it the ledger holds, and what is pending; the rest has failed."""
+    """The size of a plan as far as it is known: in total, held by the ledger, and pending; the rest has failed."""
 
     total: PlanSize
     held: PlanSize

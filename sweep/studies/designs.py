@@ -1,4 +1,4 @@
-"""Designs: which points of the unit cube stand for many parameters at once."""
+"""Designs: points in the unit cube that sample many parameters at once."""
 
 import warnings
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""The form of a study file: its tables, their keys, and the types of what stands there."""
+"""The form of a study file: its tables, their keys, and the types of their values."""
 
 import math
 import unicodedata
@@ -202,9 +202,7 @@ class Form(Section):
 
 
 def printed_rounding(text: str) -> float:
-    """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for what is no finite
-    number.
-    """
+    """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for any other text."""
     try:
         exponent = Decimal(text).as_tuple().exponent
     except InvalidOperation:

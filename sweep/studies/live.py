@@ -83,7 +83,7 @@ def _plain(value: Any, where: str) -> Any:
         raise SweepError(f"{where}: is a quantity {told}; {numbers}")
     if isinstance(value, np.generic):
         return value.item()
-    if hasattr(value, "tolist"):  # of NumPy, pandas and xarray's arrays
+    if hasattr(value, "tolist"):  # arrays of NumPy, pandas and xarray
         items = value.tolist()
         return items if getattr(getattr(value, "dtype", None), "kind", "") in PLAIN else _plain(items, where)
     if hasattr(value, "values") and hasattr(value.values, "tolist"):

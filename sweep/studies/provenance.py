@@ -102,7 +102,7 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-@cache  # of the code that this process has imported
+@cache  # this process computes with the code that it has imported
 def git_commit() -> str | None:
     """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside a
     checkout, without starting git.
@@ -112,7 +112,7 @@ def git_commit() -> str | None:
         return None
 
     def git(*arguments: str) -> str:
-        # without optional locks: an interruption kills it, and it would leave its lock in the checkout
+        # without optional locks: an interruption may kill git, which would leave its lock in the checkout
         command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
         return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
 

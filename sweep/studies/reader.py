@@ -22,7 +22,7 @@ from sweep.studies.values import Values
 from sweep.tables.file import TableFile
 
 ONCE = Sampling(n_sim=1)
-"""The sampling of what is computed once."""
+"""The sampling of a deterministic experiment, which is evaluated once at each point."""
 
 
 def load_study(

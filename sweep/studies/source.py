@@ -43,7 +43,7 @@ def find_study(name_or_path: str) -> Path:
         if path.is_dir():
             raise SweepError(f"{name_or_path!r} is a directory, not a study file")
         exists = path.exists()
-    except (OSError, ValueError) as error:  # for example a name that is too long, or a directory closed to us
+    except (OSError, ValueError) as error:  # for example a name that is too long, or a directory without permission
         reason = getattr(error, "strerror", None) or str(error)
         raise SweepError(f"the study {shown(name_or_path)} cannot be read: {reason}") from error
     if not exists:
@@ -88,7 +88,7 @@ def lines_of_keys(text: str) -> dict[Place, int]:
     counts: dict[str, int] = {}
     lines: dict[Place, int] = {}
     for number, whole in enumerate(text.split("\n"), 1):
-        line = whole[:200]  # a key stands at the beginning; the patterns take long on a long line
+        line = whole[:200]  # a key is at the beginning; the patterns are slow on a long line
         if header := re.match(r"\s*(\[\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?$", line):
             name = header[2]
             keys = tuple(part.strip(" \"'") for part in name.split("."))

@@ -118,7 +118,7 @@ def _sampling(experiment: Experiment) -> list[str]:
 def _first_axis(experiment: Experiment) -> dict[str, list[object]]:
     """Return a parameter and values of it that can be computed with all others at their defaults."""
     chosen = [p for p in experiment.parameters if p.choices and p.default is not None]
-    for parameter in sorted(chosen, key=lambda p: p.define is None):  # what users may extend is what they compare
+    for parameter in sorted(chosen, key=lambda p: p.define is None):  # first those that users can extend
         good = [choice for choice in parameter.choices if _works(experiment, parameter.name, choice)]
         if len(good) >= FEW:
             return {parameter.name: list(good[:FEW])}

@@ -143,7 +143,7 @@ def _stepped(start: float, stop: float, step: float, whole: bool) -> list[float]
         raise ValueError(f"start, stop, step make about {count:.3g} values; at most {MAX_AXIS_VALUES} are allowed")
     if whole and _are_integers(start, stop, step):
         return [start + step * i for i in range(int((stop - start) // step) + 1)]
-    unsure = 1e-9 + 2 * sys.float_info.epsilon * max(abs(start), abs(stop)) / abs(step)  # of start and stop as stored
+    unsure = 1e-9 + 2 * sys.float_info.epsilon * max(abs(start), abs(stop)) / abs(step)  # rounding of start and stop
     return [_rounded(start + step * i, step) for i in range(math.floor(count + min(unsure, 1e-3)) + 1)]
 
 
@@ -160,10 +160,10 @@ def _rounded(x: float, step: float = math.inf) -> float:
 
 
 def is_number(x: object) -> bool:
-    """Return whether x is a finite number that may stand in a study."""
+    """Return whether x is a finite number that a study may contain."""
     return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < HUGE
 
 
 def number_problem(x: object) -> str | None:
-    """Return why x is not a finite number that may stand in a study, None if it is one."""
+    """Return why x is not a finite number that a study may contain, None if it is one."""
     return None if is_number(x) else f"{shown(x)}: must be a finite number{bound_in_words(x)}"

@@ -140,7 +140,7 @@ def _check_without_unit(name: str, values: Array, unit: str, right_ascension: bo
 
 
 def _sexagesimal(column: Any, missing: NDArray[np.bool_], name: str, unit: Any, right_ascension: bool) -> Array:
-    text = "" if unit is None else str(unit).strip('"').replace(" ", ":")  # VizieR has quotes
+    text = "" if unit is None else str(unit).strip('"').replace(" ", ":")  # VizieR writes quotes around it
     if text not in ("", *SEXAGESIMAL):
         raise ValueError(f"column {name!r} is text and in {unit}; an angle as text is in {', '.join(SEXAGESIMAL)}")
     hours = SEXAGESIMAL.get(text, right_ascension)
