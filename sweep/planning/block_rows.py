@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 KEY_BYTES = 32
-"""The length of a `ledger_key`."""
+"""Bytes in a `ledger_key`."""
 
 
 class BlockRows(Mapping[bytes, int]):

@@ -59,7 +59,7 @@ def override(
 
 
 def _given_once(given: dict[Place, str], place: Place, option: str, problems: list[str]) -> None:
-    """Report an option that sets again what an earlier option has set; one of the two would be lost."""
+    """Report an option that sets what another, earlier option has set; one of the two would be lost."""
     if place and given.setdefault(place, option) != option:
         problems.append(f"{given[place]} and {option}: {place[-1]} is given twice; leave out one of the two")
 
