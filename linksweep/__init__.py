@@ -1,4 +1,4 @@
-"""Parameter sweeps on Dask and into Zarr: of the link of an astrometric satellite's frame, or of any function.
+"""Parameter sweeps with Dask and Zarr, of the link of an astrometric satellite's frame or of any function.
 
 This is the public interface; names that are not in ``__all__`` may change without notice.
 

@@ -1,4 +1,4 @@
-"""Loads the packages `core`, `sweep` and `sweeps` of linksweep where a file of the user's has the name of one.
+"""Loads linksweep's packages `core`, `sweep` and `sweeps`, even where a user's file has the name of one.
 
 Python looks for modules in the folder of the script first, so a ``core.py`` or a folder ``sweep`` there would be
 imported in place of ours.
@@ -18,8 +18,8 @@ ROOT = Path(__file__).parent.parent
 def load_own_packages() -> None:
     """Import our packages from the folder that linksweep itself is in.
 
-    Where a file of the user's has been imported under one of the names, raises ImportError that names the file; where
-    one is imported later, what it holds is not found, and the error names it.
+    Raises ImportError that names the file if a user's file has already been imported under one of the names.  If the
+    user imports such a file later, its attributes are not found, and the error names the file.
     """
     for name in NAMES:
         loaded = sys.modules.get(name)
@@ -46,7 +46,7 @@ def _load(name: str) -> None:
 
 
 def _hidden(name: str) -> str | None:
-    """Return the file or folder that would be imported under a name but for us, if there is one."""
+    """Return the user's file that our package of this name hides, None if there is none."""
     origin: str | None = getattr(PathFinder.find_spec(name), "origin", None)
     return None if _is_ours(name, origin) else origin
 
@@ -56,7 +56,7 @@ def _is_ours(name: str, file: str | None) -> bool:
 
 
 def _explain(module: ModuleType, hidden: str) -> None:
-    """Let an attribute that our package does not have be explained by the file that has its name."""
+    """Let the error for an attribute that our package does not have name the user's file of the same name."""
     ours = getattr(module, "__getattr__", None)
     name = module.__name__
 

@@ -1,7 +1,6 @@
-"""The platform: studies, their grids, execution, stores and what is made of results.
+"""The platform: studies, their grids, execution, stores, and the analysis of results.
 
-``import linksweep`` is the interface to it; the names of that are here as well, where scripts of version 0.1 look for
-them.
+``import linksweep`` is the public interface; names that scripts of version 0.1 import from here are still available.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -5,12 +5,12 @@ import signal
 
 
 def main() -> None:
-    """Import the command and run it; Ctrl-C before it answers for itself ends the process without a traceback."""
+    """Import the command and run it; Ctrl-C before it handles signals itself ends the process without a traceback."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from sweep.cli.signals import leave_with_exit_code
 
-    atexit.register(leave_with_exit_code)  # the first one runs last
+    atexit.register(leave_with_exit_code)  # what is registered first runs last
     from sweep.cli import main as command
     from sweep.cli.streams import prepare_streams
 

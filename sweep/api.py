@@ -63,8 +63,8 @@ def run(
     Args:
         study: a function; or the name of a built-in study, the path of a TOML file, a mapping with the same content
             (whose experiment may be a function), or a `Study`.
-        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` by default, where for a function or mapping NAME ends
-            with a digest of everything that is asked for.
+        store: a path or s3://BUCKET/NAME; ``results/NAME.zarr`` by default, where the NAME for a function or mapping
+            ends with a digest of everything that is asked for.
         axes: the values of each parameter of the function that is swept: lists, arrays, ranges or pandas indexes, or a
             range as in a study.
         fixed: values of other parameters of the function.
@@ -74,7 +74,7 @@ def run(
         sampling: n_sim, seed, precision and max_n_sim of a function that takes ``rng``.
         title: the title of a function in tables and figures.
         workers: the number of processes or threads; one per core by default.
-        pool: what to run on on this machine; "processes" by default, "serial" if the work is small.
+        pool: the kind of executor on this machine: "processes" (the default), "threads", or "serial" for small work.
         scheduler: the address of a Dask scheduler to run on instead.
         cluster: a file that describes a Dask cluster to start and run on instead.
         limits: the time and memory that one block may take.
@@ -118,7 +118,7 @@ def run(
 
 
 def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
-    """Return the results in a store, in memory.  During a run they are those of one complete write.
+    """Return the results in a store, in memory.  During a run all of them are from the same write of the dataset.
 
     Results of `sweep tie -o` and `sweep forecast -o` can be read too.
 
@@ -143,20 +143,20 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
 
 
 def _drawable(dataset: xr.Dataset) -> xr.Dataset:
-    """Return results with texts of fixed width as coordinates: xarray draws over no others."""
+    """Return results whose text coordinates have a fixed width: xarray cannot plot over others."""
     texts = {name: values for name, values in dataset.coords.items() if values.dtype.kind == "T"}
     fixed = {n: (v.dims, np.array(v.values.tolist(), dtype=np.str_), v.attrs) for n, v in texts.items()}
     return dataset.assign_coords(fixed)
 
 
 def answer(dataset: xr.Dataset) -> "Card":
-    """Return the answer of a study's results: ``print`` shows question and answer, a notebook the figure too.
+    """Return the answer that results give: ``print`` shows question and answer, a notebook also the figure.
 
     Args:
         dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
 
     Returns:
-        A card with ``title``, ``question`` and ``sentences``; of a link or a forecast with the ``table`` of its
+        A card with ``title``, ``question`` and ``sentences``; for a link or a forecast also with the ``table`` of its
         unknowns.  Its figure, in a notebook, needs Matplotlib.
 
     Raises:
@@ -187,8 +187,8 @@ def plot(
 
     Args:
         dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
-        kind: "lines", "law", "map", "scatter", "points", "pairs" or "scaling"; of a link "solution", "residuals",
-            "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; of a forecast "epochs"
+        kind: "lines", "law", "map", "scatter", "points", "pairs" or "scaling"; for a link "solution", "residuals",
+            "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; for a forecast "epochs"
             or "ranking".  By default the kind that suits the dataset.
         variables: names of outputs, one column of panels each; the main result by default.
         over: the axis along which curves are drawn, the two axes of a map, or the two components of a scatter plot.
@@ -197,7 +197,7 @@ def plot(
         A Matplotlib figure without a window; ``figure.savefig("name.svg")`` writes it, a notebook shows it.
 
     Raises:
-        SweepError: for a kind that the dataset does not allow, with those that it does, and for unknown variables.
+        SweepError: for a kind that does not suit the dataset (the message lists those that do) or an unknown variable.
 
     Example:
         >>> study = {
@@ -219,14 +219,14 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], g
     if reference is not None or callable(study) or isinstance(study, Experiment):
         return study_of_function(reference or study, **given)  # type: ignore[arg-type]
     if told := [name for name, value in given.items() if value is not None]:
-        raise SweepError(f"{', '.join(told)}: are for a function; a study has its own")
+        raise SweepError(f"{', '.join(told)}: allowed only for a function; a study has its own")
     if isinstance(study, Study):
         return study
     return live_study(study) if isinstance(study, Mapping) else load_study(str(study))
 
 
 def _watching(study: Study, progress: Progress | None) -> AbstractContextManager[Progress]:
-    """Return who watches a run: the one that was given, or a bar where somebody sees it."""
+    """Return the object that is notified of a run's progress: the given one, or a bar where somebody can see it."""
     if progress is not None:
         return nullcontext(progress)
     if in_notebook():

@@ -1,4 +1,4 @@
-"""Attributes of variables, as xarray and the CF conventions have them: unit, short name for labels, meaning."""
+"""Attributes of variables by the conventions of xarray and CF: unit, short name for labels, meaning."""
 
 import re
 from collections.abc import Mapping
@@ -8,15 +8,15 @@ DESCRIPTION = "description"
 """The whole meaning, where ``long_name`` is only the beginning of it."""
 
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
-"""Units that are logarithms: an axis of them is drawn, and interpolated along, as it is."""
+"""Units that are logarithms already: plots and interpolation never use a logarithmic scale for them."""
 
 _END = re.compile(r" \(|, |; |: ")
 
 
 def described(unit: str, meaning: str) -> dict[str, Any]:
-    """Return units, long_name and description of a variable; what would be empty is left out.
+    """Return units, long_name and description of a variable, without those that would be empty.
 
-    Labels of xarray's own plots are made of the first two.
+    The labels of xarray's own plots are made from the first two.
 
     Examples:
         >>> described("mas / yr", "RMS error of the spin, over its three components")["long_name"]

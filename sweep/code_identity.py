@@ -1,4 +1,4 @@
-"""Which code decides the numbers of an experiment: sources, defaults, versions of packages."""
+"""The code that determines the results of an experiment: sources, defaults, versions of packages."""
 
 import json
 import sys
@@ -15,11 +15,11 @@ from sweep.sources import INSTALLED, OURS, Sources, read_sources
 
 
 def code_of(reference: str, experiment: Experiment, digest: str | None = None) -> dict[str, str]:
-    """Return what decides the numbers of a loaded experiment beside its version: source files, defaults, versions of
-    packages.
+    """Return what determines the results of a loaded experiment besides its version: source files, defaults, versions
+    of packages.
 
-    Of an experiment in an installed distribution this is the distribution's version; what linksweep brings itself is
-    known by the version of the experiment alone.
+    For an experiment in an installed distribution this is the version of the distribution; experiments that come with
+    linksweep are identified by their own version alone.
     """
     code: dict[str, str] = {}
     place = reference.rpartition(":")[0]
@@ -36,7 +36,7 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
 
 
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
-    """Return a phrase for everything in which code differs; ``was`` and ``now`` say where the two are."""
+    """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []
     for name in sorted({*old, *new}):
         before, after = old.get(name), new.get(name)
@@ -58,8 +58,8 @@ def _distributions_of(package: str) -> list[str]:
 
 @lru_cache(maxsize=16)  # as they were when the module was loaded: Python does not load it again
 def _sources_of_module(name: str) -> Sources | None:
-    """Return the sources of a module that is not in an installed distribution, with what it imports beside its top
-    package; None for one that is, or that is not in Python.
+    """Return the sources of a module and of what it imports from the folder of its top package; None if the module is
+    in an installed distribution, or is not written in Python.
     """
     path = getattr(sys.modules.get(name), "__file__", None)
     if path is None or not path.endswith(".py") or INSTALLED & set(Path(path).parts):

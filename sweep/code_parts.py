@@ -24,7 +24,7 @@ CHANGING = {
 
 
 class CodeParts:
-    """Digests of the code of a function and of what it refers to, by their names in words; local modules."""
+    """Digests of the code of a function and of what it refers to, by kind and name; and its local modules."""
 
     def __init__(self) -> None:
         self.parts: dict[str, str] = {}
@@ -83,7 +83,7 @@ class CodeParts:
         self.parts |= read_sources(Path(file).resolve()).parts
 
     def _is_local(self, module: str | None) -> bool:
-        """Return whether code is neither of Python, nor of an installed distribution, nor of linksweep."""
+        """Return whether a module belongs neither to Python, nor to an installed distribution, nor to linksweep."""
         found = sys.modules.get(module or "")
         file = getattr(found, "__file__", None)
         top = (module or "").partition(".")[0]
@@ -126,8 +126,8 @@ def _names(code: CodeType) -> list[str]:
 
 
 def _changed(code: CodeType) -> set[str]:
-    """Return the names of what a function changes itself, such as a list that it appends to: that is its state, and
-    differs from call to call, while its code does not.
+    """Return the names of objects that a function changes itself, such as a list that it appends to: such state differs
+    from call to call while the code stays the same.
     """
     found: set[str] = set()
     loaded: deque[str] = deque(maxlen=3)
@@ -146,5 +146,5 @@ def _changed(code: CodeType) -> set[str]:
 def _pickled(value: Any) -> str:
     try:
         return pickle.dumps(value, protocol=4).hex()
-    except Exception:  # a lock, a file: then its type is all that can be told
+    except Exception:  # a lock, a file: only its type can be recorded
         return f"{type(value).__module__}.{type(value).__qualname__}"

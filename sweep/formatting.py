@@ -14,15 +14,15 @@ if TYPE_CHECKING:
 MOST_DECIMALS = 9
 
 WIDTH = 80
-"""Sentences are broken into lines of so many characters."""
+"""Sentences are broken into lines of at most this many characters."""
 
 
 def with_error(value: Any, error: float) -> str:
     """Return a number and its error with two digits of the error.
 
     Args:
-        value: Any number; NaN gives an empty string.  Texts, truth values and integers stand as they are.
-        error: One standard error; the number stands alone where it is not positive.
+        value: Any number; NaN gives an empty string.  Texts, truth values and integers are not rounded.
+        error: One standard error; it is left out where it is not positive and finite.
 
     Examples:
         >>> with_error(0.66, 0.0027)
@@ -53,7 +53,7 @@ def rounded(value: Any, error: float = 0.0) -> str:
 
 
 def fixed(value: float, digits: str, unit: str = "") -> str:
-    """Return a number in a format of Python with its unit, '' where it is not finite."""
+    """Return a number with its unit, in a format of Python such as '.2f'; '' where it is not finite."""
     return f"{value:{digits}}{unit}" if math.isfinite(value) else ""
 
 
@@ -83,7 +83,7 @@ def counted(n: int, noun: str) -> str:
 
 
 def per_second(number: int, seconds: float, noun: str) -> str:
-    """Return a speed, such as '1,200 points/s'; of less than ten a second two digits."""
+    """Return a speed, such as '1,200 points/s'; with two digits below ten a second."""
     speed = number / max(seconds, 1e-9)
     return f"{speed:.2g} {noun}/s" if speed < 9.95 else f"{speed:,.0f} {noun}/s"
 
@@ -111,7 +111,7 @@ def split_assignment(text: str) -> tuple[str, str]:
 
 
 def reading_table(title: str, headings: Sequence[str], rows: Iterable[Iterable[str]], left: str = "") -> "Table":
-    """Return a table for a terminal, all to the right but the column with the heading ``left``."""
+    """Return a table for a terminal; columns are right-aligned, but for the one with the heading ``left``."""
     from rich.table import Table
     from rich.text import Text
 
@@ -152,7 +152,7 @@ def _jsonable(value: Any) -> Any:
         value = asdict(value)
     if isinstance(value, Mapping):
         return {str(key): _jsonable(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # of NumPy, which takes longer to import than all else that prints
+    if hasattr(value, "tolist"):  # of NumPy, whose import would take longer than all other code for printing
         value = value.tolist()
     if isinstance(value, list | tuple | set):
         return [_jsonable(item) for item in value]

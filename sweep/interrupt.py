@@ -1,4 +1,4 @@
-"""Ctrl-C and the signals of batch systems end a run in order: never in the middle of a write to the ledger."""
+"""Lets Ctrl-C and the signals of batch systems end a run cleanly: never in the middle of a write to the ledger."""
 
 import gc
 import signal
@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 LOST_S = 0.2
-"""After that long an interrupt that the main thread does not deal with has been dropped."""
+"""Seconds after which an interrupt that the main thread is not handling must have been dropped."""
 
 
 class RunInterruptedError(Exception):
@@ -24,16 +24,16 @@ class RunInterruptedError(Exception):
 
 
 def how_ended(name: str) -> str:
-    """Return what the user is told of the signal of this name that ended a command."""
+    """Return what the user is told when the signal of this name has ended a command."""
     return "interrupted" if name == "SIGINT" else f"stopped by {name}"
 
 
 class Interruptions:
-    """The signals that stop a run: the first raises KeyboardInterrupt, the second is answered as without a run.
+    """The signals that stop a run: the first raises KeyboardInterrupt, the second is handled as before the run.
 
     Python drops a KeyboardInterrupt that arrives in a finaliser or in a callback of its import system, and libraries
-    drop some while they are imported.  So it is raised again until it gets through; not where all of the run is in an
-    ``except`` of the caller's, since then it cannot be told from one that is on its way.
+    drop some while they are imported.  So it is raised again until it gets through.  This does not work if the caller
+    runs everything inside an ``except`` block: there a dropped interrupt looks like one that is being handled.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Interruptions:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Put a signal off to the end of this block, which must be short."""
+        """Delay signals until the end of this block, which must be short."""
         self._holding = True
         try:
             yield
@@ -55,17 +55,17 @@ class Interruptions:
             self._interrupt()
 
     def watch(self) -> None:
-        """Begin to answer signals."""
+        """Begin to handle signals."""
         for number in SIGNALS:
             before = signal.getsignal(number)
-            if before not in (signal.SIG_IGN, None):  # nohup asks to be left alone; None is not Python's to restore
+            if before not in (signal.SIG_IGN, None):  # nohup ignores it on purpose; Python could not restore None
                 self._before[number] = before
                 signal.signal(number, self._answer)
         self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
         self._watching = True
 
     def restore(self) -> None:
-        """Leave signals to whoever answered them before."""
+        """Give the signals back to their previous handlers."""
         with self._deciding:
             self._watching = False
         for number, before in self._before.items():
@@ -93,7 +93,7 @@ class Interruptions:
         later.start()
 
     def _look(self) -> None:
-        """Send the signal again unless the main thread is on its way out: in an except, a finally or a with."""
+        """Send the signal again unless the main thread is handling an exception, in an except, a finally or a with."""
         main = threading.main_thread().ident
         assert main is not None
         with self._deciding:
@@ -106,29 +106,29 @@ class Interruptions:
                 signal.pthread_kill(main, self.received)
 
     def _unraisable(self, what: Any) -> None:
-        """Say nothing of an interrupt that Python drops."""
+        """Report nothing when Python drops an interrupt."""
         if self.received is None or not issubclass(what.exc_type, KeyboardInterrupt):
             self._unraisable_before(what)
 
 
 def _is_handling(thread: int) -> bool:
-    """Whether a thread is handling an exception at this moment."""
+    """Return whether a thread is handling an exception at this moment."""
     collects = gc.isenabled()
-    gc.disable()  # Python before 3.11.9 may stop for ever where garbage is collected meanwhile (gh-106883)
+    gc.disable()  # Python before 3.11.9 may hang if garbage is collected meanwhile (gh-106883)
     try:
         found = sys._current_exceptions().get(thread)
     finally:
         if collects:
             gc.enable()
-    return (found[0] if isinstance(found, tuple) else found) is not None  # three of them in Python 3.11
+    return (found[0] if isinstance(found, tuple) else found) is not None  # a tuple of three in Python 3.11
 
 
 @contextmanager
 def watched() -> Iterator[Interruptions]:
-    """Let the first SIGINT, SIGTERM or SIGHUP raise KeyboardInterrupt in this block, and leave it as
-    RunInterruptedError.
+    """Let the first SIGINT, SIGTERM or SIGHUP raise KeyboardInterrupt in this block, and turn that into
+    RunInterruptedError at its end.
 
-    Only the main thread can answer signals: in another one this does nothing.
+    Only the main thread can handle signals: in another thread they are not watched.
     """
     interruptions = Interruptions()
     if threading.current_thread() is threading.main_thread():
@@ -144,7 +144,7 @@ def watched() -> Iterator[Interruptions]:
 
 
 def _is_interrupt(error: BaseException) -> bool:
-    """Whether an exception is of an interrupt: in a class body that is executed Python makes a RuntimeError of it."""
+    """Return whether an exception comes from an interrupt; Python turns one in a class body into a RuntimeError."""
     return isinstance(error, KeyboardInterrupt) or (
         isinstance(error, RuntimeError) and isinstance(error.__cause__, KeyboardInterrupt)
     )

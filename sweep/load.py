@@ -18,17 +18,17 @@ from sweep.session import provide as provide_function
 from sweep.sources import INSTALLED, Sources, forget_module, make_module, read_sources
 
 SOURCES = "__linksweep_sources__"
-"""The attribute by which a module of a file knows what it was made of."""
+"""The attribute of a module made from a file that holds its `Sources`."""
 
 _provided: dict[tuple[str, str], Sources] = {}
-"""Sources that another process has sent, by path and digest: the file itself may not be here, or be another one."""
+"""Sources that another process has sent, by path and digest: the file may be missing here, or have other content."""
 
 
 def load_experiment(reference: str, folder: Path | None = None, digest: str | None = None) -> Experiment:
-    """Return the Experiment that a reference names, or the plain function there as one; a file's path is relative to
+    """Return the Experiment that a reference names, made from a plain function if need be; a file's path is relative to
     ``folder``.
 
-    With the ``digest`` of its sources those are taken that were provided, if any were, whatever the file holds now.
+    With a ``digest``, the sources that were provided with this digest are used, if any, whatever the file holds now.
     Raises SweepError where the module, the file or the attribute does not exist or is something else.
     """
     own = session_function(reference)
@@ -49,7 +49,7 @@ def read_experiment(reference: str, folder: Path) -> Experiment:
     """
     try:
         absolute = absolute_reference(reference, folder)
-    except ValueError:  # no path, as loading it will say
+    except ValueError:  # not a path; loading it says so
         absolute = reference
     loaded = sources_of(absolute)
     if isinstance(loaded, Sources) and _read(Path(loaded.path)).digest != loaded.digest:
@@ -59,10 +59,10 @@ def read_experiment(reference: str, folder: Path) -> Experiment:
 
 @dataclass(frozen=True)
 class SourceFunction:
-    """A function of a user's: found by its reference in whichever process calls it, and known by the digest of the file
-    that it stands in and of the local modules which that imports.
+    """A user's function: found by its reference in whichever process calls it, and identified by the digest of its file
+    and of the local modules that the file imports.
 
-    Calling it raises SweepError where that file is gone or another one than when it was loaded.
+    Calling it raises SweepError if the file is gone or has changed since it was loaded.
     """
 
     reference: str = field(compare=False)
@@ -75,10 +75,9 @@ class SourceFunction:
 
 
 def load_function(reference: str, folder: Path | None = None) -> SourceFunction:
-    """Return the function that a reference names, as it stands in its file now; a file's path is relative to
-    ``folder``.
+    """Return the function that a reference names, as its file has it now; a file's path is relative to ``folder``.
 
-    Raises SweepError as `load_experiment`, and for what cannot be called or has no file in Python.
+    Raises SweepError as `load_experiment`, and for an object that cannot be called or has no Python file.
     """
     absolute = absolute_reference(reference, folder or Path.cwd())
     module, found = _find(absolute)
@@ -90,7 +89,7 @@ def load_function(reference: str, folder: Path | None = None) -> SourceFunction:
     if not callable(found):
         raise _is_no("a function", reference, found)
     if digest is None:
-        raise SweepError(f"{shown(reference)}: has no source file, by which its numbers could be known")
+        raise SweepError(f"{shown(reference)}: has no source file by which its code could be identified")
     return SourceFunction(absolute, absolute.rpartition(":")[2], digest)
 
 
@@ -100,12 +99,12 @@ def _function(wanted: SourceFunction) -> Callable[..., Any]:
     if found.digest != wanted.digest:
         raise SweepError(f"{wanted.reference}: its file is not the one that the study was read with")
     _, function = _find(wanted.reference)
-    assert callable(function), "asked for when it was loaded"
+    assert callable(function), "checked when it was loaded"
     return function
 
 
 def _digest(module: ModuleType) -> str | None:
-    """Return the digest of a module's source as it is now; None where it has none in Python."""
+    """Return the digest of a module's source as it is now; None where it has no Python source."""
     path = getattr(module, "__file__", None)
     if path is None or not str(path).endswith(".py") or not Path(path).is_file():
         return None
@@ -114,7 +113,7 @@ def _digest(module: ModuleType) -> str | None:
 
 
 def _find(reference: str, folder: Path | None = None, digest: str | None = None) -> tuple[ModuleType, object]:
-    """Return the module of a reference and what it names there, None for nothing."""
+    """Return the module of a reference and the object that it names there, None if there is no such object."""
     place, colon, attribute = reference.rpartition(":")
     if not colon or not place or not attribute:
         raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
@@ -124,7 +123,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None)
     except SweepError as error:
         if not error.where:
             raise
-        raise SweepError(error.problems, f"{reference}, {error.where}") from error  # in a declaration
+        raise SweepError(error.problems, f"{reference}, {error.where}") from error  # an error in a declaration
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
         where = _line_of(error)
         text = error.msg if isinstance(error, SyntaxError) else str(error)
@@ -134,7 +133,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None)
 
 
 def _how_to_find(error: BaseException, place: str, attribute: str) -> str:
-    """Return how to name a function of a package that is not installed."""
+    """Return a hint on how to name a function of a package that is not installed, '' for other errors."""
     if isinstance(error, ImportError) and "attempted relative import" in str(error):
         names = [Path(place).stem]
         folder = Path(place).absolute().parent
@@ -175,8 +174,8 @@ def absolute_reference(reference: str, folder: Path) -> str:
 
 
 def sources_of(reference: str, digest: str | None = None) -> Sources | SessionFunction | None:
-    """Return what a loaded experiment's file and local modules were when they were loaded, or the function of a
-    session; None for one of a module.
+    """Return the file and local modules of a loaded experiment as they were when they were loaded, or the function of a
+    session; None for an experiment in a module.
     """
     place, _, _ = reference.rpartition(":")
     if place == SESSION:
@@ -191,7 +190,7 @@ def sources_of(reference: str, digest: str | None = None) -> Sources | SessionFu
 
 
 def source_digest(reference: str) -> str | None:
-    """Return the digest of a loaded experiment's sources; None for one of a module."""
+    """Return the digest of a loaded experiment's sources; None for an experiment in a module."""
     sources = sources_of(reference)
     return None if sources is None else sources.digest
 
@@ -205,8 +204,8 @@ def provide(sources: Sources | SessionFunction) -> None:
 
 
 def forget(reference: str) -> None:
-    """Let an experiment's file and local modules be read anew when it is loaded again; does nothing for one of a
-    module.
+    """Let an experiment's file and local modules be read again when it is loaded next; do nothing for an experiment in
+    a module.
     """
     place, _, _ = reference.rpartition(":")
     if place.endswith(".py"):
@@ -234,7 +233,7 @@ def _module_of_file(place: str, folder: Path | None, digest: str | None) -> Modu
         if key in sys.modules:
             return sys.modules[key]
     else:
-        if loaded is not None:  # an earlier one, and the wanted one may be in the file by now
+        if loaded is not None:  # an earlier version; the file may have the wanted one by now
             forget_module(key)
         sources = _read(path)
     module = make_module(sources, key)

@@ -1,4 +1,4 @@
-"""SI prefixes for reading: the unit in which numbers have few zeros, and the micro sign.
+"""SI prefixes that make numbers easy to read: units in which they have few zeros, and the micro sign.
 
 Stores and files for programs keep their units; tables, figures, sentences and pages use these.
 """
@@ -20,28 +20,28 @@ STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
 """Prefixes that are chosen between, and their powers of ten."""
 
 ONLY_SMALLER = ("s", "arcsec", "rad", "g")
-"""Units that take prefixes below one: 3000 s are no ks to anyone, nor 10 arcsec a dakarcsec."""
+"""Units that take only prefixes below one: nobody writes 3000 s as 3 ks."""
 
 ONLY_LARGER = ("pc", "yr", "lyr", "AU", "bit", "byte")
 
 NEVER = ("d", "h", "min", "deg", "arcmin", "hourangle", "dex", "dB", "t", "ct", "ph", "mag")
-"""Units of which other multiples are known by other names, or that are a logarithm."""
+"""Units that take no prefix, mostly because their multiples have other names or they are logarithms."""
 
 SPELLED = {"narcsec": "nas", "uarcsec": "uas", "marcsec": "mas"}
 
 ANGLES = {"uas": -6, "mas": -3, "arcsec": 0}
-"""Angles by their powers of ten, as link results have them: told without astropy, whose import takes longer than all
-else that the end of a run prints.
+"""Angles of link results by their powers of ten: converted without astropy, whose import takes longer than everything
+else at the end of a run.
 """
 
 SMALLEST_ANGLE = -6
-"""Nothing below a microarcsecond has a name that everyone reads."""
+"""The power of ten of a microarcsecond: smaller units are not widely known."""
 
 _TOKEN = re.compile(r"[A-Za-zµμ]+")
 
 
 class Prefixed(NamedTuple):
-    """A unit, and by what numbers in the old unit are multiplied to be in it."""
+    """A unit, and the factor that converts numbers in the old unit to it."""
 
     unit: str
     factor: float
@@ -52,7 +52,7 @@ def prefixed(values: Any, unit: str) -> Prefixed:
 
     Args:
         values: Numbers in ``unit``, of any shape; NaN, infinity and 0 do not count.
-        unit: A unit that astropy parses; one that it does not, and one that takes no prefix, stays as it is.
+        unit: Any unit; it stays as it is if astropy cannot parse it or it takes no prefix.
 
     Examples:
         >>> prefixed([0.00054, 0.0017], "mas / yr")
@@ -190,8 +190,8 @@ def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:
 
 
 def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
-    """Return a number as a sentence gives it: two digits, three of a number that begins with 1, none
-    that its error makes void, thousands apart.
+    """Return a number as sentences show it: two digits (three if it begins with 1 or has no error), none that its error
+    makes meaningless, and commas between thousands.
 
     Examples:
         >>> in_short(0.0005411, 0.0000038, "mas / yr"), in_short(15533.0), in_short(2.004, 0.001), in_short(1.7112, 0.2)

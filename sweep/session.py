@@ -1,6 +1,6 @@
-"""Functions that have no file to be imported from: of a notebook, of a script that runs, closures, lambdas.
+"""Functions that cannot be imported from a file: those of a notebook or of the running script, closures, lambdas.
 
-They are known by a digest of their code and of all that it refers to, and travel to workers as a whole.
+They are identified by a digest of their code and of all that it refers to, and are sent to workers as a whole.
 """
 
 import hashlib
@@ -16,13 +16,13 @@ from sweep.functions.signature import name_of
 from sweep.sources import INSTALLED
 
 SESSION = "session"
-"""In place of a module in the reference of such a function: ``session:NAME-DIGEST``."""
+"""Stands in place of a module in the reference of such a function: ``session:NAME-DIGEST``."""
 
 _known: dict[str, "SessionFunction"] = {}
 
 
 class SessionFunction:
-    """A function of this session, or of the one that has sent it."""
+    """A function or experiment of this session, or of another one that has sent it."""
 
     def __init__(self, function: Callable[..., Any] | Experiment) -> None:
         found = CodeParts()
@@ -38,16 +38,16 @@ class SessionFunction:
 
     @property
     def path(self) -> str:
-        """What names it among the sources that workers get."""
+        """Its name among the sources that workers get."""
         return self.reference
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return it with the function as bytes; raises SweepError where it cannot leave this process."""
+        """Return the state with the function pickled; raises SweepError where that is not possible."""
         import cloudpickle
 
         registered = []
         try:
-            for module in self.modules:  # they need not be where the workers are
+            for module in self.modules:  # workers may not have them
                 cloudpickle.register_pickle_by_value(module)
                 registered.append(module)
             payload = cloudpickle.dumps(self.function)
@@ -62,25 +62,25 @@ class SessionFunction:
         return {**vars(self), "function": payload, "modules": []}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take the function from bytes."""
+        """Restore the state, and the function from its bytes."""
         vars(self).update(state)
         self.function = pickle.loads(state["function"])
 
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
-    """Let a function be found in this process; return its reference."""
+    """Make a function available by a reference in this process; return the reference."""
     found = SessionFunction(function)
     _known[found.reference] = found
     return found.reference
 
 
 def provide(function: SessionFunction) -> None:
-    """Let a function that another process has sent be found in this one."""
+    """Make a function that another process has sent available in this one."""
     _known.setdefault(function.reference, function)
 
 
 def session_function(reference: str) -> SessionFunction | None:
-    """Return the function of a session that a reference names, None for another reference.
+    """Return the function of a session that a reference names, None for a reference to a file or module.
 
     Raises SweepError where that session has ended.
     """

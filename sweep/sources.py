@@ -1,5 +1,5 @@
-"""The source of a user's file and of the modules beside it that it imports, and modules made of it that no other file
-of the same names gets mixed up with.
+"""Reads a user's file and the local modules that it imports, and makes modules of them that cannot be confused with
+others of the same name.
 """
 
 import ast
@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 OURS = ("core", "sweep", "sweeps", "linksweep")
-"""Never looked for beside a user's file."""
+"""Our packages, never looked for beside a user's file."""
 
 INSTALLED = {"site-packages", "dist-packages"}
 """Names of folders in which installed distributions are."""
@@ -26,7 +26,7 @@ _lock = threading.RLock()
 
 @dataclass(frozen=True)
 class Sources:
-    """A file, by its absolute path, and the local modules that it imports: contents by path relative to its folder."""
+    """A file by its absolute path, and the contents of it and of the local modules it imports, by relative path."""
 
     path: str
     files: Mapping[str, bytes]
@@ -38,12 +38,12 @@ class Sources:
 
     @property
     def parts(self) -> dict[str, str]:
-        """What a store records of it: the digest of each file by its name in words."""
+        """What a store records: the digest of each file by ``file NAME``."""
         return {f"file {name}": digest for name, digest in self.digests.items()}
 
     @property
     def digest(self) -> str:
-        """The digest of all: that of the file where it imports nothing local."""
+        """The digest of all files; that of the file itself if it imports no local module."""
         if len(self.digests) == 1:
             return next(iter(self.digests.values()))
         return hashlib.sha256(repr(sorted(self.digests.items())).encode()).hexdigest()[:12]
@@ -55,8 +55,8 @@ class Sources:
 
 
 def read_sources(path: Path, folder: Path | None = None) -> Sources:
-    """Return a file with all modules that it and these import from its ``folder``, wherever their import statements
-    stand; raises OSError where the file cannot be read.
+    """Return a file with all modules of its ``folder`` that it imports, directly or through others, wherever the import
+    statements are; raises OSError where the file cannot be read.
     """
     folder = folder or path.parent
     main = path.relative_to(folder).as_posix()
@@ -75,7 +75,7 @@ def _imported_files(folder: Path, name: str, content: bytes) -> list[str]:
     """Return the files of a folder that the import statements of one of them name."""
     try:
         nodes = list(ast.walk(ast.parse(content)))
-    except (SyntaxError, ValueError, RecursionError):  # told when it is executed
+    except (SyntaxError, ValueError, RecursionError):  # reported when the file is executed
         return []
     package = _dotted(name) if name.endswith("__init__.py") else _dotted(name).rpartition(".")[0]
     modules: list[str] = []
@@ -109,16 +109,16 @@ def _dotted(name: str) -> str:
 
 
 def make_module(sources: Sources, key: str) -> ModuleType:
-    """Return the module of a file, executed, as ``sys.modules[key]``; raises whatever it raises.
+    """Execute a file and return its module, also as ``sys.modules[key]``; raises whatever the file raises.
 
-    An import statement in it, or in a local module, finds the local modules of these sources first, as a script's does;
-    they are known to nobody else.
+    An import statement in it, or in a local module, finds the local modules of these sources first, as in a script;
+    no other code can import them.
     """
     return _Modules(sources, key).load(sources.name)
 
 
 def forget_module(key: str) -> None:
-    """Drop a module that was made, and its local modules."""
+    """Remove a module that `make_module` made, and its local modules."""
     with _lock:
         for name in [name for name in sys.modules if name == key or name.startswith(f"{key}//")]:
             del sys.modules[name]
@@ -147,7 +147,7 @@ class _Modules:
                 raise ModuleNotFoundError(f"No module named {name!r}", name=name)
             around, _, last = name.rpartition(".")
             package = self.load(around) if around else None
-            if name in self._loaded:  # by the package
+            if name in self._loaded:  # imported by the package
                 return self._loaded[name]
             module = self._execute(name)
             if package is not None:
@@ -173,7 +173,7 @@ class _Modules:
         return module
 
     def _importer(self, module: str) -> Any:
-        """Return what an import statement of a module calls."""
+        """Return the function that the import statements of a module call."""
         package = module if module in self._packages else module.rpartition(".")[0]
 
         def import_module(

@@ -1,4 +1,4 @@
-"""Whether what an experiment's functions return is what it declares; nothing is shifted, broadcast or left out."""
+"""Checks that the functions of an experiment return exactly what it declares; nothing is broadcast or left out."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,16 +16,16 @@ class ResultError(ValueError):
 
 
 class NotFiniteError(ResultError):
-    """Numbers are NaN or infinite where that is no value."""
+    """Numbers are NaN or infinite where that is not allowed."""
 
 
 def checked(
     who: str, given: object, noun: str, expected: Mapping[str, tuple[int, ...]], beside: Sequence[str] = ()
 ) -> dict[str, Array]:
     """Return what the function ``who`` has ``given`` as arrays of 64-bit floats of exactly the ``expected`` names and
-    shapes; names ``beside`` them may be there.
+    shapes; names ``beside`` them are allowed, and ignored.
 
-    The first axis of a shape is that of points; it may be missing where there is one.
+    The first axis of a shape counts points; it may be missing if there is only one.
     Raises ResultError that names everything that is wrong.
     """
     if not isinstance(given, Mapping):
@@ -70,7 +70,9 @@ def _array(given: Any, shape: tuple[int, ...]) -> Array:
 
 
 def not_finite(name: str, array: Array, is_one: bool) -> str | None:
-    """Return how many values are NaN or infinite, in words, those of one value if it ``is_one``; None for none."""
+    """Return a phrase on how many values are NaN or infinite, or which of the two a single one (``is_one``) is; None if
+    all are finite.
+    """
     finite = np.isfinite(array)
     if finite.all():
         return None

@@ -1,4 +1,4 @@
-"""Everything that is wrong with the declaration of an experiment, told when it is made."""
+"""Finds everything that is wrong with the declaration of an experiment, when it is made."""
 
 import inspect
 import re
@@ -13,10 +13,10 @@ from sweep.contract.parameter import Kind, Parameter
 from sweep.contract.units import unit_problem
 
 RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")
-"""Names that the platform gives in every dataset or store."""
+"""Names that the platform uses in every dataset or store."""
 
 ADDED = ("_published", "_published_rounding")
-"""What the platform adds to an output's name, for numbers of its own."""
+"""Endings that the platform adds to an output's name, for variables of its own."""
 
 TAKEN = "the platform gives this name in every dataset; take another"
 GOOD_NAME = re.compile(r"[^\W\d][\w.-]{0,99}")
@@ -67,7 +67,7 @@ def problems(experiment: Any) -> list[str]:
 
 
 def _members(given: object, what: str, kind: type[Any], found: list[str]) -> list[Any]:
-    """Return those of a declared sequence that are what they should be."""
+    """Return the members of a declared sequence that are of the right type."""
     if isinstance(given, kind):
         found.append(f"{what}: is one {kind.__name__}, not a tuple of them; a tuple of one needs a comma at its end")
         return [given]
@@ -93,7 +93,7 @@ def _labels(given: object, what: str, found: list[str], unique: bool = True) -> 
             found.append(f"{what}[{name!r}]: must be a tuple of strings, not {shown(labels)}")
             continue
         if repeated := [label for label, n in Counter(labels).items() if n > 1 and unique]:
-            found.append(f"{what}[{name!r}]: {shown(repeated[0])} stands there twice")
+            found.append(f"{what}[{name!r}]: {shown(repeated[0])} is listed twice")
         if not labels:
             found.append(f"{what}[{name!r}]: is empty")
         good[name] = labels
@@ -101,7 +101,7 @@ def _labels(given: object, what: str, found: list[str], unique: bool = True) -> 
 
 
 def _not_of_a_signature(parameter: Parameter) -> Iterator[str]:
-    """Yield what only the signature of a plain function can say of a parameter."""
+    """Yield settings of a parameter that are allowed only in the signature of a plain function."""
     if parameter.required:
         yield "required is for the signatures of plain functions"
     if not all(isinstance(choice, str) for choice in parameter.choices):
@@ -120,7 +120,7 @@ def name_problem(name: object) -> str | None:
 def parameter_problems(parameter: Parameter) -> Iterator[str]:
     """Yield what is wrong with a parameter by itself."""
     if parameter.kind not in get_args(Kind):
-        yield f"the kind {shown(parameter.kind)} is none{suggest(str(parameter.kind), get_args(Kind))}"
+        yield f"there is no kind {shown(parameter.kind)}{suggest(str(parameter.kind), get_args(Kind))}"
         return
     if text := unit_problem(parameter.unit):
         yield text
@@ -148,7 +148,7 @@ def _output_problems(output: Output, dimensions: Mapping[str, Sequence[str]]) ->
     if output.coords is not None or output.statistics:
         yield "coords and statistics are for plain functions; an Experiment has coordinates and summarise"
     if isinstance(output.dims, str):
-        yield f"dims = {output.dims!r}: must be a tuple; one of one name needs a comma at its end"
+        yield f"dims = {output.dims!r}: must be a tuple; a tuple of one needs a comma at its end"
         return
     if not isinstance(output.dims, (tuple, list)):
         yield f"dims = {shown(output.dims)}: must be a tuple of names"
@@ -167,7 +167,7 @@ def _names(
     dimensions: Mapping[str, Sequence[str]],
     units: Mapping[str, Sequence[str]],
 ) -> Iterator[str]:
-    """Yield what is wrong with names: all of them stand side by side in one dataset."""
+    """Yield what is wrong with names, all of which are used in one dataset."""
     given = [
         *(("parameter", parameter.name) for parameter in parameters),
         *(("output", output.name) for output in outputs),
@@ -175,7 +175,7 @@ def _names(
     ]
     added = {f"{name}_unit": f"the unit of each {name}" for name in units}
     added |= {f"{o.name}{end}": f"what is published of {o.name}" for o in outputs for end in ADDED}
-    # What an experiment decides itself, where a study says nothing, may be told by an output of the same name.
+    # If the experiment itself decides the value of a parameter, an output of the same name may report it.
     decided = {parameter.name for parameter in parameters if parameter.default is None}
     first: dict[str, str] = {}
     for kind, name in given:
@@ -207,7 +207,7 @@ def _call(name: str, function: object, arguments: Sequence[str]) -> Iterator[str
         return
     try:
         signature = inspect.signature(function)
-    except (ValueError, TypeError):  # of a function in C, which does not tell
+    except (ValueError, TypeError):  # of a function in C, which has no signature
         return
     try:
         signature.bind(*arguments)
@@ -217,7 +217,7 @@ def _call(name: str, function: object, arguments: Sequence[str]) -> Iterator[str
 
 def _listed(what: str, given: object, known: Sequence[str], kind: str) -> Iterator[str]:
     if isinstance(given, str) or not isinstance(given, (tuple, list, set, frozenset)):
-        yield f"{what} = {shown(given)}: must be a tuple of names; one of one name needs a comma at its end"
+        yield f"{what} = {shown(given)}: must be a tuple of names; a tuple of one needs a comma at its end"
         return
     for name in given:
         if name not in known:
@@ -227,7 +227,7 @@ def _listed(what: str, given: object, known: Sequence[str], kind: str) -> Iterat
 def packages_problems(given: object) -> Iterator[str]:
     """Yield what is wrong with names of distributions."""
     if isinstance(given, str) or not isinstance(given, (tuple, list)):
-        yield f"packages = {shown(given)}: must be a tuple of names; one of one name needs a comma at its end"
+        yield f"packages = {shown(given)}: must be a tuple of names; a tuple of one needs a comma at its end"
         return
     for name in given:
         try:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 FEW = 20
-"""As many names as a message may list."""
+"""The most names that a message lists."""
 
 
 class SweepError(Exception):
@@ -52,7 +52,7 @@ class DefinitionError(ValueError):
 
 
 def suggest(word: str, known: Sequence[str]) -> str:
-    """Return '; did you mean ...?' for a misspelt word, or the list of what is known if it is short."""
+    """Return '; did you mean ...?' for a misspelt word, or the list of known words if it is short."""
     if close := difflib.get_close_matches(word, known, n=1, cutoff=0.65):
         return f"; did you mean {close[0]!r}?"
     return f"; known are {', '.join(sorted(known))}" if len(known) <= FEW else ""

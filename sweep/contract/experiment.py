@@ -16,7 +16,7 @@ from sweep.contract.output import Output
 from sweep.contract.parameter import Parameter, Point, Value
 
 GeneratorPair = tuple[np.random.Generator, np.random.Generator]
-"""The generators of a block's realisations and of the catalogue that they are of."""
+"""The generators of a block's realisations and of their catalogue."""
 
 
 class Evaluate(Protocol):
@@ -28,9 +28,9 @@ class Evaluate(Protocol):
         """Return sums over ``n_sim`` realisations, each of shape (len(points), *shape declared in `Experiment.sums`).
 
         ``rng`` belongs to this block; ``catalogue_rng`` is the same for all blocks of one catalogue (an outer draw
-        that several blocks share).  All randomness must come from these two.  ``points`` differ in parameters that are
-        `Experiment.shared` and are to use the same random numbers; elsewhere there is one at a time.  The sums of a
-        point must not depend, not in the last bit, on the others.
+        that several blocks share).  All randomness must come from these two.  Several ``points`` differ only in
+        parameters that are `Experiment.shared`, and must use the same random numbers; otherwise there is one at a time.
+        The sums of a point must not depend on the other points, not even in the last bit.
         """
 
 
@@ -38,10 +38,10 @@ class EvaluateCatalogues(Protocol):
     """The function that does the work of one block for several catalogues."""
 
     def __call__(self, points: Sequence[Point], n_sim: int, streams: Sequence[GeneratorPair]) -> Mapping[str, Any]:
-        """Return what `Evaluate` returns for each (rng, catalogue_rng) of ``streams``, to the last bit; each of shape
-        (len(streams), len(points), *shape).
+        """Return what `Evaluate` returns for each (rng, catalogue_rng) of ``streams``, to the last bit; each sum is of
+        shape (len(streams), len(points), *shape).
 
-        Where it raises an Exception, the catalogues are evaluated one by one.
+        If it raises an Exception, the catalogues are evaluated one by one.
         """
 
 
@@ -77,8 +77,8 @@ class Experiment:
     """A function that adds up realisations, one that turns the sums into results, and a declaration of both.
 
     Args:
-        name: how messages and stores call it.
-        version: a new one says that the same parameters now give other numbers; stores of another version are not
+        name: its name in messages and stores.
+        version: to be changed when the same parameters give other results; stores of another version are not
             continued.
         parameters: the inputs.
         sums: the shape of each additive quantity that ``evaluate`` returns.
@@ -87,8 +87,8 @@ class Experiment:
         summarise: returns the outputs, from the sums of all blocks of a point, see `Summarise`.
         coordinates: the labels of each dimension that an output uses.
         component_units: the unit of each label of a dimension, where they differ.
-        samples: for studies that keep realisations, returns what ``evaluate`` does and the realisations that it adds
-            up, each of ``sample_outputs`` with the shape (points, n_sim, dims ...).
+        samples: for studies that keep realisations, returns what ``evaluate`` returns and the realisations behind the
+            sums, each of ``sample_outputs`` with the shape (points, n_sim, dims ...).
         sample_outputs: the quantities of a realisation that are kept.
         evaluate_catalogues: for experiments that compute many small catalogues faster together, see
             `EvaluateCatalogues`; without it ``evaluate`` is called for one after the other.
@@ -100,7 +100,7 @@ class Experiment:
         cost: the random numbers drawn per realisation.
         shared: parameters that do not change the random numbers that a block draws, only what is made of them.
         nan_sums: the sums that may be NaN or infinite.
-        packages: distributions whose versions decide the numbers.
+        packages: distributions whose versions determine the results.
         cost_unit: what ``cost`` counts, in words.
         outer_draw: the name of the draws that several realisations share; empty if there are none.
         citation: what to cite in addition to linksweep.
@@ -143,7 +143,7 @@ class Experiment:
 
     @property
     def undeclared(self) -> bool:
-        """Whether the first result is still to say what the outputs are."""
+        """Whether the outputs are unknown until there is a first result."""
         return False
 
     @property
@@ -153,25 +153,25 @@ class Experiment:
 
     @property
     def says_cost(self) -> bool:
-        """Whether ``cost`` tells one point from another."""
+        """Whether ``cost`` may differ between points."""
         return self.cost is not _one
 
     @property
     def keeps_samples(self) -> bool:
-        """Whether realisations are kept because results are made of them, whatever a study says."""
+        """Whether realisations are kept, whatever a study says, because results are computed from them."""
         return False
 
     @property
     def further_width(self) -> int:
-        """Number of floats that are made of the kept realisations of a point."""
+        """Number of floats that are computed from the kept realisations of a point."""
         return 0
 
     def of_samples(self, samples: Array) -> Array:
-        """Return what is made of the kept realisations of a point, (further_width,)."""
+        """Return what is computed from the kept realisations of a point, (further_width,)."""
         return np.empty(0)
 
     def text_places(self) -> Sequence[int]:
-        """Return where in a row of sums, in bytes, the digests of texts begin."""
+        """Return the positions in a row of sums, in bytes, at which the digests of texts begin."""
         return ()
 
     def added(self, total: Array, row: Array) -> Array:

@@ -13,13 +13,13 @@ class Output:
         name: the name of the variable in the dataset.
         unit: as astropy writes it.
         meaning: one line for tables and figures.
-        dims: dimensions beside the axes of the grid; a single one may be a string.
-        headline: whether it is a column of the printed table, and what reports and figures show first.
-        symbol: what figures show instead of the name, as Matplotlib sets it.
-        nan: whether NaN and infinity are values; a point with such a number fails otherwise.
-        coords: of a plain function, the coordinate of each dimension: values or (values, unit), where values are
+        dims: dimensions besides those of the grid; a single one may be a string.
+        headline: whether it is a column of the printed table and comes first in reports and figures.
+        symbol: what figures show instead of the name, in the notation of Matplotlib.
+        nan: whether NaN and infinity are allowed; otherwise a point with such a value fails.
+        coords: for a plain function, the coordinate of each dimension: values or (values, unit), where values are
             numbers, texts or times.
-        statistics: of a plain function that draws random numbers, what is computed from its realisations: "mean",
+        statistics: for a plain function that draws random numbers, what is computed from its realisations: "mean",
             "std", "min", "max", "count" (how many are true), "median" and quantiles such as "q95".
     """
 

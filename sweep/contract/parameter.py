@@ -13,16 +13,16 @@ Point = Mapping[str, Any]
 """A point's parameters by name, every declared one with a value."""
 
 HUGE = 1e300
-"""No parameter is as large: beyond it arithmetic overflows."""
+"""Parameters must be smaller in size: beyond it arithmetic overflows."""
 
 LARGEST_INT = 2**63 - 1
-"""Beyond it no array of integers holds a value."""
+"""The largest value in an array of integers."""
 
 Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
 
 
 def bound_in_words(raw: object) -> str:
-    """Return what a finite number misses that is refused for its size alone; '' for anything else.
+    """Return the bound that a finite number exceeds if it is refused for its size alone; '' for anything else.
 
     >>> bound_in_words(-1e305), bound_in_words(float("inf"))
     (', below 1e+300 in size', '')
@@ -50,8 +50,8 @@ class Function(Protocol):
 class Named:
     """A value of a parameter that a study defines under a name of its own.
 
-    ``identity`` is JSON of everything in it that decides a number; equal identities are equal values, whatever their
-    names.  ``value`` is what the experiment made of the definition.
+    ``identity`` is JSON of everything in it that determines results; values with equal identities are equal, whatever
+    their names.  ``value`` is what the experiment made from the definition.
     """
 
     name: str = field(compare=False)
@@ -63,10 +63,10 @@ class Named:
 
 
 class Define(Protocol):
-    """What an experiment makes of a study's table [define.PARAMETER.NAME]."""
+    """The function that makes a value from a study's table [define.PARAMETER.NAME]."""
 
     def __call__(self, table: Mapping[str, Any], load: Callable[[str], Function]) -> tuple[Any, Mapping[str, Any]]:
-        """Return the value and everything that decides a number in it, as JSON knows it.
+        """Return the value, and everything in it that determines results, in the types of JSON.
 
         ``load`` returns the function at ``module:function`` or ``file.py:function``.  Raises DefinitionError for a
         wrong table, SweepError where a function cannot be loaded.
@@ -92,10 +92,10 @@ class Parameter:
         choices: the values that are allowed; any unless given.
         minimum: the least value that is allowed.
         maximum: the largest value that is allowed.
-        above: a bound that is not allowed itself.
-        symbol: what figures show instead of the name, as Matplotlib sets it.
-        define: makes a further choice of a "str" from a study's table [define.PARAMETER.NAME].
-        defined: the choices that one study defines; the experiment gets them as they stand here.
+        above: a lower bound that is not allowed itself.
+        symbol: what figures show instead of the name, in the notation of Matplotlib.
+        define: a function that makes a further choice of a "str" from a study's table [define.PARAMETER.NAME].
+        defined: the choices that one study defines; the experiment gets these objects.
         required: whether every study must set it; then there is no default.
     """
 
@@ -172,7 +172,7 @@ class Parameter:
         return int(raw) if isinstance(raw, int) else int(number)
 
     def _number(self, raw: object) -> float:
-        if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # NaN is not < either
+        if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # refuses NaN too
             number = float(raw) + 0.0  # no negative zero: it would be another point
             whole = self.kind != "int" or isinstance(raw, int) or number.is_integer()
             above_floor = self.minimum is None or number >= self.minimum

@@ -1,4 +1,4 @@
-"""Whether a text is a unit that readers of results will understand: one that astropy knows."""
+"""Checks and compares units: texts that astropy understands, as readers of results will."""
 
 import re
 from functools import lru_cache
@@ -10,7 +10,7 @@ FAMILIAR = frozenset(
         *("rad", "deg", "arcmin", "arcsec", "mas", "uas", "mag", "pc", "kpc", "au", "eV"),
     ]
 )
-"""Told without astropy, whose import takes longer than a command that needs nothing else of it."""
+"""Recognised without astropy, whose import takes longer than a command that needs nothing else from it."""
 
 
 def unit_problem(text: object) -> str | None:
@@ -49,7 +49,7 @@ def same_unit(one: str, other: str) -> bool:
 
 
 def factor_between(one: str, other: str) -> float | None:
-    """Return the factor that numbers in one unit have in another; None for units of different kinds."""
+    """Return the factor that converts numbers from one unit to another; None for units of different kinds."""
     from astropy.units import Unit, UnitsError
 
     try:

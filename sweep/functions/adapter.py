@@ -1,4 +1,4 @@
-"""A plain function as an `Experiment`, so that one road leads from a study to a store."""
+"""A plain function as an `Experiment`, so that its studies are run and stored like all others."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -16,7 +16,7 @@ from sweep.functions.results import Flat, flatten, split_points
 from sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
 
 COUNT = 1
-"""Numbers in front of each row: of how many evaluations it is.  So no row is all NaN, which means one that is lost."""
+"""Numbers at the start of each row: how many evaluations it holds.  So no row is all NaN, which marks a lost row."""
 
 _RECORDED = [field.name for field in fields(Output) if field.name != "coords"]
 
@@ -31,7 +31,7 @@ class PlainFunction:
 
     @cached_property
     def declared(self) -> Declared:
-        """What results are held to."""
+        """What results are checked against."""
         names = tuple(parameter.name for parameter in self.signature.parameters)
         outputs, name = self.declaration.outputs, self.signature.name
         single = outputs[0].name if len(outputs) == 1 else "result" if name in ("function", *names) else name
@@ -46,11 +46,11 @@ class PlainFunction:
 
 @dataclass(frozen=True)
 class FunctionExperiment(Experiment):
-    """The experiment that a plain function is.
+    """A plain function as an experiment.
 
-    ``layout`` is what its results are, None before the first.  ``declared`` are the outputs that the function declares,
-    ``rng`` says whether it takes a generator; without one it is evaluated once at each point.  One that a store has
-    recorded has no ``function`` and computes nothing.
+    ``layout`` describes its results, None before the first.  ``declared`` are the outputs that the function declares,
+    ``rng`` says whether it takes a generator; without one it is evaluated once at each point.  An experiment that is
+    made from the record in a store has no ``function`` and computes nothing.
     """
 
     function: PlainFunction | None = None
@@ -62,12 +62,12 @@ class FunctionExperiment(Experiment):
         """Do nothing: `experiment_of` checks the declaration."""
 
     def parameter(self, name: str) -> Parameter:
-        """Return the declared parameter; raises ValueError that says what an argument is that cannot be one."""
+        """Return the declared parameter; raises ValueError that says why an argument cannot be one."""
         others = {} if self.function is None else dict(self.function.signature.others)
         if name in others:
             raise ValueError(f"is of type {others[name]} in {self.name}, none of {ALLOWED}: it stays at its default")
         if self.rng and name in ("n_sim", "precision", "max_n_sim"):
-            raise ValueError(f"is no parameter, but of the sampling: sampling={{{name!r}: ...}}, [sampling] in a study")
+            raise ValueError(f"belongs to the sampling: sampling={{{name!r}: ...}}, in a study file [sampling]")
         return super().parameter(name)
 
     @property
@@ -77,7 +77,7 @@ class FunctionExperiment(Experiment):
 
     @property
     def undeclared(self) -> bool:
-        """Whether the first result is still to say what the outputs are."""
+        """Whether the outputs are unknown until there is a first result."""
         return self.layout is None
 
     @property
@@ -86,7 +86,7 @@ class FunctionExperiment(Experiment):
         return self.function is not None and self.function.declaration.vectorised
 
     def with_layout(self, layout: Layout) -> "FunctionExperiment":
-        """Return the experiment whose results are known to be such."""
+        """Return the experiment with a known layout of its results."""
         random = Realisations(layout, self.declared)
         return replace(
             self,
@@ -99,13 +99,13 @@ class FunctionExperiment(Experiment):
 
     @cached_property
     def realisations(self) -> Realisations | None:
-        """What is kept of random realisations, None before the layout is known and for a function without."""
+        """What is kept of random realisations; None before the layout is known, and for a function without ``rng``."""
         return Realisations(self.layout, self.declared) if self.rng and self.layout is not None else None
 
     def block(self, points: Sequence[Point], n_sim: int, rng: Iterator[np.random.Generator]) -> list[Flat]:
         """Return the result of each point: of one evaluation, or of ``n_sim`` realisations with the next generator.
 
-        Raises ResultError for what is no result, and whatever the function raises.
+        Raises ResultError for an invalid result, and whatever the function raises.
         """
         assert self.function is not None, "the record of an experiment computes nothing"
         function, declared = self.function, self.function.declared
@@ -121,7 +121,7 @@ class FunctionExperiment(Experiment):
         return split_points(self.function.call(**columns), len(points), self.function.declared, "points")
 
     def text_places(self) -> list[int]:
-        """Return where in a row, in bytes, the digests of texts begin."""
+        """Return the positions in a row, in bytes, at which the digests of texts begin."""
         if self.layout is None or self.rng:
             return []
         fields = [field for field in self.layout.fields if field.type == "text"]
@@ -129,13 +129,13 @@ class FunctionExperiment(Experiment):
         return [8 * (COUNT + number) for span in spans for number in range(span.start, span.stop, SLOTS["text"])]
 
     def added(self, total: Array, row: Array) -> Array:
-        """Return what is known of a point with one block more: a single evaluation as it is, moments merged."""
+        """Return the row of a point with one block more: a single evaluation as it is, moments merged."""
         if self.realisations is None or total[0] == 0.0:
             return row
         return self.realisations.merged(total, row)
 
     def alone(self, rows: Array) -> Array:
-        """Return what is known of points that have one block each: as it is."""
+        """Return the rows of points that have one block each, as they are."""
         return rows
 
     @property
@@ -150,7 +150,7 @@ class FunctionExperiment(Experiment):
 
     @property
     def further_width(self) -> int:
-        """Number of floats that kept realisations add to what is known of a point."""
+        """Number of floats that kept realisations add to the row of a point."""
         return 0 if self.realisations is None else self.realisations.further_width
 
     def of_samples(self, samples: Array) -> Array:
@@ -159,13 +159,13 @@ class FunctionExperiment(Experiment):
         return self.realisations.of_samples(samples)
 
     def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
-        """Return every output of rows as `added` makes them, texts by their digests."""
+        """Return every output from rows as `added` makes them, digests in place of texts."""
         if self.realisations is not None:
             return self.realisations.results(rows)
         return {} if self.layout is None else self.layout.values(rows[:, COUNT:])
 
     def nan_outputs(self) -> list[str]:
-        """Return all outputs: results are checked where they come in."""
+        """Return all outputs: results have been checked when the function returned them."""
         return [output.name for output in self.outputs]
 
     def errors_of_headline(self) -> list[tuple[str, str]]:
@@ -175,7 +175,7 @@ class FunctionExperiment(Experiment):
         return super().errors_of_headline()
 
     def as_record(self) -> dict[str, Any]:
-        """Return what a store records of it beside what it does of every experiment."""
+        """Return what a store records of a plain function besides what it records of every experiment."""
         return {
             "rng": self.rng,
             "layout": None if self.layout is None else asdict(self.layout),
@@ -189,10 +189,10 @@ def is_plain_function(found: object) -> TypeGuard[Callable[..., Any]]:
 
 
 def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
-    """Return a plain function as an experiment; raises SweepError with all that keeps it from being one."""
+    """Return a plain function as an experiment; raises SweepError with every reason why it cannot be one."""
     try:
         return _made(function)
-    except TypeError:  # it has no hash
+    except TypeError:  # a function that cannot be hashed cannot be cached
         return _made.__wrapped__(function)
 
 
@@ -234,7 +234,7 @@ def _not_additive(*_arguments: Any, **_named: Any) -> Any:
 
 
 def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
-    """Return the outputs of a layout; those without dimensions are the headline where none is declared so."""
+    """Return the outputs of a layout; where none is declared as headline, those without dimensions are."""
     by_name = {output.name: output for output in declared}
     headline = layout.headline(declared)
     made = []

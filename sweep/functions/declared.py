@@ -1,4 +1,4 @@
-"""`linksweep.experiment`: what a plain function declares beside its signature."""
+"""`linksweep.experiment`: what a plain function declares besides its signature."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +14,7 @@ from sweep.functions.statistics import statistic_problem
 from sweep.functions.values import coordinate_of
 
 ATTRIBUTE = "__linksweep__"
-"""Where a function keeps its declaration."""
+"""The attribute of a function that holds its declaration."""
 
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
@@ -47,8 +47,8 @@ def experiment(
         citation: what users of the results should cite, for reports.
 
     Returns:
-        A decorator that returns the function; where that is not being defined, for example as it comes from another
-        package, one that calls it.
+        A decorator that returns the function.  If that is already defined, for example in another package, it returns
+        a new function that calls it.
 
     Raises:
         SweepError: with everything that is wrong in the declaration and in the signature.
@@ -76,8 +76,8 @@ def experiment(
 
 
 def _one_to_declare(function: AnyFunction) -> AnyFunction:
-    """Return a function while it is being defined, and otherwise one that calls it: what other code imports under its
-    name must stay as it is, and workers would import it without the declaration.
+    """Return a function that is being defined; for a function that is already defined, return a new one that calls it:
+    other code must import it unchanged, and workers would import it without the declaration.
     """
     module = sys.modules.get(getattr(function, "__module__", None) or "")
     if getattr(module, getattr(function, "__qualname__", ""), None) is not function:
@@ -95,7 +95,7 @@ def _sequence(given: Any) -> tuple[Any, ...]:
 
 
 def _output(given: Any) -> Any:
-    """Return an output, of a name alone too, with tuples of dimensions and statistics."""
+    """Return an output, made from a name if need be, with tuples of dimensions and statistics."""
     output = Output(given) if isinstance(given, str) else given
     if not isinstance(output, Output):
         return output
@@ -153,7 +153,7 @@ def _problems_of_output(output: Output, signature: Signature, parameters: Sequen
         return
     for dim in dims:
         if name_problem(dim):
-            yield f"the dimension {shown(dim)} cannot be named so"
+            yield f"{shown(dim)} is not allowed as the name of a dimension"
     for dim in output.coords or {}:
         if dim not in dims:
             yield f"coords: {shown(dim)} is none of its dimensions ({', '.join(dims) or 'it has none'})"
@@ -175,7 +175,7 @@ def _problems_of_coordinates(outputs: Sequence[Output], parameters: Sequence[str
                 yield f"output {output.name!r}: " + (text if "coordinate" in text else f"the coordinate {dim!r} {text}")
                 continue
             if known.setdefault(dim, coordinate) != coordinate:
-                yield f"output {output.name!r}: the coordinate {dim!r} has other values than of another output"
+                yield f"output {output.name!r}: the coordinate {dim!r} has other values than in another output"
             if coordinate.unit and (wrong := unit_problem(coordinate.unit)):
                 yield f"output {output.name!r}: the coordinate {dim!r}: {wrong}"
         for dim in output.dims:

@@ -1,4 +1,4 @@
-"""What the results of a plain function are: names, types, dimensions with coordinates, units; and how they differ."""
+"""The layout of a plain function's results: names, types, dimensions with coordinates, units; and how two differ."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,13 +16,13 @@ from sweep.contract.declaration import name_problem
 Type = Literal["float", "int", "bool", "text", "datetime"]
 
 DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "<i8", "datetime": "<M8[ns]", "text": "V16"}
-"""How a value of each type stands in a row; of a text its digest."""
+"""How a row holds a value of each type; in place of a text its digest."""
 
 SLOTS: dict[Type, int] = {"float": 1, "int": 1, "bool": 1, "datetime": 1, "text": 2}
-"""So many numbers of a row (8 bytes each) hold one value."""
+"""How many numbers of a row (8 bytes each) hold one value."""
 
 EXACT_INT = 2**53
-"""Up to here every integer is a float."""
+"""Up to here a float holds every integer exactly."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +74,12 @@ class Layout:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Where in a row each result stands, in numbers of 8 bytes."""
+        """The part of a row that holds each result, in numbers of 8 bytes."""
         ends = accumulate((math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields), initial=0)
         return {field.name: slice(*ends) for field, ends in zip(self.fields, pairwise(ends), strict=True)}
 
     def values(self, rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-        """Return each result of rows (points, width), of shape (points, *shape); of texts the digests."""
+        """Return each result from rows (points, width), of shape (points, *shape); in place of texts their digests."""
         found: dict[str, NDArray[Any]] = {}
         for field in self.fields:
             part = np.ascontiguousarray(rows[:, self.places[field.name]])
@@ -103,7 +103,7 @@ def layout_of_json(document: Mapping[str, Any]) -> Layout:
 
 @lru_cache(maxsize=256)
 def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what is wrong with the names of results: all stand beside the parameters in one dataset."""
+    """Return what is wrong with the names of results, which share one dataset with the parameters."""
     found = []
     names = [field.name for field in layout.fields]
     for kind, name in [("output", n) for n in names] + [("dimension", n) for n in layout.sizes]:
@@ -118,7 +118,7 @@ def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str,
 
 @lru_cache(maxsize=256)
 def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
-    """Return a phrase for everything in which results differ from those of the first point, none if they can be held.
+    """Return a phrase for each difference between results and those of the first point, none if they fit the layout.
 
     The order does not matter, and an integer may stand for a float.
     """
@@ -172,7 +172,9 @@ def _differences_of_coordinate(expected: Coordinate, found: Coordinate) -> Itera
 
 
 def held(row: bytes, found: Layout, expected: Layout) -> bytes | None:
-    """Return a row without `differences` in the expected layout; None where an integer is too large to be a float."""
+    """Return a row that has no `differences`, converted to the expected layout; None where an integer is too large to
+    be a float.
+    """
     if found == expected:
         return row
     numbers = np.frombuffer(row, dtype="<f8")

@@ -13,7 +13,9 @@ from sweep.functions.values import coordinate_of, is_xarray
 
 @dataclasses.dataclass(frozen=True)
 class Declared:
-    """What results are held to: ``outputs`` of a function, names of its ``parameters``, that of a ``single`` result."""
+    """What results are checked against: the ``outputs`` that a function declares, the names of its ``parameters``, and
+    the name of a ``single`` result.
+    """
 
     function: str
     single: str
@@ -38,7 +40,7 @@ class Declared:
 
     @cached_property
     def layouts(self) -> dict[Any, tuple[Layout, struct.Struct] | None]:
-        """The layouts of results of scalars that were met, by names and types."""
+        """The layouts of results of scalars that have occurred, by names and types."""
         return {}
 
 
@@ -78,7 +80,7 @@ def _in_order(result: tuple[Any, ...], declared: Declared) -> dict[str, Any]:
 
 
 def _beside_dimensions(result: Any, declared: Declared) -> dict[str, Any]:
-    """Return the coordinates that no dimension has: they are results too, unless they repeat a parameter."""
+    """Return the non-dimension coordinates: they are results too, unless they repeat a parameter."""
     return {
         str(name): array.reset_coords(drop=True)
         for name, array in result.coords.items()

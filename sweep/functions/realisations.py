@@ -1,4 +1,4 @@
-"""What is kept of the random realisations of a plain function: moments that merge, and those that quantiles need."""
+"""What is kept of the random realisations of a plain function: moments, and the realisations that quantiles need."""
 
 import math
 from collections.abc import Sequence
@@ -14,14 +14,14 @@ from sweep.functions.results import Flat
 from sweep.functions.statistics import DEFAULT, MOMENTS, merged, moments_of, quantile_of, quantiles, statistic
 
 NUMBERS = ("float", "int", "bool")
-"""Types of which statistics can be made."""
+"""Types from which statistics can be computed."""
 
 
 @dataclass(frozen=True)
 class Realisations:
-    """What is made of realisations of a layout, by the outputs that a function ``declared``.
+    """The statistics of realisations of a layout, for the outputs that a function ``declared``.
 
-    A row has their number and the moments of each output; what quantiles add stands behind it.
+    A row has the number of realisations and the moments of each output, followed by the quantiles and their errors.
     """
 
     layout: Layout
@@ -39,7 +39,7 @@ class Realisations:
         return MOMENTS * self.layout.width
 
     def levels(self, field: Field) -> list[float]:
-        """Return the quantiles that are made of an output."""
+        """Return the levels of the quantiles of an output, between 0 and 1."""
         return [level for name in self.statistics[field.name] if (level := quantile_of(name)) is not None]
 
     @cached_property
@@ -67,7 +67,7 @@ class Realisations:
         return row
 
     def of_samples(self, samples: Array) -> Array:
-        """Return the quantiles of kept realisations and their errors, flat."""
+        """Return the quantiles of kept realisations and their errors, as one row."""
         found, start = [], 0
         for field in self.layout.fields:
             if levels := self.levels(field):
@@ -94,7 +94,7 @@ class Realisations:
         return tuple(made)
 
     def results(self, rows: Array) -> dict[str, Array]:
-        """Return all statistics and errors, (points, *shape), of rows with what quantiles add behind them."""
+        """Return all statistics and errors, (points, *shape), from rows that end with the quantiles."""
         found: dict[str, Array] = {}
         n = rows[:, 0]
         further = 1 + self.width
@@ -117,7 +117,7 @@ class Realisations:
 
 
 def drawn(flats: Sequence[Flat], declared: Declared) -> Flat:
-    """Return the realisations of a block as a row of moments, with those that quantiles need.
+    """Return the realisations of a block as a row of moments, with the realisations that quantiles need.
 
     Raises ResultError where they differ in more than their values.
     """

@@ -1,4 +1,4 @@
-"""What a store has recorded of the experiment that a plain function is."""
+"""Reads what a store has recorded of the experiment of a plain function."""
 
 from collections.abc import Mapping
 from typing import Any

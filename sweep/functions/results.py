@@ -28,7 +28,7 @@ class Flat(NamedTuple):
 def flatten(result: Any, declared: Declared) -> Flat:
     """Return the result of one point as a row.
 
-    Raises ResultError that names every output that is none or not what is declared, and NotFiniteError.
+    Raises ResultError that names every output that is invalid or not as declared, and NotFiniteError.
     """
     if type(result) in FAST:
         result = {declared.single: result}
@@ -64,7 +64,7 @@ def flatten(result: Any, declared: Declared) -> Flat:
 
 
 def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Flat]:
-    """Return the results of n points or realisations (``noun``) from those of all, whose first axis counts them.
+    """Return the result of each of n points or realisations (``noun``) from arrays whose first axis counts them.
 
     Raises ResultError as `flatten`, and for arrays of another length.
     """
@@ -109,7 +109,7 @@ FAST: dict[type, tuple[Type, str]] = {
 
 
 def _scalars(result: dict[Any, Any], declared: Declared) -> Flat | None:
-    """Return the row of plain scalars, the quick way; None where anything is not so plain."""
+    """Return the row of plain scalars, the quick way; None if anything else is among them."""
     key = tuple(zip(result, map(type, result.values()), strict=True))
     if key not in declared.layouts:
         declared.layouts[key] = _scalar_layout(key, declared)

@@ -35,7 +35,7 @@ class Signature:
 
 
 def name_of(function: Callable[..., Any]) -> str:
-    """Return what a function is called: by `def`, by what a partial wraps, or by its class."""
+    """Return the name of a function, of the function in a partial, or of the class of another callable."""
     function = _wrapped(function)
     name = getattr(function, "__name__", type(function).__name__)
     return "function" if name == "<lambda>" else name
@@ -48,7 +48,7 @@ def _wrapped(function: Callable[..., Any]) -> Any:
 
 
 def signature_of(function: Callable[..., Any]) -> Signature:
-    """Return what a plain function takes; raises SweepError with all that keeps it from being swept."""
+    """Return what a plain function takes; raises SweepError with every reason why it cannot be swept."""
     name = name_of(function)
     problems = list(_refusals(function))
     found: Mapping[str, inspect.Parameter] = {}
@@ -59,7 +59,7 @@ def signature_of(function: Callable[..., Any]) -> Signature:
     except (ValueError, TypeError):
         problems.append(f"Python cannot read its signature; wrap it: def my_{name}(x: float): return {name}(x)")
     if (first := next(iter(found), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
-        problems.append(f"is a method and takes {first}; give that of an object, thing.{name}")
+        problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
         found = {}
     rng = RNG in found
     parameters = []

@@ -14,7 +14,7 @@ from sweep.contract import Array, shown, small_sample_factor, suggest
 from sweep.functions.layout import Field
 
 MOMENTS = 6
-"""Of each number of an output a block keeps mean, the sums of the 2nd to 4th powers about it, least and largest."""
+"""What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value."""
 
 NAMES = ("mean", "std", "min", "max", "count", "median")
 DEFAULT = ("mean", "std")
@@ -23,7 +23,7 @@ DEFAULT = ("mean", "std")
 QUANTILE = re.compile(r"q(\d{1,2}(?:\.\d+)?)")
 
 FEWEST_BEYOND = 1.0
-"""Realisations beyond a quantile's one-sigma limits that its error needs."""
+"""The fewest realisations beyond each of a quantile's one-sigma limits for which it has an error."""
 
 
 def statistic_problem(name: object) -> str | None:
@@ -31,11 +31,11 @@ def statistic_problem(name: object) -> str | None:
     if name in NAMES or (isinstance(name, str) and quantile_of(name) is not None):
         return None
     hint = suggest(name, NAMES) if isinstance(name, str) else ""
-    return f"the statistic {shown(name)} is none{hint}; quantiles are written q5, q95, q99.9"
+    return f"there is no statistic {shown(name)}{hint}; quantiles are written q5, q95, q99.9"
 
 
 def quantile_of(name: str) -> float | None:
-    """Return which quantile a statistic is, None if it is none."""
+    """Return the level of the quantile of this name, between 0 and 1; None for another statistic."""
     if name == "median":
         return 0.5
     found = QUANTILE.fullmatch(name)
@@ -76,7 +76,7 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
         if name in ("min", "max"):
             return moments[:, 4 if name == "min" else 5], None
         if name == "count" or field.type == "bool":
-            likely = (mean * count + 1.0) / (count + 2.0)  # never 0 or 1, where no scatter was seen
+            likely = (mean * count + 1.0) / (count + 2.0)  # never 0 or 1, even if all realisations agree
             spread = np.sqrt(likely * (1.0 - likely))
         if name == "count":
             return np.round(mean * count), spread * np.sqrt(count)
@@ -94,8 +94,8 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
 def quantiles(levels: Sequence[float], realisations: Array) -> Array:
     """Return quantiles of realisations (n, size) and their errors, (levels, 2, size).
 
-    The number of realisations below the true quantile is binomial; half the distance between the order statistics that
-    are one standard deviation of it away on both sides is the error, NaN where these are beyond the realisations.
+    The number of realisations below the true quantile is binomial.  The error is half the distance between the order
+    statistics one standard deviation of this number away on both sides, NaN where these are beyond the realisations.
     """
     n = len(realisations)
     found = np.full((len(levels), 2, realisations.shape[1]), np.nan)

@@ -20,7 +20,7 @@ WHAT_RESULTS_ARE = "results are numbers, strings, truth values, times, arrays of
 
 
 class Value(NamedTuple):
-    """One output: type, values, dimensions, those of their coordinates that it brings, unit, meaning."""
+    """One output: type, values, dimensions, the coordinates that come with it, unit, meaning."""
 
     type: Type
     array: NDArray[Any]
@@ -31,7 +31,7 @@ class Value(NamedTuple):
 
 
 def coordinate_of(dim: str, given: Any) -> Coordinate:
-    """Return a coordinate from values, or from (values, unit); raises ResultError for what is none."""
+    """Return a coordinate from values, or from (values, unit); raises ResultError where they cannot be one."""
     unit = ""
     if isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], str) and np.ndim(given[0]) == 1:
         given, unit = given
@@ -60,13 +60,13 @@ def _coordinate_of_xarray(dim: str, along: Any) -> Coordinate:
 
 
 def is_xarray(value: object) -> bool:
-    """Return whether a value is an xarray object, without importing xarray where nobody has."""
+    """Return whether a value is an xarray object, without importing xarray."""
     xarray = sys.modules.get("xarray")
     return xarray is not None and isinstance(value, (xarray.DataArray, xarray.Dataset))
 
 
 def value_of(value: Any) -> Value:
-    """Return a value of any allowed type; raises ResultError that says why it is none."""
+    """Return a value of any allowed type; raises ResultError that says why another one is not allowed."""
     if hasattr(value, "to_xarray") and not isinstance(value, type):
         value = value.to_xarray()
     if is_xarray(value):
@@ -90,7 +90,7 @@ def value_of(value: Any) -> Value:
 
 
 def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
-    """Return the type of a value that is no xarray object, and it as an array; raises ResultError that says why not."""
+    """Return the type of a value that is no xarray object, and its array; raises ResultError as `value_of`."""
     if value is None:
         raise ResultError("is None")
     if isinstance(value, int) and not isinstance(value, bool | np.generic):
@@ -183,7 +183,7 @@ def _texts(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def text_digest(text: str) -> bytes:
-    """Return what stands for a text in a row; raises ResultError for one that no file can hold."""
+    """Return the digest that stands for a text in a row; raises ResultError for a text that no file can hold."""
     try:
         return blake2b(text.encode(), digest_size=TEXT_BYTES).digest()
     except UnicodeEncodeError as error:
@@ -202,7 +202,7 @@ def _time(value: datetime.date) -> Any:
 
 
 def _times(array: NDArray[Any]) -> NDArray[Any]:
-    """Return times in nanoseconds; raises ResultError for those that have none in 64 bits."""
+    """Return times in nanoseconds; raises ResultError for times that 64 bits cannot hold."""
     try:
         fine = array.astype("M8[ns]")
         exact = np.array_equal(fine.astype(array.dtype), array, equal_nan=True)

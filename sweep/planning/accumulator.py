@@ -16,12 +16,12 @@ from sweep.planning.point_status import Status
 from sweep.planning.precision import wanted_parts
 
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
-"""As integers, which NumPy compares with its own ten times as fast as with members of an enumeration."""
+"""As integers: NumPy compares arrays with them ten times as fast as with members of an enumeration."""
 
 
 @dataclass(slots=True)
 class _Round:
-    """The parts of a point that are being added, block by block in their own order; those that came early wait."""
+    """The parts of a point that are being added, block by block in order; blocks that arrive early wait."""
 
     parts: range
     group: int = 0
@@ -33,10 +33,10 @@ class _Round:
 class Accumulator:
     """Adds up blocks.
 
-    Those of a point are added in their own order, not in that of their arrival, so that its sums are bitwise the same
-    however it was computed; only blocks that come early are kept.  ``total`` (points, width), ``realisations`` and
-    ``status`` (points,) are indexed as the grid.  Where an experiment makes something of kept realisations it stands
-    behind the sums in ``total``.
+    The blocks of a point are added in their own order, not in order of arrival, so that its sums are bitwise the same
+    however they were computed; only blocks that arrive early are kept.  ``total`` (points, width), ``realisations`` and
+    ``status`` (points,) are indexed like the grid.  What an experiment computes from kept realisations follows the sums
+    in ``total``.
     """
 
     def __init__(
@@ -50,8 +50,8 @@ class Accumulator:
     ) -> None:
         """Start with the ``rows`` of a ledger, their ``sums``, and the points (by digest) that ``failed``.
 
-        With ``only`` nothing is missing but these points; ``samples`` gives the kept realisations of a row.  Raises
-        SweepError for a plan of too many blocks.
+        With ``only``, no other points than these are computed; ``samples`` returns the kept realisations of the block
+        with a key.  Raises SweepError for a plan of too many blocks.
         """
         grid = plan.grid
         self._samples = samples if grid.study.experiment.further_width else None
@@ -68,7 +68,7 @@ class Accumulator:
         total = all_held = pending = PlanSize(0, 0, 0, 0.0)
         common = self.plan.grid.study.sampling.common_random_numbers
         groups: defaultdict[tuple[Value, ...], list[tuple[float, PlanSize]]] = defaultdict(list)
-        if not self._rows and not self._failed:  # as fast as a grid of a million points needs
+        if not self._rows and not self._failed:  # the fast way, for grids of a million points
             if self.plan.costs_nothing_special and not common:
                 indices = self.plan.grid.indices()
                 self.status[indices] = Status.MISSING
@@ -101,7 +101,7 @@ class Accumulator:
         return Survey(total, all_held, replace(pending, cost=cost_together(groups)) if common else pending)
 
     def _only_block(self) -> Block | None:
-        """Return the block that is all of every point, None where there are more or they differ from point to point."""
+        """Return the one block that every point consists of, None if points have several blocks or different ones."""
         sampling = self.plan.grid.study.sampling
         alike = self.plan.costs_nothing_special and not sampling.common_random_numbers and sampling.precision is None
         blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
@@ -154,7 +154,7 @@ class Accumulator:
         return PlanSize(whole, held[0], held[1], cost_held), PlanSize(1 - whole, left[0], left[1], cost_left)
 
     def missing(self, point: GridPoint) -> Sequence[Block]:
-        """Return the blocks of a point that the ledger did not hold at the start, as far as they are known now."""
+        """Return the blocks of a point, as far as they are known now, that the ledger did not hold at the start."""
         if not self._is_wanted(point):
             return ()
         blocks = self._blocks(point)
@@ -230,7 +230,7 @@ class Accumulator:
         return self.plan.blocks(self.plan.cost(point.parameters), None if round_ is None else round_.parts)
 
     def _finish_round(self, point: GridPoint, cost: float, round_: _Round) -> list[Block]:
-        """Say that a point is done, or begin the round that its precision needs."""
+        """Mark a point as done, or begin another round if its precision needs one."""
         parts, kept = round_.parts.stop, round_.kept
         if kept:
             experiment = self.plan.grid.study.experiment

@@ -1,4 +1,4 @@
-"""A block of a point: what a worker computes in one piece, and what the ledger knows it by."""
+"""A block of a point: what a worker computes in one piece, and its key in the ledger."""
 
 import struct
 from typing import NamedTuple
@@ -26,7 +26,7 @@ class Block(NamedTuple):
 
 
 def ledger_key(digest: bytes, block: Block) -> bytes:
-    """Return the 32 bytes by which the ledger knows a block: digest, group, part, catalogues, realisations of each.
+    """Return the key of a block in the ledger, 32 bytes: digest, group, part, catalogues, realisations of each.
 
     Two runs agree on a key if and only if the block's sums are the same numbers.
     """

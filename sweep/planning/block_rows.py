@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 KEY_BYTES = 32
-"""As `ledger_key` has them."""
+"""Bytes in a `ledger_key`."""
 
 
 class BlockRows(Mapping[bytes, int]):
@@ -24,7 +24,7 @@ class BlockRows(Mapping[bytes, int]):
 
     @classmethod
     def of(cls, rows: Mapping[bytes, int]) -> "BlockRows":
-        """Return a mapping as one of these."""
+        """Return a mapping as `BlockRows`."""
         if isinstance(rows, cls):
             return rows
         keys = np.zeros((max(rows.values(), default=-1) + 1, KEY_BYTES), dtype=np.uint8)
@@ -44,7 +44,7 @@ class BlockRows(Mapping[bytes, int]):
         self._sorted = None
 
     def remove(self, keys: Iterable[bytes]) -> None:
-        """Let blocks count as missing."""
+        """Make blocks count as missing."""
         for key in keys:
             self._counted[self._numbers.pop(key)] = 0
         self._sorted = None
@@ -56,10 +56,10 @@ class BlockRows(Mapping[bytes, int]):
         if not len(hashes) or not len(wanted):
             return np.full(len(wanted), -1)
         own = _hashes(wanted)
-        places = np.searchsorted(hashes, own, side="right") - 1  # the last of its kind
+        places = np.searchsorted(hashes, own, side="right") - 1  # the last row with this hash
         found = np.where(hashes[places] == own, rows[places], -1)
         same = (self._words()[found] == wanted).all(axis=1)
-        for place in np.flatnonzero(~same & (found >= 0)).tolist():  # another key has its hash
+        for place in np.flatnonzero(~same & (found >= 0)).tolist():  # another key has the same hash
             found[place] = self._numbers.get(keys[place], -1)
         return found
 
@@ -87,7 +87,7 @@ class BlockRows(Mapping[bytes, int]):
         return self._number
 
     def _by_hash(self) -> tuple[NDArray[np.uint64], NDArray[np.intp]]:
-        """Return the hashes of the keys that count, sorted, and the row of each; of equal ones in their order."""
+        """Return the hashes of the keys that count, sorted, and the row of each; equal hashes stay in order of rows."""
         if self._sorted is None:
             rows = np.flatnonzero(self._flags())
             hashes = _hashes(self._words()[rows])
@@ -103,7 +103,7 @@ class BlockRows(Mapping[bytes, int]):
 
 
 def _hashes(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return a number for each key, nearly always another: digests are as good as random, counts are small."""
+    """Return a hash of each key, nearly always a different one: digests are as good as random, counts are small."""
     mixed: NDArray[np.uint64] = (
         words[:, 0] ^ (words[:, 2] * np.uint64(0x9E3779B97F4A7C15)) ^ (words[:, 3] * np.uint64(0xC2B2AE3D27D4EB4F))
     )

@@ -13,14 +13,14 @@ from sweep.studies.study import POINT, Study
 
 MAX_POINTS = 10_000_000
 MAX_PROBLEMS = 20
-"""As many reasons and repeated points are told, and as many different warnings."""
+"""The most reasons, repeated points and different warnings that are listed."""
 
 
 def make_grid(study: Study) -> Grid:
     """Return the grid of a study after asking the experiment about every point.
 
-    Raises SweepError that lists the points that cannot be computed (grouped by reason; it looks no further after
-    `MAX_PROBLEMS` reasons), points that are the same point twice, or a grid too large or empty.
+    Raises SweepError for points that cannot be computed (grouped by reason; the check stops after
+    `MAX_PROBLEMS` reasons), for points that occur twice, and for a grid that is too large or empty.
     """
     grid = Grid(study)
     if len(grid) > MAX_POINTS:
@@ -41,7 +41,7 @@ def make_grid(study: Study) -> Grid:
             if told := warn(parameters):
                 warnings.update(told)
             if check.is_constant and settings.is_constant and warn.is_constant and not warnings:
-                break  # the experiment has the same to say of all points: nothing
+                break  # the experiment accepts every point: it looks at nothing that differs between them
             continue
         if reason not in reasons and len(reasons) == MAX_PROBLEMS:
             reasons["... and other reasons; the rest of the grid was not checked"] = 0
@@ -62,12 +62,12 @@ def make_grid(study: Study) -> Grid:
 
 
 def _with_points(counts: Mapping[str, int]) -> list[str]:
-    """Return sentences with the number of points that each is about, which none is where it is 0."""
+    """Return sentences, each with the number of points that it is about unless that is 0."""
     return [f"{text} ({n} point{'s' if n > 1 else ''})" if n else text for text, n in counts.items()]
 
 
 def _repeated(grid: Grid) -> list[str]:
-    """Say which points occur twice: as every axis has distinct values, only axes that are zipped can make some."""
+    """Return which points occur twice: the values of an axis are distinct, so only zipped axes can repeat a point."""
     sentences: list[str] = []
     for dimension, rows in grid.rows.items():
         if dimension == POINT:
@@ -83,10 +83,10 @@ def _repeated(grid: Grid) -> list[str]:
 
 
 class _UnusedSettings:
-    """What a study sets although it changes nothing, by what the experiment's `unused` says of points.
+    """The settings of a study that change nothing, according to the experiment's `unused`.
 
     A fixed parameter must matter at one point at least.  An axis must matter wherever it has another value than the
-    default: there it would give equal points under different names.
+    default: otherwise equal points would have different names.
     """
 
     def __init__(self, study: Study) -> None:

@@ -17,12 +17,12 @@ from sweep.studies.study import POINT, Study
 from sweep.tables.file import as_json
 
 AT_ONCE = 2**16
-"""Points of which the places are in memory at a time."""
+"""How many points have their places in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
 class GridPoint:
-    """One point: its place in C order, all its parameters, and the digests that name it in ledgers and its streams."""
+    """One point: its place in C order, all its parameters, and the digests that name it in ledgers and streams."""
 
     index: int
     parameters: dict[str, Any]
@@ -32,8 +32,8 @@ class GridPoint:
 
 @dataclass(frozen=True)
 class Grid:
-    """The points of a study: dimensions in the order of its axes, after that of a table of points; axes that are
-    zipped share the dimension of the first; and what the experiment warns of, where it was asked (`make_grid`).
+    """The points of a study.  The dimension of a table of points comes first, then the axes in their order; zipped axes
+    share the dimension of the first of them.  ``warnings`` are those of the experiment, if `make_grid` has asked it.
     """
 
     study: Study
@@ -72,7 +72,7 @@ class Grid:
         return math.prod(self.shape)
 
     def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Yield index and parameters of the points that are not excluded, in C order; of repeated ones the first."""
+        """Yield index and parameters of the points that are not excluded, in C order; repeated ones only once."""
         names, clauses, first = self._names, self.study.excluded, self.first_rows
         row = 1 if first is None else len(self) // len(first)
         for index, combination in enumerate(itertools.product(*self.rows.values())):
@@ -84,7 +84,7 @@ class Grid:
                 yield index, parameters
 
     def indices(self) -> NDArray[np.intp]:
-        """Return the indices of `parameters`."""
+        """Return the indices of the points that `parameters` yields."""
         if self.first_rows is None and not self.study.excluded:
             return np.arange(len(self))
         return np.fromiter((index for index, _ in self.parameters()), dtype=np.intp)
@@ -110,13 +110,13 @@ class Grid:
     def digests(self, indices: NDArray[np.intp]) -> list[bytes]:
         """Return the digests of the points at ``indices``: 16 bytes that identify a point by its own parameters.
 
-        Parameters at their default do not count, so that a parameter which a later version adds leaves old points what
-        they were.
+        Parameters at their default do not count, so that the digests of old points stay the same when a later version
+        adds a parameter.
         """
         return self._digests(indices)
 
     def _digests(self, indices: NDArray[np.intp], left_out: Collection[str] = ()) -> list[bytes]:
-        """Return what identifies points by all parameters but some that are ``left_out``."""
+        """Return digests of points by all their parameters except those ``left_out``."""
         places = dict(zip(self.dimensions, self._places(indices), strict=True))
         known = [(dimension, own) for name, dimension, own in self._texts_along if name not in left_out]
         texts = [
@@ -174,7 +174,7 @@ class Grid:
         return frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
 
     def draw(self, parameters: Mapping[str, Any]) -> tuple[Value, ...]:
-        """Return what points of this grid that share their random numbers have in common, and no others."""
+        """Return a key that is equal for two points of this grid exactly if they share their random numbers."""
         return tuple(parameters[name] for name in self._names if name not in self._shared)
 
     def excludes(self, parameters: Mapping[str, Any]) -> bool:

@@ -13,33 +13,33 @@ from sweep.planning.point_cache import PointCache
 from sweep.studies.study import Study
 
 TARGET = 2**24
-"""Random numbers in one task, and in a block of several catalogues: about 0.2 s of work, against 2 ms that Dask spends
-on a task."""
+"""The most random numbers in a block of several catalogues, and in a task that returns samples: about 0.2 s of work,
+against 2 ms that Dask spends on a task."""
 
 OVERHEAD = 20_000
-"""What one evaluation costs beside its random numbers, counted in random numbers."""
+"""What one evaluation costs besides its random numbers, counted in random numbers."""
 
 MOST_SHARING = 64
 """Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory."""
 
 SHARED = 0.15
-"""What a point costs that shares the random numbers of another: its part of the linear algebra."""
+"""The share of its cost that a point takes if it uses the random numbers of another: its part of the linear algebra."""
 
 MAX_BLOCKS = 10_000_000
 
 MOST_CUTS = 1000
-"""Different costs of points whose blocks are remembered."""
+"""For how many different costs of points the blocks are kept in memory."""
 
 MOST_COSTS = 10_000
-"""Entries that a table of the costs of points may have for a store to hold it."""
+"""The most entries in a table of the costs of points that is put into a store."""
 
 MAX_SIMS = 512
 FIRST_SIMS = 64
 MAX_CATALOGUES = 16
 
 LARGEST_BLOCK = 2**28
-"""Random numbers in a block of one catalogue at most: setting up a catalogue costs some tens of realisations of it, so
-a block has more than that, but a few seconds of work are all that an interruption may cost."""
+"""The most random numbers in a block of one catalogue: setting up a catalogue costs as much as some tens of its
+realisations, so a block has more than that, but an interruption should lose no more than a few seconds of work."""
 
 
 class Work(NamedTuple):
@@ -70,7 +70,7 @@ class PlanSize:
 
 @dataclass(frozen=True)
 class Survey:
-    """How large a plan is, as far as known, what of it the ledger holds, and what is pending; the rest has failed."""
+    """The size of a plan as far as it is known: in total, held by the ledger, and pending; the rest has failed."""
 
     total: PlanSize
     held: PlanSize
@@ -88,7 +88,7 @@ class Plan:
     grid: Grid
 
     def of(self, study: Study) -> "Plan":
-        """Return the plan of the same points, of a study that knows more of their results."""
+        """Return the plan of the same points, for a study that knows more about their results."""
         return Plan(replace(self.grid, study=study))
 
     def blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
@@ -118,7 +118,7 @@ class Plan:
         return -(-self.grid.study.sampling.n_cat // self.block_shape(cost)[1])
 
     def parts(self, cost: float, n_sim: int | None = None) -> int:
-        """Return into how many parts so many realisations (those of the study by default) of a catalogue are cut."""
+        """Return into how many parts ``n_sim`` realisations of a catalogue (by default the study's) are cut."""
         sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
         wanted = n_sim or sampling.n_sim
         if sampling.precision is None or wanted >= sims:
@@ -156,7 +156,7 @@ class Plan:
 
     @cached_property
     def costs_nothing_special(self) -> bool:
-        """Whether all points cost the same, which needs no look at them."""
+        """Whether all points cost the same, so that they need not be looked at."""
         return not self.grid.study.experiment.says_cost
 
     def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
@@ -198,8 +198,8 @@ class Plan:
 
 
 def cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:
-    """Return what is left of points, each with the cost of its realisations, that draw together with those of their
-    group: the costliest draws, the others only make something of it (see `Plan.work`).
+    """Return the cost of what is left to compute, for groups of points that share random numbers.  Each point has the
+    cost of one realisation; the costliest draws the numbers, the others only use them (see `Plan.work`).
     """
     total = 0.0
     for members in groups.values():
@@ -212,7 +212,7 @@ def cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanS
 
 
 def _doublings(sims: int) -> int:
-    """Return in how many steps parts that double reach their whole size."""
+    """Return the number of doublings in which parts reach their full size."""
     return (sims // FIRST_SIMS).bit_length() - 1 if sims > FIRST_SIMS else 0
 
 

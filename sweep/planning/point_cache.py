@@ -25,7 +25,7 @@ class PointCache(Generic[T]):
     def __call__(self, parameters: dict[str, Any]) -> T:
         """Return the function's value for these parameters."""
         if len(self._read) == len(self._axes):
-            return self._function(parameters)  # no two points are alike to it, and nothing is left to be noticed
+            return self._function(parameters)  # it reads every axis, so that no result can be used twice
         key = tuple([parameters[name] for name in self._read])
         if key in self._known:
             return self._known[key]
@@ -33,7 +33,7 @@ class PointCache(Generic[T]):
         answer = self._function(watched)
         if new := watched.read.intersection(self._axes).difference(self._read):
             self._read += tuple(new)
-            self._known.clear()  # their keys say too little
+            self._known.clear()  # their keys lack the axes that are new
             key = tuple([parameters[name] for name in self._read])
         if len(self._known) < MAX_KEPT:
             self._known[key] = answer
@@ -45,7 +45,7 @@ class PointCache(Generic[T]):
         return bool(self._known) and not self._read
 
     def table(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], T]] | None:
-        """Return the axes that the function reads, and its results by their values; None if not all are kept."""
+        """Return the axes that the function reads, and its results by the values of these; None if not all are kept."""
         whole = len(self._read) < max(len(self._axes), 1) and len(self._known) < MAX_KEPT
         return (self._read, dict(self._known)) if whole else None
 

@@ -22,7 +22,7 @@ class Status(IntEnum):
 
 
 def count_status(status: Any) -> dict[Status, int]:
-    """Return how many points of an array have each status, also where it is none.
+    """Return how many points of an array have each status, zeros included.
 
     Examples:
         >>> {code.word: n for code, n in count_status([1, 1, 0]).items()}

@@ -8,11 +8,11 @@ from sweep.contract import Array
 from sweep.planning.plan import Plan
 
 LARGEST_STEP = 16
-"""A point that is not precise enough gets at most so many times the realisations that it has, then is asked again."""
+"""A point that is not precise enough gets at most this many times its realisations before it is checked again."""
 
 
 def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array) -> int:
-    """Return how many parts a point needs that has ``parts``: its ``sums`` (1, width) decide, so all runs agree."""
+    """Return how many parts a point with ``parts`` needs: only its ``sums`` (1, width) decide, so all runs agree."""
     study = plan.grid.study
     sampling, precision = study.sampling, study.sampling.precision
     if precision is None:
@@ -21,7 +21,7 @@ def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array) -> int:
     n_cat = float(sampling.n_cat)
     try:
         results = study.experiment.results(sums, np.array([n_cat * n_sim]), np.array([n_cat]))
-    except Exception:  # of a user's function: the point ends here, and `sweep.planning.failing` says why
+    except Exception:  # raised by a user's function: the point ends here, and `sweep.planning.failing` says why
         return parts
     with np.errstate(divide="ignore", invalid="ignore"):
         errors = [np.abs(results[e] / results[value]) for value, e in study.experiment.errors_of_headline()]

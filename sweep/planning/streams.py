@@ -1,11 +1,12 @@
 """The random streams of blocks: generators that are children of the study's seed, made for many catalogues at once.
 
-A stream is that of NumPy's SeedSequence from the seed and the words that name it: the point's stream, the catalogue and
-the part of its realisations.  So it does not depend on the grid, the order or the machine.  SFC64 is the fastest sound
-bit generator of NumPy.
+A stream comes from NumPy's SeedSequence of the seed and the words that name the stream: the point's stream, the
+catalogue and the part of its realisations.  So it does not depend on the grid, the order or the machine.  SFC64 is the
+fastest sound bit generator of NumPy.
 
-A SeedSequence and its first children take as long as thousands of random numbers, one by one.  Its hash, which NumPy
-promises to keep (NEP 19), is computed here for all streams of a task together; a test compares it with NumPy's own.
+To make one SeedSequence with its first children takes as long as to draw thousands of random numbers.  So its hash,
+which NumPy promises to keep (NEP 19), is computed here for all streams of a task together; a test compares it with
+NumPy's own.
 """
 
 import struct
@@ -30,7 +31,7 @@ CHILDREN = 2
 """Children of a generator of errors whose states are computed with its own: the link draws from as many."""
 
 FEWEST_AT_ONCE, MOST_AT_ONCE = 8, 256
-"""Catalogues whose generators are made together: of fewer NumPy's own way is faster, more gain nothing."""
+"""Catalogues whose generators are made together: for fewer NumPy itself is faster, more gain nothing."""
 
 HASHES = 64
 """Steps of the hash that may be needed: four for each word of a name."""
@@ -54,7 +55,7 @@ def generators_of(seed: int, name: bytes, block: Block) -> list[GeneratorPair]:
 
 
 def block_generators(seed: int, blocks: Iterable[tuple[bytes, Block]]) -> Iterator[list[GeneratorPair]]:
-    """Yield what `generators` returns for each catalogue of each block, whose stream is named."""
+    """Yield what `generators` returns for each catalogue of each block; ``blocks`` are pairs (stream, block)."""
     group: list[list[Place]] = []
     for name, block in blocks:
         last = block.first_catalogue + block.n_cat
@@ -99,13 +100,13 @@ def _generator(seed: Any) -> np.random.Generator:
 
 
 class _Seed(ISpawnableSeedSequence):
-    """The SeedSequence of some words, of which the state for an SFC64 and those of the first children are known."""
+    """The SeedSequence of some words, with known states of its SFC64 and of those of its first children."""
 
     def __init__(self, words: bytes, state: NDArray[np.uint64], children: NDArray[np.uint64]) -> None:
         self.words, self.state, self.children, self.spawned = words, state, children, 0
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:
-        """Return the state, which NumPy computes if it is another than that of an SFC64."""
+        """Return the state for an SFC64; any other is computed by NumPy."""
         if n_words == STATE and dtype is np.uint64:
             return self.state
         return self._sequence().generate_state(n_words, dtype)
@@ -154,7 +155,7 @@ class _Pool:
         return _Pool(_mixed(self.words, _hashed(words, HASH, self.step, POOL)), self.step + POOL)
 
     def states(self) -> NDArray[np.uint64]:
-        """Return what they give an SFC64, (B, 3)."""
+        """Return the states that they give an SFC64, (B, 3)."""
         turn = np.arange(2 * STATE) % POOL
         return np.ascontiguousarray(_hashed(self.words[turn], OUTPUT, 0, 2 * STATE).T, "<u4").view("<u8")
 

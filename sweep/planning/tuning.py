@@ -1,19 +1,19 @@
-"""How a run cuts its work into tasks, and when it writes what they return: no number depends on it."""
+"""How a run cuts its work into tasks, and when it writes what they return; no result depends on it."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """What a run takes its time for.
+    """The size of tasks, and how often a run writes.
 
     Args:
-        most_blocks: in one task, which bounds the size of its messages.
-        flush_every_s: seconds after which new results are made durable, when others come in.
-        latest_flush_s: seconds after which they are although none comes in.
-        write_every_s: seconds after which the dataset is written again on the way.
-        write_share: the share of a run's time that these writings may take.
-        long_write_bytes: of a dataset whose writing takes a second or more: an interruption does not wait for it.
+        most_blocks: the most blocks in one task, which bounds the size of its messages.
+        flush_every_s: seconds after which new results are made durable, when others arrive.
+        latest_flush_s: seconds after which they are made durable even if no others arrive.
+        write_every_s: seconds after which the dataset is written again during a run.
+        write_share: the share of a run's time that these writes may take.
+        long_write_bytes: size of a dataset that takes a second or more to write: an interruption does not wait for it.
         long_write_points: the same, in points.
     """
 

@@ -18,21 +18,21 @@ TASK_S = 1.0
 """Seconds of work that a task aims at."""
 
 TASKS_PER_S = 200.0
-"""Tasks that may end in a second: each takes schedulers and clients milliseconds; on more threads they are longer."""
+"""Tasks that may end in a second: each takes schedulers and clients milliseconds, so more threads get longer tasks."""
 
 SHORTEST_TASK_S = 0.05
-"""Shorter tasks would cost more to hand over than they spread."""
+"""Shorter tasks would cost more to hand over than they gain by spreading the work."""
 
 KEPT = 0.7
 """Weight of all earlier results in the measured speed when one more comes in: later points may be slower."""
 
 
 TASKS_IN_FLIGHT = 4
-"""With an executor for each thread: enough that none waits, few enough that a grid of any size makes no large graph."""
+"""Tasks at the executor for each thread: enough that none waits, few enough that no grid makes a large graph."""
 
 
 def task_seconds(threads: float) -> float:
-    """Return the seconds of work that a task aims at where so many threads compute.
+    """Return the seconds of work that a task aims at when this many threads compute.
 
     >>> task_seconds(2), task_seconds(40_000)
     (1.0, 200.0)
@@ -56,7 +56,7 @@ class Pending:
         self._measured_cost = self._measured_s = 0.0
 
     def add(self, works: Iterable[Work]) -> None:
-        """Put work that has become known from results before all other work."""
+        """Put work that results have shown to be needed before all other work."""
         for work in works:
             self._known.append(work)
             self._left += work.cost
@@ -97,10 +97,10 @@ class Pending:
         return task
 
     def _task_cost(self) -> float:
-        """Return the cost of the next task: `task_seconds` or less, where the rest is to be shared by all who compute.
+        """Return the cost of the next task: `task_seconds`, or less near the end, when all threads share what is left.
 
-        As many tasks are with the executor as keep it busy (four for each worker thread on Dask), so each gets that
-        share of the rest at most.
+        The executor has as many tasks as keep it busy (four for each worker thread on Dask), so each gets at most an
+        equal share of the rest.
         """
         if not self._measured_cost:
             return 0.0
@@ -118,7 +118,7 @@ class Pending:
         return next(self._fresh, None)
 
     def _alone(self) -> Iterator[Work]:
-        """Yield the work of every point by itself; no more of one that has failed meanwhile."""
+        """Yield the work of every point by itself; nothing more of a point that has failed meanwhile."""
         for point in self._plan.grid.points(self._accumulator.missing_points()):
             for block in self._accumulator.missing(point):
                 if not self._accumulator.is_missing(point.index):

@@ -23,7 +23,7 @@ D = TypeVar("D", bound=form.Derived)
 
 @dataclass(frozen=True)
 class ClaimContext:
-    """What a claim speaks of.  ``axes`` may hold None for an axis that is itself wrong.
+    """What a claim can refer to.  ``axes`` may hold None for an axis that is itself wrong.
 
     ``overridden`` are parameters that the command line changed: a claim that no longer fits them is not a mistake of
     the study, and is left for the comparison to report.
@@ -106,7 +106,7 @@ def _not_fixed(value: form.ConclusionValue, context: ClaimContext) -> list[str]:
 
 
 def _checked_quantity(claim: D, context: ClaimContext, problems: Problems) -> D:
-    """Return what is derived from the grid with the values of its axes parsed."""
+    """Return a claim or a value of a conclusion with the values of its axes parsed."""
     where = _selection(claim.where, context, problems.inside("where"))
     with problems.at(()):
         quantity = claim.quantity()
@@ -187,7 +187,7 @@ def _check_over(over: str, where: Mapping[str, Value], context: ClaimContext, pr
 def _selection(
     places: Mapping[str, object], context: ClaimContext, problems: Problems, beside: Collection[str] = ()
 ) -> dict[str, Value]:
-    """Return values of axes as the grid has them; ``beside`` are axes of which the claim gives values elsewhere."""
+    """Return values of axes as the grid has them; ``beside`` are axes whose values the claim gives elsewhere."""
     found: dict[str, Value] = dict.fromkeys(places)  # None where it is wrong
     for name, raw in places.items():
         where = (name,)

@@ -16,14 +16,14 @@ Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """Definitions as the study has them, by parameter and name."""
 
 GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
-"""Names that a command line can hold wherever it takes a value of an axis."""
+"""Names that can be written on the command line wherever it takes a value of an axis."""
 
 
 def defined_values(
     experiment: Experiment, tables: Tables, folder: Path, problems: Problems
 ) -> tuple[Experiment, dict[str, dict[str, dict[str, Any]]]]:
-    """Return the experiment whose parameters know what the study defines, and the definitions as they hold from any
-    directory; ``problems`` takes what is wrong.
+    """Return the experiment with the values that the study defines, and the definitions with references that work from
+    any directory; ``problems`` takes what is wrong.
     """
     known: dict[str, Parameter] = {}
     portable: dict[str, dict[str, dict[str, Any]]] = {}
@@ -52,7 +52,7 @@ def defined_values(
 def _named(
     parameter: Parameter, name: str, table: Mapping[str, Any], load: Callable[[str], Function], problems: Problems
 ) -> Named:
-    assert parameter.define is not None, "asked for before"
+    assert parameter.define is not None, "checked before"
     try:
         value, identity = parameter.define(table, load)
         return Named(name, json.dumps(identity, sort_keys=True), value)
@@ -65,7 +65,7 @@ def _named(
 
 
 def _load(folder: Path, loaded: dict[str, str], reference: str) -> Function:
-    """Return the function at a reference, and note where it is for any directory."""
+    """Return the function at a reference, and note the reference that works from any directory."""
     function = load_function(reference, folder)
     loaded[reference] = function.reference
     return function

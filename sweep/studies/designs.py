@@ -1,4 +1,4 @@
-"""Designs: which points of the unit cube stand for many parameters at once."""
+"""Designs: points in the unit cube that sample many parameters at once."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -16,9 +16,9 @@ SENSITIVITY = "needs SALib, which is not installed: pip install 'linksweep[sensi
 
 
 class Design(NamedTuple):
-    """How a design is drawn of ``n`` and the number of parameters; whether a larger n begins with the same points; what
-    n counts; how many points each of that has beside one for each parameter, None where it is a point; and whether it
-    is of Sobol's sequence, which is even for powers of two.
+    """How to ``draw`` a design from n and the number of parameters; whether it ``grows``: a larger n begins with the
+    same points; what n ``counts``; how many points each of these has ``beside`` one for each parameter, None if it
+    is a single point; and whether it is ``of_sobol``, a sequence that is even for powers of two.
     """
 
     draw: Callable[[int, int, np.random.Generator], Any]
@@ -81,7 +81,7 @@ def salib() -> None:
 
 
 def remarks(origin: Mapping[str, Any]) -> list[str]:
-    """Return what a run warns of a design with."""
+    """Return the warnings of a run about a design."""
     n, design = origin.get("n", 1), DESIGNS.get(origin.get("design", ""))
     if design is None or not design.of_sobol or n & (n - 1) == 0:
         return []
@@ -93,6 +93,6 @@ def remarks(origin: Mapping[str, Any]) -> list[str]:
 
 
 def unit_cube(dimensions: int) -> dict[str, Any]:
-    """Return the problem of SALib of so many parameters between 0 and 1."""
+    """Return SALib's definition of a problem with this many parameters between 0 and 1."""
     names = [f"x{k}" for k in range(dimensions)]
     return {"num_vars": dimensions, "names": names, "bounds": [[0.0, 1.0]] * dimensions}

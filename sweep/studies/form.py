@@ -1,4 +1,4 @@
-"""The form of a study file: its tables, their keys, and the types of what stands there."""
+"""The form of a study file: its tables, their keys, and the types of their values."""
 
 import math
 import unicodedata
@@ -40,8 +40,8 @@ class Section(BaseModel):
 class Sampling(Section):
     """How many realisations: ``n_sim`` for each of ``n_cat`` catalogues, from one ``seed``.
 
-    With a ``precision`` a point gets at least ``n_sim`` and at most ``max_n_sim``, until the Monte-Carlo error of its
-    headline results is below such a share of them.  With ``common_random_numbers`` points that differ only in
+    With a ``precision`` a point gets at least ``n_sim`` and at most ``max_n_sim``, until the relative Monte-Carlo error
+    of its headline results is below the precision.  With ``common_random_numbers`` points that differ only in
     parameters that do not change the random numbers draw the same ones.
     """
 
@@ -55,7 +55,7 @@ class Sampling(Section):
 
     @property
     def most(self) -> int:
-        """The realisations of a catalogue at most, for a point that is to reach a precision."""
+        """The most realisations of a catalogue, for a point that must reach a precision."""
         return max(self.n_sim, MOST_SIMS) if self.max_n_sim is None else self.max_n_sim
 
 
@@ -124,9 +124,8 @@ class Claim(Derived, frozen=True):
 class ConclusionValue(Derived, frozen=True):
     """A number in a conclusion: at one place of the grid, or the ``least`` or ``largest`` of several.
 
-    Where it is more than three of its errors from what it ``equals``, or that far beyond what it is to be ``above`` or
-    ``below``, in the unit of the output, the sentences that use it are not said to be true; nor where its error is not
-    known.
+    It must meet the conditions ``above``, ``below`` and ``equals``, in the unit of the output, within three of its
+    errors.  Otherwise the sentences that use it are reported as not found, or as not judged if its error is not known.
     """
 
     choose: Literal["least", "largest"] | None = None
@@ -160,8 +159,8 @@ class GridForm(Section):
 class PointsForm(Section):
     """The table [points]: exactly one of ``file``, ``design`` and ``columns``.
 
-    ``derive`` names a function of a row that gives further columns; ``origin`` is what a store remembers of where its
-    columns come from.
+    ``derive`` names a function of a row that gives further columns; ``origin`` is where the columns in a store come
+    from.
     """
 
     file: str | None = None
@@ -203,9 +202,7 @@ class Form(Section):
 
 
 def printed_rounding(text: str) -> float:
-    """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for what is no finite
-    number.
-    """
+    """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for any other text."""
     try:
         exponent = Decimal(text).as_tuple().exponent
     except InvalidOperation:

@@ -1,4 +1,4 @@
-"""Reads the form of a study: what pydantic finds wrong in a document becomes problems in the words of studies."""
+"""Reads the form of a study, and rewrites what pydantic finds wrong in a document as problems of the study."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,8 +12,8 @@ from sweep.studies.source import Place
 
 
 def read_form(document: Mapping[str, Any], problems: Problems) -> form.Form | None:
-    """Return the form of a document; without its broken sections, so that the others are checked too, and None where
-    it does not say what it is a study of.
+    """Return the form of a document without its broken sections, so that the others are checked too; None where the
+    key ``experiment`` is wrong.
     """
     try:
         return form.Form.model_validate(document)

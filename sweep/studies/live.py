@@ -21,7 +21,7 @@ from sweep.tables.file import content_digest
 Mentioned = Callable[..., Any] | Experiment
 
 PLAIN = frozenset("biufU")
-"""Kinds of arrays whose lists are of Python's own numbers and texts."""
+"""Kinds of arrays whose ``tolist`` returns Python's own numbers and texts."""
 
 
 def study_of_function(
@@ -72,7 +72,7 @@ def _name_of(function: Mentioned) -> str:
 def _plain(value: Any, where: str) -> Any:
     """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
 
-    Raises SweepError that names the place for a quantity of astropy: what its unit is to become is not known here.
+    Raises SweepError that names the place for a quantity of astropy: the unit to convert it to is not known here.
     """
     if isinstance(value, Mapping):
         return _plain_table(value, where)
@@ -83,7 +83,7 @@ def _plain(value: Any, where: str) -> Any:
         raise SweepError(f"{where}: is a quantity {told}; {numbers}")
     if isinstance(value, np.generic):
         return value.item()
-    if hasattr(value, "tolist"):  # of NumPy, pandas and xarray's arrays
+    if hasattr(value, "tolist"):  # arrays of NumPy, pandas and xarray
         items = value.tolist()
         return items if getattr(getattr(value, "dtype", None), "kind", "") in PLAIN else _plain(items, where)
     if hasattr(value, "values") and hasattr(value.values, "tolist"):
@@ -111,8 +111,8 @@ def _plain_table(table: Mapping[Any, Any], where: str) -> dict[str, Any]:
 
 
 def _points(given: Any) -> dict[str, Any]:
-    """Return a table of points as a study file has it: of a DataFrame, an astropy Table, a mapping of columns, the name
-    of a file, or what a study file may have there.
+    """Return a table of points as a study file has it, from a DataFrame, an astropy Table, a mapping of columns, the
+    name of a file, or what a study file may have there.
     """
     if isinstance(given, str | PathLike):
         return {"file": str(given)}

@@ -22,7 +22,8 @@ def parse_value(text: str) -> Any:
 
 
 def parse_axis(text: str) -> Any:
-    """``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, anything else a list.
+    """Return an axis: ``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, anything else
+    a list.
 
     >>> parse_axis("14:20:0.5")
     {'start': 14, 'stop': 20, 'step': 0.5}
@@ -49,7 +50,7 @@ def _split(text: str) -> list[Any]:
 
 
 def parse_range(text: str) -> Any:
-    """``0.1:0.5`` is a range, ``1:100:log`` one on a logarithmic scale, anything else a list of values.
+    """Return a range: ``0.1:0.5`` on a linear scale, ``1:100:log`` on a logarithmic one, anything else as a list.
 
     >>> parse_range("1:100:log"), parse_range("amex,gaia")
     ({'low': 1, 'high': 100, 'spacing': 'log'}, {'values': ['amex', 'gaia']})

@@ -1,4 +1,4 @@
-"""Overrides: what options of the command line say, laid over a study's document."""
+"""Overrides: options of the command line that change a study's document."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,8 +14,8 @@ from sweep.studies.source import Place
 
 @dataclass(frozen=True)
 class Overrides:
-    """What was laid over a document: the options as written, the one that gave the value at each place, and the
-    problems with them.
+    """The options that changed a document: all as written, the one that gave the value at each place, and the problems
+    with them.
     """
 
     written: tuple[str, ...] = ()
@@ -31,10 +31,9 @@ def override(
     design: str | None,
     ranges: Sequence[str],
 ) -> Overrides:
-    """Lay the options of `load_study` over a document.
+    """Apply the options of `load_study` to a document.
 
-    A conclusion does not stay where they change what its words are about: the points, or parameters that the study
-    fixes.
+    The conclusion is removed if they change what it is about: the points, or parameters that the study fixes.
     """
     problems: list[str] = []
     by_place: dict[Place, str] = {}
@@ -60,14 +59,14 @@ def override(
 
 
 def _given_once(given: dict[Place, str], place: Place, option: str, problems: list[str]) -> None:
-    """Report an option that gives another value to what an earlier one gave; one of the two would be lost."""
+    """Report an option that sets what another, earlier option has set; one of the two would be lost."""
     if place and given.setdefault(place, option) != option:
         problems.append(f"{given[place]} and {option}: {place[-1]} is given twice; leave out one of the two")
 
 
 def _override_value(document: dict[str, Any], option: str, problems: list[str], as_axis: bool) -> tuple[str, ...]:
-    """Lay KEY=VALUE over the document: a sampling key or the title goes there, a parameter to [fixed] or, as an axis,
-    to [axes].  Return the place of the value, empty if it could not be laid anywhere.
+    """Put KEY=VALUE into the document: a sampling key or the title in its own place, a parameter into [fixed] or, as an
+    axis, into [axes].  Return the place of the value, empty if there is none.
     """
     flag = "--axis" if as_axis else "--set"
     key, value = split_assignment(option)
@@ -102,8 +101,8 @@ def _override_value(document: dict[str, Any], option: str, problems: list[str], 
 def _override_points(
     document: dict[str, Any], file: str | None, design: str | None, ranges: Sequence[str], problems: list[str]
 ) -> tuple[set[str], dict[Place, str]]:
-    """Lay --points, --design and --range over the table [points] of a document; return the keys of it that stay as they
-    were, and the place of each range.
+    """Apply --points, --design and --range to the table [points] of a document; return its keys that stay as they were,
+    and the place of each range.
     """
     points: dict[str, Any] = {"file": str(Path(file).resolve())} if file is not None else {}
     if design is not None:

@@ -83,7 +83,7 @@ def _of_file(form: PointsForm, experiment: Experiment, folder: Path, problems: P
 
 
 def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:
-    """Return columns of astropy, by name, as Python's values, None where one is missing, and units by column."""
+    """Return astropy columns by name as lists of Python values, None where one is missing, and units by column."""
     columns = {str(name): _values(column) for name, column in table.items()}
     units = {str(name): str(unit) for name, column in table.items() if (unit := getattr(column, "unit", None))}
     return columns, units
@@ -125,7 +125,7 @@ def _column(values: list[Any], own: str, unit: str) -> list[Any]:
 def _derived(
     reference: str, columns: Columns, settings: Mapping[str, Any], folder: Path, problems: Problems
 ) -> Columns:
-    """Return the columns that a function of the user's gives for each row of a table."""
+    """Return the columns that a user's function returns for each row of a table."""
     found: dict[str, list[Any]] = {}
     names = list(columns)
     with problems.at(("points", "derive")):

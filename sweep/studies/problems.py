@@ -1,4 +1,4 @@
-"""The problems of one study, gathered so that all are told at once, each with its key and its line."""
+"""The problems of one study, collected so that all are reported at once, each with its key and its line."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,14 +10,14 @@ from sweep.contract import SweepError, shown
 from sweep.studies.source import Place, lines_of_keys
 
 MAX_PROBLEMS = 50
-"""After so many problems of one study the rest is not looked for."""
+"""After this many problems of one study no more are looked for."""
 
 
 class Problems:
     """Takes problems of a study by their place in its document.
 
-    ``where`` names the study, ``text`` is its file's, ``found`` are problems so far, and ``overridden`` says which
-    options of the command line gave a value.
+    ``where`` names the study, ``text`` is the text of its file, ``found`` are problems so far, and ``overridden`` says
+    which option of the command line gave the value at a place.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class Problems:
         self._table: Place = ()
 
     def inside(self, *table: str | int) -> "Problems":
-        """Return what takes the same problems by their place in one table of the document."""
+        """Return an object that takes problems for the same list by their place in one table of the document."""
         inner = copy(self)
         inner._table = (*self._table, *table)
         return inner
@@ -48,7 +48,7 @@ class Problems:
 
     @contextmanager
     def at(self, place: Place, before: str = "") -> Iterator[None]:
-        """Take what a ValueError or SweepError says as problems of a place, ``before`` which a text may stand."""
+        """Take the message of a ValueError or SweepError as problems of a place, with the text ``before`` it."""
         try:
             yield
         except ValueError as error:

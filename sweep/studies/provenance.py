@@ -19,8 +19,8 @@ from sweep.tables.file import content_digest
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
 
 ERROR_CONVENTION = 2
-"""How the errors in a dataset were made (docs/errors.md): 2 since catalogues are what is independent; no attribute
-before that.
+"""How the errors in a dataset were computed (docs/errors.md): 2 means that catalogues are the independent samples;
+datasets from before that have no such attribute.
 """
 
 OUTER_DRAW, CITATION = "outer_draw", "citation"
@@ -102,17 +102,17 @@ def now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-@cache  # of the code that this process has imported
+@cache  # this process computes with the code that it has imported
 def git_commit() -> str | None:
-    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside one,
-    where no process is started to find that out.
+    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside a
+    checkout, without starting git.
     """
     folder = Path(__file__).parent.parent.parent
     if not (folder / ".git").exists():
         return None
 
     def git(*arguments: str) -> str:
-        # without optional locks: an interruption kills it, and it would leave its lock in the checkout
+        # without optional locks: an interruption may kill git, which would leave its lock in the checkout
         command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
         return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
 

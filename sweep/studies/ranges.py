@@ -49,7 +49,7 @@ class Range:
         return [math.floor(x) for x in numbers] if self.whole else numbers
 
     def places(self, values: Array) -> Array:
-        """Return where values stand in the unit interval; of steps their middle."""
+        """Return the places of values in the unit interval; for integers and listed values the middle of their part."""
         if self.values:
             order = {value: i for i, value in enumerate(self.values)}
             return np.array([(order[value] + 0.5) / len(self.values) for value in values.tolist()])
@@ -101,7 +101,7 @@ def _listed(parameter: Parameter, values: object) -> tuple[Any, ...]:
         raise ValueError(f"values = {shown(values)}: must be a list with at least one value")
     parsed = [parameter.parse(value) for value in values]
     if len(set(parsed)) < len(parsed):
-        raise ValueError(f"values = {shown(values)}: a value stands there twice")
+        raise ValueError(f"values = {shown(values)}: a value is listed twice")
     return tuple(values)
 
 

@@ -22,7 +22,7 @@ from sweep.studies.values import Values
 from sweep.tables.file import TableFile
 
 ONCE = Sampling(n_sim=1)
-"""The sampling of what is computed once."""
+"""The sampling of a deterministic experiment, which is evaluated once at each point."""
 
 
 def load_study(
@@ -80,8 +80,8 @@ def study_of_attributes(
     """Return the study whose results have these attributes; raises SweepError as `load_study`, for example where the
     file of its experiment is gone.
 
-    Published numbers are left out if their file is.  ``experiment`` returns what stands for the one of a reference,
-    which is imported otherwise.
+    Published numbers are left out if their file is gone.  ``experiment`` returns the experiment for a reference; by
+    default it is imported.
     """
     try:
         document = json.loads(attributes["study_document"])
@@ -167,8 +167,8 @@ class _Reader:
     def _portable(
         self, form: Form, fixed: Mapping[str, Value], columns: Mapping[str, list[Any]], origin: Mapping[str, Any]
     ) -> dict[str, Any]:
-        """Return the document with places of files that hold from any directory, and the values of a table of points,
-        wherever they come from.
+        """Return the document with absolute paths of files, and with the values of a table of points in place of its
+        file or design.
         """
         document = {**self.document, "experiment": absolute_reference(form.experiment, self.path.parent)}
         if "fixed" in document:

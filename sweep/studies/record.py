@@ -1,4 +1,4 @@
-"""What a store records of an experiment, so that whoever looks at the store need not import it."""
+"""What a store records of an experiment, so that the store can be read without importing the experiment."""
 
 import json
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from sweep.studies.study import Study
 from sweep.tables.file import as_json
 
 RECORD = "experiment_record"
-"""The attribute of a store that holds it, as JSON."""
+"""The attribute of a store that holds the record, as JSON."""
 
 Costs = tuple[tuple[str, ...], Mapping[tuple[Any, ...], float]]
 """The axes on which the cost of a point depends, and the cost by their values."""
@@ -41,9 +41,9 @@ def recorded(study: Study, costs: Costs | None) -> str:
 
 
 def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
-    """Return the study of a store with an experiment that knows what the store recorded of it, and computes nothing.
+    """Return the study of a store, with an experiment that is made from the store's record and computes nothing.
 
-    Raises SweepError where the record, or a table that the study names, is not there, or does not fit.
+    Raises SweepError if the record, or a table that the study names, is missing or does not fit.
     """
     if RECORD not in attributes:
         raise SweepError("has no record of its experiment: it was written by an older version", where)
@@ -59,7 +59,7 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
 
 
 def as_recorded(study: Study, attributes: Mapping[str, Any]) -> Study:
-    """Return a study of a plain function whose results are known to be like those that a store holds, if it says so."""
+    """Return a study; if it is of a plain function, with the layout of results that the store has recorded, if any."""
     experiment = study.experiment
     if not isinstance(experiment, FunctionExperiment) or RECORD not in attributes:
         return study
@@ -87,7 +87,7 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
 
 
 def _cost(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the function for the cost of a point, none where all cost 1, as where an experiment says nothing."""
+    """Return the function for the cost of a point; none if all points cost 1, as is the default of an experiment."""
     if "costs" not in record:
         return {"cost": _computes_nothing}
     names, costs = record["cost_axes"], record["costs"]

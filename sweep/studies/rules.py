@@ -1,4 +1,4 @@
-"""Rules for sections of a study that depend on its axes or its experiment, and what they say."""
+"""Checks of the sections of a study that depend on its axes or its experiment, and what these sections mean."""
 
 import csv
 from collections.abc import Collection, Mapping, Sequence
@@ -27,11 +27,11 @@ def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problem
     if sampling.keep_samples and experiment.samples is None:
         problems.add(("keep_samples",), f"the experiment {experiment.name!r} has no samples to keep")
     if sampling.common_random_numbers and not experiment.shared:
-        message = f"no parameter of the experiment {experiment.name!r} is known to leave its random numbers alone"
+        message = f"the experiment {experiment.name!r} declares no parameter that leaves its random numbers unchanged"
         problems.add(("common_random_numbers",), message)
     if sampling.precision is None:
         if sampling.max_n_sim is not None:
-            problems.add(("max_n_sim",), "is the limit of a precision, and there is none")
+            problems.add(("max_n_sim",), "has an effect only with a precision, which is not set")
         return
     if sampling.max_n_sim is not None and sampling.max_n_sim < sampling.n_sim:
         message = f"{sampling.max_n_sim}: must be at least n_sim = {sampling.n_sim}, with which every point begins"
@@ -46,13 +46,13 @@ def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problem
 def zipped_axes(
     groups: Sequence[Sequence[str]], axes: Mapping[str, tuple[Value, ...] | None], problems: Problems
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of axes that walk together, and tell of those that cannot."""
+    """Return the groups of zipped axes, and report those that cannot be zipped."""
     seen: set[str] = set()
     known = [name for name, values in axes.items() if values is not None]  # others may hold control characters
     for i, group in enumerate(groups):
         where = ("grid", "zip", i)
         if len(group) < 2:
-            problems.add(where, f"{shown(group)}: name at least two axes to walk together")
+            problems.add(where, f"{shown(group)}: name at least two axes that advance together")
         for name in group:
             if name not in axes:
                 problems.add(where, f"{shown(name)} is not an axis{suggest(name, known) if known else ''}")

@@ -1,4 +1,4 @@
-"""Finds and reads the files of a study, and knows in which line a key of it stands."""
+"""Finds and reads the files of a study, and finds the line of a key in them."""
 
 import re
 import tomllib
@@ -11,7 +11,7 @@ from sweep.contract import SweepError, shown, suggest
 MAX_FILE_BYTES = 1_000_000
 
 DEEPEST = 100
-"""Parts of a dotted key at most: the parser takes their square in time, minutes for a long line of them."""
+"""The most parts of a dotted key: the parser's time grows with their square, to minutes for a long line of them."""
 
 TOO_DEEP = "not valid TOML: nested too deeply"
 
@@ -28,7 +28,7 @@ def built_in_studies() -> dict[str, Path]:
 
 
 def reference_in(name_or_path: str) -> str | None:
-    """Return ``file.py:NAME`` or ``module:NAME`` where that is what a study is called by; None for a file."""
+    """Return the argument if it is a reference, ``file.py:NAME`` or ``module:NAME``; None for a file or other name."""
     found = REFERENCE.fullmatch(name_or_path)
     return None if found is None or Path(name_or_path).exists() else name_or_path
 
@@ -43,7 +43,7 @@ def find_study(name_or_path: str) -> Path:
         if path.is_dir():
             raise SweepError(f"{name_or_path!r} is a directory, not a study file")
         exists = path.exists()
-    except (OSError, ValueError) as error:  # for example a name that is too long, or a directory closed to us
+    except (OSError, ValueError) as error:  # for example a name that is too long, or a directory without permission
         reason = getattr(error, "strerror", None) or str(error)
         raise SweepError(f"the study {shown(name_or_path)} cannot be read: {reason}") from error
     if not exists:
@@ -83,12 +83,12 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
 
 
 def lines_of_keys(text: str) -> dict[Place, int]:
-    """Return the 1-based line of every key of a TOML text, as well as it can be told without a parser of lines."""
+    """Return the 1-based line of every key of a TOML text, as far as patterns find it: the parser gives no lines."""
     table: Place = ()
     counts: dict[str, int] = {}
     lines: dict[Place, int] = {}
     for number, whole in enumerate(text.split("\n"), 1):
-        line = whole[:200]  # a key stands at the beginning; the patterns take long on a long line
+        line = whole[:200]  # a key is at the beginning; the patterns are slow on a long line
         if header := re.match(r"\s*(\[\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?$", line):
             name = header[2]
             keys = tuple(part.strip(" \"'") for part in name.split("."))
@@ -106,6 +106,6 @@ def _has_deep_key(text: str) -> bool:
 
 
 def _quoted_line(text: str, message: str) -> str:
-    """Return the line that a message of the TOML parser speaks of, after a colon; nothing if it names none."""
+    """Return the line that a message of the TOML parser is about, after a colon; '' if it names none."""
     number = re.search(r"at line (\d+)", message)
     return f": {shown(text.splitlines()[int(number[1]) - 1].strip())}" if number else ""

@@ -123,8 +123,8 @@ class Study:
         return self.sampling.keep_samples or self.experiment.keeps_samples
 
     def meaning(self) -> dict[str, Any]:
-        """Return what the numbers of any point mean beside its own parameters: if this differs, results cannot be
-        mixed.
+        """Return what determines the results of every point besides its own parameters: if this differs, results cannot
+        be mixed.
         """
         defaults = self.experiment.defaults()
         return {
@@ -143,7 +143,7 @@ class Study:
         return {"n_sim": self.sampling.n_sim, "n_cat": self.sampling.n_cat}
 
     def digest(self) -> str:
-        """Return a SHA-256 of everything that decides the results, whatever the layout of the file."""
+        """Return a SHA-256 of everything that determines the results, whatever the layout of the file."""
         whole = self.meaning() | {
             "axes": self.axes,
             **self.numbers(),

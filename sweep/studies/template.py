@@ -18,10 +18,10 @@ SAMPLING = {
 }
 SUGGESTED = {"precision": 0.01, "max_n_sim": 1_000_000}
 NOT_HERE = "not with the values above:"
-"""How the reason begins why a parameter cannot be set before others are."""
+"""The beginning of the reason why a parameter has no effect with the values of the new study."""
 
 FEW = 2
-"""Values on the axis that is there to begin with."""
+"""Values on the axis of a new study."""
 
 
 def new_study(title: str, reference: str, experiment: Experiment) -> str:
@@ -65,7 +65,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
 
 
 def _conclusion(experiment: Experiment) -> list[str]:
-    """Return the lines of an answer that holds for any values of the axes; none where no result is one number."""
+    """Return the lines of a conclusion that is valid for any values of the axes; none if no result is one number."""
     numbers = [output for output in experiment.outputs if not output.dims and "," not in output.unit]
     main = dict(experiment.errors_of_headline())  # what tables and figures begin with
     names = sorted((output.name for output in numbers), key=lambda name: name not in main)
@@ -98,7 +98,7 @@ def _example(parameter: Parameter) -> object:
 
 
 def _sampling(experiment: Experiment) -> list[str]:
-    """Return the lines of [sampling], without the keys that the experiment has nothing for."""
+    """Return the lines of [sampling], without the keys that have no effect for the experiment."""
     needed = {
         "n_cat": experiment.outer_draw,
         "precision": experiment.errors_of_headline(),
@@ -118,7 +118,7 @@ def _sampling(experiment: Experiment) -> list[str]:
 def _first_axis(experiment: Experiment) -> dict[str, list[object]]:
     """Return a parameter and values of it that can be computed with all others at their defaults."""
     chosen = [p for p in experiment.parameters if p.choices and p.default is not None]
-    for parameter in sorted(chosen, key=lambda p: p.define is None):  # what users may extend is what they compare
+    for parameter in sorted(chosen, key=lambda p: p.define is None):  # first those that users can extend
         good = [choice for choice in parameter.choices if _works(experiment, parameter.name, choice)]
         if len(good) >= FEW:
             return {parameter.name: list(good[:FEW])}

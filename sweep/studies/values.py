@@ -20,7 +20,7 @@ MAX_AXIS_VALUES = 1_000_000
 class Values:
     """Reads values of the parameters of an experiment; ``problems`` takes what is wrong.
 
-    Files stand in ``folder``, or in the working directory where an option names them.
+    Paths of files are relative to ``folder``, or to the working directory where an option gives them.
     """
 
     def __init__(self, experiment: Experiment, folder: Path, problems: Problems) -> None:
@@ -28,7 +28,7 @@ class Values:
         self._folder = folder
 
     def one(self, place: Place, name: str, raw: object, which: str = "") -> Value:
-        """Return the value that stands at a place, None if it is wrong; problems begin with ``which``."""
+        """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         try:
             parameter = self.experiment.parameter(name)
             value = parameter.parse(raw)
@@ -131,7 +131,7 @@ def _numbered(start: float, stop: float, num: object, spacing: object, whole: bo
     values = [_rounded(start * (stop / start) ** (i / parts)) for i in range(num)]
     if not whole:
         return values
-    ends = {0: start, parts: stop} if _are_integers(start, stop) else {}  # 12 digits may not be all of theirs
+    ends = {0: start, parts: stop} if _are_integers(start, stop) else {}  # they may have more than 12 digits
     return [ends.get(i, round(v) if math.isfinite(v) else v) for i, v in enumerate(values)]
 
 
@@ -143,7 +143,7 @@ def _stepped(start: float, stop: float, step: float, whole: bool) -> list[float]
         raise ValueError(f"start, stop, step make about {count:.3g} values; at most {MAX_AXIS_VALUES} are allowed")
     if whole and _are_integers(start, stop, step):
         return [start + step * i for i in range(int((stop - start) // step) + 1)]
-    unsure = 1e-9 + 2 * sys.float_info.epsilon * max(abs(start), abs(stop)) / abs(step)  # of start and stop as stored
+    unsure = 1e-9 + 2 * sys.float_info.epsilon * max(abs(start), abs(stop)) / abs(step)  # rounding of start and stop
     return [_rounded(start + step * i, step) for i in range(math.floor(count + min(unsure, 1e-3)) + 1)]
 
 
@@ -160,10 +160,10 @@ def _rounded(x: float, step: float = math.inf) -> float:
 
 
 def is_number(x: object) -> bool:
-    """Return whether x is a finite number that may stand in a study."""
+    """Return whether x is a finite number that a study may contain."""
     return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < HUGE
 
 
 def number_problem(x: object) -> str | None:
-    """Return why x is no such number, None for one."""
+    """Return why x is not a finite number that a study may contain, None if it is one."""
     return None if is_number(x) else f"{shown(x)}: must be a finite number{bound_in_words(x)}"

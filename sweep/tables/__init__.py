@@ -1,1 +1,1 @@
-"""Tables in files: every format read into one, columns as numbers, and files as values of parameters."""
+"""Tables in files: reading every format, columns as numbers, and files as values of parameters."""

@@ -1,4 +1,4 @@
-"""Tables as the CDS has them: described byte by byte in a ReadMe beside them, angles in several columns."""
+"""Tables in the format of CDS: described byte by byte in a ReadMe beside them, angles in several columns."""
 
 import fnmatch
 import re
@@ -16,7 +16,7 @@ _SEXAGESIMAL = {"RAdeg": ("", "RAh", "RAm", "RAs", 15.0), "DEdeg": ("DE-", "DEd"
 
 
 def readme_of(path: Path) -> Path | None:
-    """Return the ReadMe beside a table that describes it, or should as its name ends in .dat; None if there is none."""
+    """Return the ReadMe beside a table that it describes, or should as the table ends in .dat; None otherwise."""
     readme = next((found for name in READMES if (found := path.parent / name).is_file()), None)
     if readme is None or not (_unpacked(path).lower().endswith(".dat") or _describes(readme, path)):
         return None
@@ -54,7 +54,7 @@ def read_with_readme(path: Path, text: str, readme: Path) -> Any:
         reader.data.table_name = _unpacked(path)
         reader.inputter.table_name = _unpacked(path)
         return reader.read(lines)
-    except Exception as error:  # what a ReadMe has that astropy does not know has no type of its own
+    except Exception as error:  # astropy raises errors of many types for a ReadMe that it does not understand
         said = " ".join(str(error).split())[:300]
         raise SweepError(f"cannot be read with the {readme.name} beside it: {type(error).__name__}: {said}") from error
 

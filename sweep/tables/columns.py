@@ -11,7 +11,7 @@ from sweep.contract import Array
 ROWS_NAMED = 5
 
 HOURS = 24.0
-"""A right ascension without a unit that stays within so much either way may be in hours (or radians) as well."""
+"""A column of right ascensions without a unit, all within -24 to 24, may be in hours (or radians) as well."""
 
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
 """Units of angles that are text, and whether these are hours."""
@@ -30,9 +30,10 @@ _ANGLE = re.compile(
 def column_values(table: Any, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:
     """Return a column of an astropy Table as float64 in ``unit``, NaN where it is missing; shape (N,).
 
-    The unit of the file is converted; ``stated`` is that of a column for which the file gives none, and without either
-    ``unit`` is taken.  In a column along ``right_ascension`` a unit of time stands for an angle, 15 arcsec a second.
-    An angle, ``unit`` "deg", may be text like '12 34 56.7' or '12:34:56.7', in hours if it is a right ascension.
+    Values are converted from the unit in the file, or from the ``stated`` one if the file gives none; without either
+    they are taken to be in ``unit``.  In a column along ``right_ascension`` a unit of time stands for an angle,
+    15 arcsec a second.  An angle, ``unit`` "deg", may be text like '12 34 56.7' or '12:34:56.7', in hours if it is a
+    right ascension.
     Raises ValueError that names the column, and rows (from 1) and values, for an unknown column, one that does not hold
     numbers, a unit of another kind or one that contradicts ``stated``, and a right ascension without a unit that may be
     in hours.
@@ -40,7 +41,7 @@ def column_values(table: Any, name: str, unit: str, stated: str | None = None, r
     if name not in table.colnames:
         raise ValueError(f"no column {name!r}; there are {', '.join(table.colnames)}")
     column = table[name]
-    kind = getattr(getattr(column, "dtype", None), "kind", "V")  # of times and sky coordinates it has none
+    kind = getattr(getattr(column, "dtype", None), "kind", "V")  # times and sky coordinates have no dtype
     if column.ndim != 1 or kind not in "fiuUSO":
         raise ValueError(f"column {name!r} does not hold numbers")
     wanted = _unit_of(table, name, stated)
@@ -61,7 +62,7 @@ def column_values(table: Any, name: str, unit: str, stated: str | None = None, r
 
 
 def in_time(table: Any, name: str, stated: str | None = None) -> bool:
-    """Return whether a column is in units of time or hour angle: of a coordinate, so that it lacks cos(dec)."""
+    """Return whether a column is in units of time or hour angle, and so does not include the factor cos(dec)."""
     from astropy.units import hourangle
 
     unit = _unit_of(table, name, stated)
@@ -119,7 +120,7 @@ def _factor(unit: Any, wanted: str, right_ascension: bool) -> float | None:
 
 
 def _check_without_unit(name: str, values: Array, unit: str, right_ascension: bool) -> None:
-    """Raise ValueError where an angle without a unit may well be in another than degrees."""
+    """Raise ValueError where an angle without a unit may well be in a unit other than degrees."""
     if unit != "deg" or not np.any(np.isfinite(values)):
         return
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -127,9 +128,9 @@ def _check_without_unit(name: str, values: Array, unit: str, right_ascension: bo
     if right_ascension and max(-low, high) <= HOURS:
         doubt = f"lies within {low:g} to {high:g}: hours, degrees or radians?"
     elif right_ascension and _NAMED_TIME.match(name) and not re.search(r"h|H", name[2:]):
-        doubt = "has a name that speaks of units of time"
+        doubt = "has a name that suggests units of time"
     elif _NAMED_RADIANS.search(name) and max(-low, high) <= 2.0 * np.pi:
-        doubt = "has a name that speaks of radians"
+        doubt = "has a name that suggests radians"
     else:
         return
     raise ValueError(
@@ -139,7 +140,7 @@ def _check_without_unit(name: str, values: Array, unit: str, right_ascension: bo
 
 
 def _sexagesimal(column: Any, missing: NDArray[np.bool_], name: str, unit: Any, right_ascension: bool) -> Array:
-    text = "" if unit is None else str(unit).strip('"').replace(" ", ":")  # VizieR has quotes
+    text = "" if unit is None else str(unit).strip('"').replace(" ", ":")  # VizieR writes quotes around it
     if text not in ("", *SEXAGESIMAL):
         raise ValueError(f"column {name!r} is text and in {unit}; an angle as text is in {', '.join(SEXAGESIMAL)}")
     hours = SEXAGESIMAL.get(text, right_ascension)

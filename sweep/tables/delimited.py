@@ -1,4 +1,4 @@
-"""Tables of delimited text, CSV, TSV as VizieR sends it, `;` or blanks: names and units from above the rows."""
+"""Tables of delimited text (CSV, TSV as VizieR sends it, `;` or blanks), with names and units above the rows."""
 
 import io
 import re
@@ -11,7 +11,7 @@ from sweep.tables.rows import fields_of, read_rows
 DELIMITERS = ("\t", ";", "|", ",")
 
 PREFACE_LINES = 100_000
-"""Comments, names, units and rules stand in so many lines at most."""
+"""The most lines that comments, names, units and rules take."""
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"[-=+]+")
@@ -41,7 +41,7 @@ def read_delimited(content: bytes) -> Any:
 
 
 def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
-    """Return names and units of the columns, what stands between them, and where the first row begins."""
+    """Return names and units of the columns, their delimiter, and the byte at which the first row begins."""
     lines = _lines(content)
     comments: list[str] = []
     header, start, end = "", 0, 0
@@ -56,7 +56,7 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
         raise ValueError("has no rows")
     delimiter = _delimiter(header)
     names = fields_of(header, delimiter)
-    if any(_NUMBER.fullmatch(name) for name in names):  # a row already
+    if any(_NUMBER.fullmatch(name) for name in names):  # this line is a row already
         last = comments[-1] if comments else ""
         commented = next((f for d in (delimiter, " ") if len(f := fields_of(last, d)) == len(names)), None)
         if commented is None or any(_NUMBER.fullmatch(name) for name in commented):
@@ -73,7 +73,7 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
 def _units_and_rules(
     lines: Iterator[tuple[str, int]], start: int, delimiter: str, n_columns: int
 ) -> tuple[list[str] | None, int]:
-    """Return the units in the lines after the names, if there are any, and where the first row begins."""
+    """Return the units in the lines after the names, if there are any, and the byte at which the first row begins."""
     units = None
     after: list[list[str]] = []
     for line, end in lines:
@@ -81,7 +81,7 @@ def _units_and_rules(
         commented = line.startswith("#")
         if not line.strip() or (not commented and all(_RULE.fullmatch(f) for f in line.split())):
             if line.strip() and after:
-                units = after[-1]  # VizieR's: what stands above the rule
+                units = after[-1]  # VizieR has them above the line of dashes
             start = end
         elif units is None and len(fields) == n_columns and _are_units(fields):
             units, start = fields, end
@@ -100,7 +100,7 @@ def _are_units(fields: Sequence[str]) -> bool:
 
 
 def _unit(text: str, strict: str = "silent") -> Any:
-    """Return the astropy unit that a text stands for; one that astropy does not know, or None with "raise"."""
+    """Return a text as an astropy unit: an unrecognised one, or None with "raise", where astropy does not know it."""
     from astropy.units import Unit
 
     text = text.strip().strip("[]()").strip()

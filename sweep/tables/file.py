@@ -17,7 +17,7 @@ from sweep.tables.names import first_found
 from sweep.tables.reader import read_table
 
 NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
-"""Columns that name a row, in any case of letters, best first."""
+"""Columns that name a row, in upper or lower case, best first."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class TableFile:
         return tuple(_load(self).colnames)
 
     def label(self, row: int) -> str:
-        """Return what the table calls a row, counted from 0, by the first of `NAMES`; empty where it has none."""
+        """Return the name of a row, counted from 0, from the first column of `NAMES`; empty where it has none."""
         table = _load(self)
         name = first_found(NAMES, table.colnames)
         return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
@@ -51,7 +51,7 @@ class TableFile:
         return values
 
     def in_time(self, name: str, stated: str | None = None) -> bool:
-        """Return whether a column is in units of time, so that it does not include cos(dec)."""
+        """Return whether a column is in units of time, and so does not include the factor cos(dec)."""
         return in_time(_load(self), name, stated)
 
 
@@ -69,8 +69,8 @@ def table_file(path: Path) -> TableFile:
 
 
 def content_digest(value: object) -> str:
-    """Return what stands for a value that JSON does not know, in a point's identity: the content of a table or of a
-    definition, whatever their names.
+    """Return what stands in a point's identity for a value that JSON does not know: the digest of a table's content or
+    of a definition, whatever their names.
     """
     if isinstance(value, TableFile):
         return f"sha256:{value.digest}"
@@ -82,7 +82,7 @@ def content_digest(value: object) -> str:
 def as_json(value: object) -> str:
     """Return a parameter's value, or a mapping of such, as JSON with sorted keys."""
     if type(value) is float and math.isfinite(value):
-        return repr(value)  # as JSON has it, in a tenth of the time: tables of points have millions
+        return repr(value)  # the same text in a tenth of the time: tables of points have millions of values
     return json.dumps(value, sort_keys=True, default=content_digest)
 
 

@@ -1,4 +1,4 @@
-"""The names under which archives have astrometric quantities, in any case of letters."""
+"""The names of astrometric quantities in archives, in upper or lower case."""
 
 from collections.abc import Collection, Iterable, Mapping
 
@@ -11,8 +11,8 @@ VALUES: Mapping[str, tuple[str, ...]] = {
     "ref_epoch": ("ref_epoch", "epoch", "pos_epoch", "mjd"),
     "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv"),
 }
-"""Names of a quantity, the first of them first; those of an error are made from them.  VizieR computes _RA and _DE for
-an epoch of its own, so that they are last.
+"""Column names of each quantity, best first; those of its error are made from them.  _RA and _DE are last because
+VizieR computes them for an epoch of its own.
 """
 
 _ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
@@ -30,7 +30,7 @@ def error_column(quantity: str, names: Collection[str], value: str | None = None
 
 
 def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
-    """Return the first of the wanted names that there is, in its own case of letters or another; None for none."""
+    """Return the column of the first wanted name that is found, ignoring case if need be; None if there is none."""
     in_any_case = {name.casefold(): name for name in reversed(list(names))}
     found = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
     return next((name for name in found if name is not None), None)

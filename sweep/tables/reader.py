@@ -1,4 +1,4 @@
-"""The one reader of tables: FITS, VOTable, ECSV, delimited text, Parquet, and CDS tables with their ReadMe."""
+"""Reads tables: FITS, VOTable, ECSV, delimited text, Parquet, and CDS tables with their ReadMe."""
 
 import bz2
 import gzip
@@ -27,13 +27,13 @@ _PACKED = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress, b"\xfd7zXZ": lz
 def read_table(path: Path) -> Any:
     """Return the table in a file as an astropy Table, its columns with units where the file gives them.
 
-    What is missing is masked, or NaN.  The format follows from the content, not from the name.  Of columns RAh, RAm,
-    RAs and DE-, DEd, DEm, DEs, as at CDS, RAdeg and DEdeg (deg) are made.  Raises SweepError that names
+    Missing values are masked, or NaN.  The format follows from the content, not from the name.  RAdeg and DEdeg (deg)
+    are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  Raises SweepError that names
     the file, and the row where there is one, for what cannot be read.
     """
     try:
         content = path.read_bytes()
-        with warnings.catch_warnings():  # of units and headers that do not matter for the columns that are used
+        with warnings.catch_warnings():  # about units and headers that do not matter for the columns that are used
             warnings.simplefilter("ignore")
             table = _read(path, content)
             add_degrees(table)
@@ -86,7 +86,7 @@ def _by_astropy(form: str, source: Any, **options: Any) -> Any:
 
     try:
         return Table.read(source, format=form, **options)
-    except Exception as error:  # each of astropy's readers has its own
+    except Exception as error:  # each of astropy's readers raises errors of its own
         text = " ".join(str(error).split())[:300]
         raise SweepError(f"cannot be read as {form}: {type(error).__name__}: {text}") from error
 
@@ -118,7 +118,7 @@ def _votable(content: bytes) -> Any:
     try:
         document = parse(io.BytesIO(content), verify="ignore")
         tables = [table for table in document.iter_tables() if len(table.fields)]
-    except Exception as error:  # of XML, of base64, of VOTable
+    except Exception as error:  # from the parsers of XML, base64 or VOTable
         raise SweepError(f"cannot be read as a VOTable: {' '.join(str(error).split())[:300]}") from error
     if not tables:
         infos = [info for resource in document.resources for info in resource.infos if info.name == "QUERY_STATUS"]

@@ -14,7 +14,7 @@ MISSING = ("", *_NONE, "--", "---", "...", "\\N")
 
 
 def read_rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[str] | None = None) -> Any:
-    """Return rows of text as an astropy Table with these columns, of these types or of what they look like.
+    """Return rows of text as an astropy Table with these columns, of the given types or of types that fit the text.
 
     Raises ValueError for a row with more or fewer columns, or with what is not of its type.
     """
@@ -82,7 +82,7 @@ def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:
 
 
 def _rounded(column: Any) -> bool:
-    """Return whether integers with gaps among them have become floats that cannot hold them, as Gaia's source_id."""
+    """Return whether integers with gaps have become floats that cannot hold them, such as Gaia's source_id."""
     if column.dtype.kind != "f":
         return False
     values = column.to_numpy()
@@ -91,7 +91,7 @@ def _rounded(column: Any) -> bool:
 
 
 def _nullable(kind: str) -> str:
-    """Return pandas' name of a type of NumPy's, with missing values."""
+    """Return the name of the pandas type that stands for a NumPy type and allows missing values."""
     dtype = np.dtype("U" if kind in ("string", "str") else kind)
     if dtype.kind in "iu":
         return dtype.name.replace("u", "U").replace("int", "Int")
@@ -99,7 +99,7 @@ def _nullable(kind: str) -> str:
 
 
 def _plain(column: Any, missing: NDArray[np.bool_], kind: str | None) -> NDArray[Any]:
-    """Return the values of a column, something where they are missing."""
+    """Return the values of a column, with any value where they are missing."""
     if column.dtype.kind == "f" and str(column.dtype).islower():
         return np.asarray(column.to_numpy())
     if column.dtype.kind in "iub":

@@ -35,7 +35,7 @@ WRONG = {
         {"coordinates": {"axis": ("x", "y")}, "component_units": {"axis": ("m",)}},
         "component_units['axis']: 1 units for 2 labels",
     ),
-    "labels that repeat": ({"coordinates": {"axis": ("x", "x")}}, "coordinates['axis']: 'x' stands there twice"),
+    "labels that repeat": ({"coordinates": {"axis": ("x", "x")}}, "coordinates['axis']: 'x' is listed twice"),
     "labels as one text": ({"coordinates": {"axis": "xyz"}}, "coordinates['axis']: must be a tuple of strings"),
     "a dimension like a parameter": ({"coordinates": {"rate": ("x",)}}, "dimension 'rate': is the name of a parameter"),
     "an output like a parameter": (

@@ -106,7 +106,7 @@ def test_what_belongs_to_the_sampling_is_told_so():
     def drawn(x: float, *, rng):
         return rng.normal(x)
 
-    with pytest.raises(ValueError, match=r"^is no parameter, but of the sampling: sampling=\{'n_sim': \.\.\.\}"):
+    with pytest.raises(ValueError, match=r"^belongs to the sampling: sampling=\{'n_sim': \.\.\.\}"):
         experiment_of(drawn).parameter("n_sim")
     with pytest.raises(ValueError, match="unknown parameter 'n_sim'"):
         experiment_of(several).parameter("n_sim")
@@ -145,7 +145,7 @@ def test_all_mistakes_of_a_declaration_are_told_at_once():
         "output 'curve': coords: 'tme' is none of its dimensions (time, x)",
         "output 'twice': is declared twice",
         "statistics are made of realisations, and the function takes no rng",
-        "the statistic 'men' is none; did you mean 'mean'?",
+        "there is no statistic 'men'; did you mean 'mean'?",
         "output 'bad': the coordinate 'k' has values that are not finite",
     ):
         assert sentence in text

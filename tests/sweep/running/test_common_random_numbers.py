@@ -128,7 +128,7 @@ def test_results_with_and_without_do_not_mix(tmp_path):
 
 
 def test_an_experiment_must_say_what_is_shared(coins):
-    with pytest.raises(SweepError, match="no parameter of the experiment 'coins' is known to leave its random numbers"):
+    with pytest.raises(SweepError, match="the experiment 'coins' declares no parameter that leaves its random numbers"):
         study_from_dict(coins | {"sampling": {"common_random_numbers": True}})
 
 

@@ -124,5 +124,5 @@ def test_an_experiment_without_errors_cannot_be_precise(coins):
 
 
 def test_a_limit_needs_a_precision(coins):
-    with pytest.raises(SweepError, match=r"sampling.max_n_sim: is the limit of a precision, and there is none"):
+    with pytest.raises(SweepError, match=r"sampling.max_n_sim: has an effect only with a precision, which is not set"):
         study_from_dict(coins | {"sampling": {"max_n_sim": 10}})

@@ -59,7 +59,7 @@ def test_degrees_that_cannot_be_hours_are_not_asked_about():
     for name in ("ra", "ra_h", "RA_ICRS"):
         assert column_values(Table({name: [1.0, 24.1]}), name, "deg", None, True)[1] == 24.1
     assert column_values(Table({"dec": [1.0, -1.0]}), "dec", "deg")[0] == 1.0
-    with pytest.raises(ValueError, match="has a name that speaks of radians"):
+    with pytest.raises(ValueError, match="has a name that suggests radians"):
         column_values(Table({"DErad": [1.0, -1.0]}), "DErad", "deg")
 
 
