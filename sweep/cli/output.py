@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from sweep.formatting import WIDTH, to_json
+from sweep.formatting import WIDTH, counted, to_json
 
 SEGMENT_COUNTS = ("points", "done", "failed", "excluded", "realisations_done", "realisations")
 
@@ -59,7 +59,10 @@ def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]
         words["realisations"] = f"{report['realisations']:,}, {done:,} of them done"
-    words["work"] = f"{report['blocks_pending']:,} blocks in about {report['tasks_about']:,} tasks"
+    tasks = report["tasks_about"]
+    words["work"] = counted(report["blocks_pending"], "block") + (
+        f" in about {counted(tasks, 'task')}" if tasks else ""
+    )
     words["memory"] = (
         f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
         f"{report['ledger_mb']:,.3g} MB of ledger"

@@ -123,8 +123,9 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     samples = study.experiment.samples_width * survey.total.realisations if study.keeps_samples else 0
     result_mb = 8e-6 * (floats + samples)
     ledger_mb = 8e-6 * (study.experiment.sums_width * survey.total.blocks + samples)
-    tasks = math.ceil(survey.pending.cost / TARGET)
-    cores = max(1, min(workers or available_cores(), available_cores(), tasks))
+    tasks = math.ceil(survey.pending.cost / TARGET) if study.experiment.cost_unit else None  # else time is not known
+    most = survey.pending.blocks if tasks is None else tasks
+    cores = max(1, min(workers or available_cores(), available_cores(), most))
     realisations = {"realisations": survey.total.realisations, "realisations_pending": survey.pending.realisations}
     seconds = {}
     if study.experiment.cost_unit:

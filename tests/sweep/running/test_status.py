@@ -194,7 +194,7 @@ sampling = {{ n_sim = 1000, n_cat = 20 }}
     assert lines["grid"] == "coins 2"
     assert lines["points"] == "2, 1 of them done"
     assert lines["realisations"] == "40,000, 20,000 of them done"
-    assert lines["work"] == "4 blocks in about 1 tasks"
+    assert lines["work"] == "4 blocks in about 1 task"
     assert lines["time"] == "at least 0 s on 1 core of this machine: its random numbers alone"
     assert lines["store"] == "results/study.zarr"
 
@@ -209,3 +209,10 @@ def test_the_time_of_a_plan_is_for_the_cores_that_there_are(coins, tmp_path, mon
         report = plan_report(study, tmp_path / "s.zarr", workers)
         assert report["cores"] == cores
         assert report["seconds"] == pytest.approx(whole["seconds"] / cores, rel=0.01)
+
+
+def test_tasks_of_a_function_whose_time_is_not_known_are_not_counted(sweep, tmp_path):
+    (tmp_path / "f.py").write_text("def f(a: float) -> float:\n    return 2.0 * a\n")
+    code, out, err = sweep("plan", "f.py:f", "--axis", "a=1,2,3", cwd=tmp_path)
+    assert code == 0, err
+    assert dict(line.split(maxsplit=1) for line in out.splitlines())["work"] == "3 blocks"
