@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Running:
-    """How a study is run: on what, what the user sees of it (no results if ``as_json`` is None), and in which store."""
+    """How a study is run: on what, what the user sees (no results if ``as_json`` is None), and what it may continue."""
 
     resources: "Resources"
     watching: Watching

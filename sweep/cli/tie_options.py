@@ -132,10 +132,14 @@ table_options = gathered(
         metavar="[TABLE:]KEY=UNIT",
         help="The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
     ),
-    click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, not a column."),
-    click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, not a column."),
     click.option(
-        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, not a column."
+        "--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, instead of a column."
+    ),
+    click.option(
+        "--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, instead of a column."
+    ),
+    click.option(
+        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, instead of a column."
     ),
     click.option(
         "--positions",

@@ -35,7 +35,7 @@ OWN_CLUSTER = {
 
 NOT_WATCHED = {
     "distributed.worker.profile.enabled": False,  # looks at all threads a hundred times a second
-    "distributed.admin.tick.interval": "1s",  # measures how late event loops are, fifty times a second in each process
+    "distributed.admin.tick.interval": "1s",  # of measuring how late event loops are; by default 20 ms, in each process
     "distributed.admin.system-monitor.interval": "2s",
 }
 """Settings without a dashboard, which alone shows these measurements: they take a hundredth of a run's time."""
@@ -94,7 +94,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
                 stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
                 defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # the process they are forked from has it
             else:
-                defaults["worker_dashboard_address"] = here  # else on all addresses: a thread has no host
+                defaults["worker_dashboard_address"] = here  # else on all addresses: such workers have no host
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
             defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}

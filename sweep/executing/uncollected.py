@@ -1,5 +1,5 @@
-"""Speeds up imports by not collecting garbage: modules are none, but Python searches for some after every few hundred
-new objects.
+"""Speeds up imports by not collecting garbage: modules are not garbage, but Python searches for it after every few
+hundred new objects.
 """
 
 import gc

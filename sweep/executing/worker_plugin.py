@@ -60,7 +60,7 @@ class SourcesPlugin(WorkerPlugin):
 
 @dataclass(frozen=True)
 class Answer:
-    """A worker's answer: its address, how it differs from the client, and the result unless this decides numbers."""
+    """A worker's answer: its address, how it differs from the client, and the result if this decides no number."""
 
     worker: str
     deciding: list[str]

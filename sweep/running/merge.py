@@ -185,7 +185,7 @@ def _written(values: Sequence[Value]) -> list[Any]:
 
 
 def _rows(one: _Source, other: _Source) -> list[list[bytes]]:
-    """Return the blocks to take from each, in the order of their rows; raises SweepError where a block's bits differ."""
+    """Return the blocks to take from each in the order of their rows; raises SweepError where a block differs."""
     mine, theirs = one.ledger.rows, other.ledger.rows
     for key in mine.keys() & theirs.keys():
         same = one.sums[mine[key]].tobytes() == other.sums[theirs[key]].tobytes()
