@@ -1,4 +1,4 @@
-"""Puts a checksum among the attributes of Zarr's JSON documents, which includes the name of the file: neither a
+"""Puts a checksum, of the content and the name of the file, among the attributes of Zarr's JSON documents: neither a
 flipped bit nor an exchange of files may change what a store means.
 """
 

@@ -98,8 +98,9 @@ def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bo
     where = str(location)
     if other is None:
         if not break_lock:
-            problem = f"its lock {_key(location)} beside it is damaged; if nobody writes, --break-lock"
-            raise SweepError(problem, where)
+            raise SweepError(
+                f"its lock {_key(location)} beside it is damaged; if no run writes to it, give --break-lock", where
+            )
         return
     state = other.state()
     if state == "runs" and not (break_lock and other.pid == os.getpid()):
