@@ -93,7 +93,11 @@ def run(asked: options.AskedStudy, how: Running, fresh: bool) -> None:
 
 @main.command()
 @options.study_options
-@click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for the time.  [default: one per core]")
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 4096),
+    help="Local workers, for the estimate of the time.  [default: one per core]",
+)
 @options.accept_code_option
 @options.trust_option
 @options.json_option
