@@ -32,7 +32,7 @@ TABLES = (".csv", ".json", ".zarr")
     "--fall",
     type=click.FloatRange(0.0, 100.0, min_open=True, max_open=True),
     metavar="PERCENT",
-    help="Levelling: find where the variable falls by less than this a unit of the axis.  [default: 5]",
+    help="Levelling: find where the variable falls by less than this per unit of the axis.  [default: 5]",
 )
 @click.option("--range", "span", metavar="LOW:HIGH", help="Only points with the axis in this range, e.g. 50: or 14:17.")
 @place_option

@@ -12,7 +12,7 @@ from sweep.cli.streams import output_problem
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
 
-atexit.register(gc.freeze)  # else all that was imported is looked through for garbage at the end: a fifth of a second
+atexit.register(gc.freeze)  # else Python searches all imports for garbage at the end, which takes a fifth of a second
 
 SECTIONS = {
     "Run": {
@@ -56,7 +56,7 @@ SECTIONS = {
 
 class _Group(click.Group):
     """Lists its commands by what they are for; turns a SweepError of any command into one message and exit code 2, and
-    a signal into 128 and its number.
+    a signal into exit code 128 plus its number.
     """
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -1,4 +1,4 @@
-"""What of a run is told on standard error, and what goes to a log file."""
+"""The options that say what of a run goes to standard error, and what to a log file."""
 
 import logging
 import sys
@@ -13,7 +13,7 @@ import click
 from sweep.cli.options import gathered
 
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
-"""The second keeps its messages to itself."""
+"""The second does not pass its messages on to the first."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ Decorator = Callable[[Command], Command]
 option_with_default = functools.partial(click.option, show_default=True)
 
 FILE = click.Path(path_type=Path)
-"""The type of what names a file or folder, which need not be there."""
+"""The type of the path of a file or folder, which need not exist."""
 
 place_option = click.option(
     "--at", multiple=True, metavar="AXIS=VALUE", help="Only this part of the grid, e.g. model=gaia,v_max=16."
@@ -54,7 +54,7 @@ def located_option(context: click.Context, _parameter: click.Parameter, value: s
 
 
 def _named(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
-    """Turn what names a store that is there, or the study whose store it is, or several, into places."""
+    """Turn what names an existing store, or the study whose store it is, or several of these, into places."""
     if isinstance(value, tuple):
         return tuple(_named(context, parameter, one) for one in value)
     if not value or context.resilient_parsing:
@@ -187,7 +187,7 @@ study_options = gathered(
 
 
 def link_in(store: "Location", at: tuple[str, ...]) -> Any:
-    """Return the link or forecast that a store holds, None if it holds a grid, of which alone ``--at`` names a part."""
+    """Return the link or forecast that a store holds, None if it holds a grid; ``--at`` is only for a grid."""
     from sweep.tie.stored import result_at
 
     result = result_at(store)
@@ -198,8 +198,8 @@ def link_in(store: "Location", at: tuple[str, ...]) -> Any:
 
 @contextmanager
 def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) -> Iterator[Any]:
-    """Give the dataset of a store, of it the part that ``--at`` names; errors in the block name the store unless they
-    say what they are about.
+    """Give the part of a store's dataset that ``--at`` names; errors in the block name the store unless they say what
+    they are about.
 
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """

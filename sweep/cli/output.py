@@ -1,4 +1,4 @@
-"""How commands print results: tables as wide as they are, JSON, sentences."""
+"""Prints the results of commands: tables in their full width, JSON, sentences."""
 
 import shutil
 import sys
@@ -74,7 +74,7 @@ def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
 
 
 def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:
-    """Print the results of a dataset, the components of some points if they are wanted, and what is to be known."""
+    """Print the results of a dataset, the components of some points if they are wanted, and warnings."""
     from sweep.analysis import components, headline_table, long_table
     from sweep.analysis.columns import left_out_in_words
 
@@ -145,7 +145,7 @@ def print_status(report: dict[str, Any]) -> None:
 
 
 def status_as_json(report: dict[str, Any]) -> str:
-    """Return the whole of it: every value of every axis."""
+    """Return the whole report as JSON, with every value of every axis."""
     axes = {
         dimension: [
             {"at": segment.first} | {count: getattr(segment, count) for count in SEGMENT_COUNTS} for segment in segments

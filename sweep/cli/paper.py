@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sweep.stores.location import Location
 
 all_option = click.option(
-    "--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it was not yet."
+    "--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it has not been yet."
 )
 results_option = click.option("--results", type=FILE, help="Folder with the stores of --all.  [default: results]")
 
@@ -37,7 +37,7 @@ class AskedStores:
     watching: Watching
 
     def require_either(self) -> None:
-        """Raise click.UsageError unless there are either stores or --all, and only with --all what belongs to it."""
+        """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
         from sweep.executing.choose import Resources
 
         if self.everything == bool(self.stores):
@@ -49,7 +49,7 @@ class AskedStores:
             )
 
     def found(self) -> "tuple[Location, ...]":
-        """Return the stores; with --all after running the studies with something published that need it."""
+        """Return the stores; with --all, first run the unfinished studies that have something published."""
         if not self.everything:
             return self.stores
         from sweep.paper.published_stores import published_studies, store_of, unfinished

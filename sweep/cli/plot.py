@@ -35,7 +35,7 @@ def drawing_styles() -> Any:
 
 
 def save_figure(dataset: Any, path: Path) -> None:
-    """Draw a dataset in the way that suits it into a file."""
+    """Draw a dataset into a file, in the way that suits it."""
     from sweep.plots import style
     from sweep.plots.figure import draw_figure
 
@@ -64,7 +64,7 @@ class Drawing:
             raise click.UsageError(f"--variable and --over do not go with --kind {self.kind}")
 
     def figure(self) -> tuple[Any, Any]:
-        """Return a figure, and the dataset that it is of."""
+        """Return a figure, and the dataset that it shows."""
         from sweep.plots.figure import draw_figure
         from sweep.plots.standalone import accuracy_figure, sky_figure
         from sweep.stores.named import store_named
@@ -126,8 +126,8 @@ class Drawing:
 @gathered("drawn", Drawing)
 def plot(drawn: Drawing, width: float | None, style: str | None, caption: bool, output: Path | None) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
-    values, small panels, a map, a fitted law, a scatter of kept samples; of a link or a forecast of real tables, the
-    kinds from solution on.
+    values, small panels, a map, a fitted law, a scatter of kept samples.  For a link or a forecast of real tables there
+    are the kinds from solution on in the list below.
 
     \b
     sweep plot quasars --width 88mm --caption -o quasars.pdf

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 MEMORY_AT_LEAST = 200 * 10**6
-"""Bytes that a worker needs itself."""
+"""Bytes that a worker needs for itself."""
 
 
 def _bytes(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Running:
-    """How a study is run: what on, what the user sees of it (with ``as_json`` None no results), which store goes on."""
+    """How a study is run: on what, what the user sees (no results if ``as_json`` is None), and what it may continue."""
 
     resources: "Resources"
     watching: Watching
@@ -93,7 +93,11 @@ def run(asked: options.AskedStudy, how: Running, fresh: bool) -> None:
 
 @main.command()
 @options.study_options
-@click.option("--workers", type=click.IntRange(1, 4096), help="Of this machine, for the time.  [default: one per core]")
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 4096),
+    help="Local workers, for the estimate of the time.  [default: one per core]",
+)
 @options.accept_code_option
 @options.trust_option
 @options.json_option
@@ -150,7 +154,7 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
     help="Workers are processes, or threads of this one.",
 )
 @options.option_with_default(
-    "--repetitions", type=click.IntRange(1, 1000), default=3, help="Of every run; 5 or more give errors."
+    "--repetitions", type=click.IntRange(1, 1000), default=3, help="How often to time every run; 5 or more give errors."
 )
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="Override a value of the study.")
 @click.option("--axis", "axes", multiple=True, metavar="NAME=SPEC", help="Override or add an axis.")
@@ -174,7 +178,7 @@ def scaling(
 ) -> None:
     """Measure how STUDY scales with local workers: the same work on more of them (strong), and as much for each (weak).
 
-    The results of the runs are thrown away; the time to start workers is measured apart.
+    The results of the runs are thrown away; the time to start workers is measured separately.
 
     \b
     sweep scaling quasars --workers 1,2 --figure scaling.svg

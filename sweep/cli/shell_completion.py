@@ -1,4 +1,4 @@
-"""What a shell offers to complete; it is asked at each press of a key, so nothing heavy is imported."""
+"""Offers completions to a shell, which asks at each press of a key, so that nothing heavy is imported."""
 
 import tomllib
 from contextlib import suppress
@@ -26,7 +26,7 @@ def stores(_context: Context, _parameter: Parameter, incomplete: str) -> list[Co
 
 
 def axes(context: Context, _parameter: Parameter, incomplete: str, more: tuple[str, ...] = ()) -> list[CompletionItem]:
-    """Offer the axes of a study before it, and what it fixes."""
+    """Offer the axes of the study that was given before, and what it fixes."""
     named = context.params.get("study") or next(iter(context.args), "")  # not parsed where an option misses its value
     tables = _document(named)
     found = [*tables.get("axes", {}), *tables.get("fixed", {})]
@@ -34,7 +34,7 @@ def axes(context: Context, _parameter: Parameter, incomplete: str, more: tuple[s
 
 
 settings = partial(axes, more=SAMPLING)
-"""Offer the keys that a study before it sets, and those of its sampling."""
+"""Offer the keys that the study given before sets, and those of its sampling."""
 
 
 def _document(study: object) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""How a command that computes ends when it is stopped: soon, whatever its workers are at, and leaving no process."""
+"""Ends a command that computes when it is stopped: soon, whatever its workers are doing, and leaving no process."""
 
 import multiprocessing
 import os
@@ -11,14 +11,14 @@ from types import FrameType
 from typing import NoReturn
 
 LAST_SECOND = 1.0
-"""What Python's own clean-up may take before the process ends without it."""
+"""Seconds that Python's own clean-up may take before the process ends without it."""
 
 _stopped_by: list[int] = []
 """The signal that ended the command, if one did."""
 
 NO_LEAK_WARNING = "ignore:resource_tracker"
-"""A filter of warnings for processes that are started: an end in haste leaves semaphores, and the one that removes them
-would tell the user.
+"""A filter of warnings for processes that are started: a sudden end leaves semaphores, and the process that removes
+them would warn the user.
 """
 
 
@@ -26,8 +26,8 @@ would tell the user.
 def a_signal_ends_the_command() -> Iterator[None]:
     """Let SIGINT, SIGTERM and SIGHUP end the process at once in this block.
 
-    A run inside the block answers the first of them itself and in order; what arrives here is impatience, or came
-    before the work.
+    A run inside the block handles the first of them itself and ends in good order; a signal that arrives here is a
+    further one, or came before the run.
     """
     from sweep.interrupt import SIGNALS
 
@@ -58,9 +58,9 @@ def end_stopped(number: int) -> NoReturn:
 
 
 def leave_with_exit_code() -> None:
-    """End a process whose clean-up is done with the exit code of the signal that stopped its command, if one did.
+    """End a process, after its clean-up, with the exit code of the signal that stopped its command, if one did.
 
-    Python ends it by SIGINT itself where that interrupted the text of an ``exec``, which dataclasses are made with.
+    Python itself would end it by SIGINT if that interrupted code run by ``exec``, with which dataclasses are made.
     """
     if _stopped_by:
         for stream in (sys.stdout, sys.stderr):

@@ -35,7 +35,7 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
 
         click.echo(as_format(link, table_format).rstrip("\n"))
         return
-    # Formats for programs have a column that says so.
+    # Formats for programs keep excluded points: a column has the status.
     with options.part_of(store, at, excluded_too=table_format != "text") as part:
         print_table(part, table_format, with_components=True)
 

@@ -1,4 +1,4 @@
-"""Standard streams that are closed, full or of a narrow encoding end no command in a traceback."""
+"""Keeps commands from ending in a traceback where a standard stream is closed, full or of a narrow encoding."""
 
 import errno
 import io
@@ -9,7 +9,7 @@ import sys
 class _Unfailing(io.TextIOWrapper):
     """A stream that keeps the first ``problem`` of writing to it instead of raising it.
 
-    That a reader has gone, as `head` does, is raised: click ends the command quietly then.
+    The error that the reader has gone, as `head` does, is still raised: click then ends the command quietly.
     """
 
     problem: OSError | None = None
@@ -36,8 +36,8 @@ class _Unfailing(io.TextIOWrapper):
 def prepare_streams() -> None:
     """Make the standard streams usable whatever this process was started with.
 
-    One that is closed leads to the null device: the next file to be opened would take its place, and be written to.
-    Characters that the encoding of a stream does not know are escaped.
+    A closed one is connected to the null device, because the next file to be opened would take its place and be written
+    to.  Characters that the encoding of a stream does not have are escaped.
     """
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:

@@ -1,4 +1,4 @@
-"""Commands that say what there is and help to begin: list, params, new and schema."""
+"""Commands that list what there is and help to begin a study: list, params, new and schema."""
 
 import json
 from contextlib import suppress
@@ -62,7 +62,7 @@ def _answer(name: str) -> list[str]:
 @click.argument("experiment", default="core.experiment:link")
 @json_option
 def params(experiment: str, as_json: bool) -> None:
-    """List the parameters of EXPERIMENT (module:attribute, file.py:attribute, or a study that is of it) with unit,
+    """List the parameters of EXPERIMENT (module:attribute, file.py:attribute, or a study of it) with unit,
     default, allowed values and meaning.
 
     \b

@@ -44,13 +44,13 @@ figures_option = click.option(
     default="scaled",
     help="Kinds of errors, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.",
 )
-@option_with_default("--resamples", type=click.IntRange(2), default=1000, help="Of the bootstrap.")
-@option_with_default("--seed", type=click.IntRange(0), default=0, help="Of the bootstrap.")
+@option_with_default("--resamples", type=click.IntRange(2), default=1000, help="How many the bootstrap draws.")
+@option_with_default("--seed", type=click.IntRange(0), default=0, help="Seed of the bootstrap.")
 @option_with_default(
     "--sign",
     type=click.Choice(["reference-satellite", "satellite-reference"]),
     default="reference-satellite",
-    help="Of everything that is printed and stored.",
+    help="Sign of everything that is printed and stored.",
 )
 @click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for millions of quasars in Parquet.")
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler for them, e.g. tcp://host:8786.")
@@ -104,11 +104,11 @@ def tie(
 @click.argument("reference")
 @click.option("--unknowns", metavar="BLOCKS", help="Like orientation,spin.")
 @click.option("--add", metavar="YEARS", default="", help="Epochs of new positions, e.g. 2026,2030.")
-@option_with_default("--error", type=float, default=0.1, metavar="MAS", help="Of each new coordinate.")
+@option_with_default("--error", type=float, default=0.1, metavar="MAS", help="Error of each new coordinate.")
 @click.option("--release", help="Scale the satellite's errors to dr4 or dr5.")
 @option_with_default("--from-release", default="dr3", help="Release of the satellite's table.")
 @click.option("--choose", "number", type=click.IntRange(0), default=0, metavar="N", help="Choose the N best sources.")
-@click.option("--for", "goal", default="", metavar="BLOCKS", help="What they are best for.  [default: all unknowns]")
+@click.option("--for", "goal", default="", metavar="BLOCKS", help="What to choose them for.  [default: all unknowns]")
 @option_with_default(
     "--criterion", type=click.Choice(["A", "D"]), default="A", help="Trace or determinant of the covariance."
 )

@@ -30,7 +30,7 @@ def _mission_epochs(items: Sequence[str], missions: Collection[str]) -> dict[str
 
 
 def _by_table(option: str, form: str, items: Sequence[str], tables: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Return what is said of each quantity of each table; what names no table is for all."""
+    """Return what the items say of each quantity of each table; an item that names no table is for all."""
     found: dict[str, dict[str, str]] = {name: {} for name in tables}
     for item in items:
         key, value = _named(option, f"[{'|'.join(tables)}:]{form}", item)
@@ -132,10 +132,14 @@ table_options = gathered(
         metavar="[TABLE:]KEY=UNIT",
         help="The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
     ),
-    click.option("--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, for a column."),
-    click.option("--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, for a column."),
     click.option(
-        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, for a column."
+        "--satellite-epoch", type=float, metavar="YEAR", help="Epoch of the satellite's table, instead of a column."
+    ),
+    click.option(
+        "--reference-epoch", type=float, metavar="YEAR", help="Epoch of the reference's rows, instead of a column."
+    ),
+    click.option(
+        "--mission-epoch", multiple=True, metavar="NAME=YEAR", help="Epoch of a mission's table, instead of a column."
     ),
     click.option(
         "--positions",
@@ -158,7 +162,7 @@ table_options = gathered(
         "--weights",
         type=click.Choice(["covariance", "variance", "equal"]),
         default="covariance",
-        help="Of the differences.",
+        help="Weights of the differences.",
     ),
     click.option(
         "--jitter", multiple=True, metavar="KIND=MAS[:MAS_YR]", help="Added in quadrature to rows of a kind, or of all."
@@ -172,6 +176,6 @@ table_options = gathered(
         help="Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.",
     ),
 )
-"""The command gets by their names those that `sweep.tie.options.Options` has as they are written, and the others, as it
-has them, as ``tables``.
+"""The command gets those that `sweep.tie.options.Options` takes as they are written by their names, and the others,
+converted to what it takes, as ``tables``.
 """

@@ -1,4 +1,4 @@
-"""Keeps what an experiment prints, and what it is warned of, apart from standard output, thread by thread."""
+"""Captures what an experiment prints and the warnings that it raises, thread by thread."""
 
 import io
 import sys
@@ -26,8 +26,8 @@ class Captured:
     warnings: Counter[str] = field(default_factory=Counter)
 
     def taken(self) -> "Captured | None":
-        """Return what was captured since the last call, None if that is nothing; filters of warnings that were changed
-        meanwhile are as before, so that no point depends on the one before it.
+        """Return what was captured since the last call, or None if nothing was; restore the filters of warnings, so
+        that no point depends on the one before it.
         """
         _routes.restore_filters()
         if not self.printed and not self.warnings:
@@ -53,7 +53,7 @@ class _Routes(io.TextIOBase):
             if not self._threads:
                 self._before, sys.stdout = sys.stdout, self
                 self._restore.enter_context(warnings.catch_warnings())
-                seldom = ("default", "module", "once")  # each is counted; what is ignored or an error stays so
+                seldom = ("default", "module", "once")  # count all of these; keep "ignore" and "error"
                 warnings.simplefilter("always", append=True)
                 self._filters = [
                     ("always", *rest) if action in seldom else (action, *rest) for action, *rest in warnings.filters
@@ -71,7 +71,7 @@ class _Routes(io.TextIOBase):
                 warnings.filters[:] = self._filters  # type: ignore[index]
 
     def end(self) -> None:
-        """Capture the calling thread no more."""
+        """Stop capturing the calling thread."""
         with self._lock:
             del self._threads[threading.get_ident()]
             if not self._threads:
@@ -80,7 +80,7 @@ class _Routes(io.TextIOBase):
                     sys.stdout = self._before
 
     def write(self, text: str) -> int:
-        """Keep what a thread prints; text of a thread that an experiment has started goes to a block under way."""
+        """Keep what a thread prints; text of a thread that an experiment has started is kept with a block under way."""
         if (captured := self._of_this_thread()) is not None:
             captured.printed += text[: MOST_PRINTED - len(captured.printed)]
         elif self._before is not None:
@@ -109,7 +109,7 @@ _routes = _Routes()
 
 @contextmanager
 def captured() -> Iterator[Captured]:
-    """Give what this thread prints in this block, and the warnings."""
+    """Capture what this thread prints in this block, and its warnings."""
     found = Captured()
     _routes.begin(found)
     try:

@@ -10,7 +10,7 @@ from sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName
 from sweep.studies.study import Study
 
 CERTAINLY_LONG = 5e7
-"""Random numbers that take half a second to draw: more are worth the start of workers, whatever is made of them."""
+"""Random numbers that take half a second to draw: a run of more is worth the start of workers, whatever it computes."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Resources:
     """What to run on; never part of a study, because it cannot change a number.
 
     ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  With ``dashboard`` local
-    workers have Dask's, which needs bokeh.
+    workers have the dashboard of Dask, which needs bokeh.
     """
 
     workers: int | None = None
@@ -53,10 +53,10 @@ ANY_RESOURCES = Resources()
 
 
 def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -> Opened:
-    """Return the place where a run of so many random numbers will be and its executor, to be entered.
+    """Return a context manager that gives the place and the executor of a run with this ``cost``.
 
-    Where nothing is requested it is worker processes, one per core; if the cost that the experiment declares does not
-    show that they are needed, only once the time that the first points take does.
+    Where nothing is requested these are worker processes, one per core.  Unless the cost that the experiment declares
+    shows that they are needed, they are started only once the time that the first points take does.
     """
     limits = resources.limits
     if resources.scheduler is not None:

@@ -23,16 +23,16 @@ from sweep.studies.study import Study
 CONNECT_TIMEOUT_S = 10
 
 ADAPT_WITHIN = "500ms"
-"""An adaptive cluster has as many workers as the tasks in flight would keep busy for so long: they are short."""
+"""An adaptive cluster has as many workers as the tasks in flight would keep busy for this time; tasks are short."""
 
 
 @contextmanager
 def local_workers(
     study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False, method: str | None = None
 ) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on a Dask cluster of this machine: of worker processes of one thread each, started by a
-    ``method`` of multiprocessing; without one of threads of this process, where with limits each task runs in a child
-    process.
+    """Give an executor on a Dask cluster on this machine.  With a ``method`` of multiprocessing its workers are
+    processes of one thread each; without one they are threads of this process, and with limits each task runs in a
+    child process.
     """
     options: dict[str, Any] = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
     noun = "thread" if workers == 1 else "threads"
@@ -76,7 +76,7 @@ def dask_scheduler(
     study: Study, address: str, security: Security | None, say: Say, limits: Limits = NO_LIMITS
 ) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers or its workers
-    are not like this process.
+    would compute other numbers than this process.
     """
     with client_at(address, security) as client:
         words = f"the Dask scheduler at {address}"
@@ -92,9 +92,9 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
         )
     with without_logs(), ExitStack() as stack:
         try:
-            get_address_host_port(address)  # a client of a malformed address would hang at its end
+            get_address_host_port(address)  # a client of a malformed address would hang when it is closed
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of other versions: said below, in words
+                warnings.simplefilter("ignore")  # of other versions: `DaskWorkers` says it in words
                 client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
         except (OSError, ValueError, TypeError, TimeoutError) as error:
             message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}"
@@ -103,7 +103,7 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:
-    """Return what a TLS scheduler asks of its clients; raises SweepError for files that are not such."""
+    """Return what a TLS scheduler asks of its clients; raises SweepError for files that cannot be used."""
     security = Security(
         tls_ca_file=str(ca), tls_client_cert=str(cert), tls_client_key=str(key), require_encryption=True
     )
@@ -132,7 +132,7 @@ def _place(client: Client, words: str) -> Place:
 def _dashboard(client: Client) -> str:
     """Return the address of a client's dashboard, empty if there is none.
 
-    A scheduler within this process is called by the machine's outer address, on which nothing listens.
+    The link to a scheduler within this process has the machine's outer address, on which nothing listens.
     """
     protocol, _, rest = str(client.scheduler_info()["address"]).partition("://")
     link = client.dashboard_link or ""

@@ -20,24 +20,24 @@ from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
 from sweep.studies.study import Study
 
 MOST_SENT, MOST_FETCHED = 32, 256
-"""Tasks that are sent in one message, and results that are fetched."""
+"""Most tasks that are sent in one message, and most results that are fetched in one."""
 
 MAX_LOSSES = 3
-"""So often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
+"""How often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
 
 MAX_TROUBLES = 6
-"""So often a task may fail by what is not the experiment's before the run stops."""
+"""How often a task may fail outside of the experiment before the run stops."""
 
 FIRST_PAUSE_S = 0.25
-"""Before a task that failed so is tried again; each pause is twice the one before."""
+"""Seconds before a task that failed so is tried again; each pause is twice the one before."""
 
 
 @dataclass
 class _Submission:
-    """Work on its way to a worker, how often it was with one that died and how often Dask failed with it; it is not to
-    be sent before a time of the monotonic clock.
+    """Work on its way to a worker: how often it was with a worker that died, how often Dask failed with it, and the
+    time of the monotonic clock before which it is not sent.
 
-    ``succeeded`` counts the tasks of the run that had succeeded when it was lost last.
+    ``succeeded`` counts the tasks of the run that had succeeded when this work was last lost.
     """
 
     works: list[Work]
@@ -50,8 +50,8 @@ class _Submission:
 class DaskExecutor:
     """An executor on a Dask client.
 
-    Work that was with a worker when it died is done again in a child process of another one, where a block that ends
-    its process ends nothing else and is known by it: no block is blamed for another.
+    The work of a worker that died is done again in a child process of another one, where a block that ends its process
+    ends nothing else and can be identified: no block is blamed for another.
     """
 
     def __init__(self, study: Study, workers: DaskWorkers, say: Say, limits: Limits, guarded: bool) -> None:
@@ -66,12 +66,12 @@ class DaskExecutor:
         self._succeeded = 0
 
     def __call__(self, take: Take) -> Results:
-        """Run everything that ``take`` gives, from now on and not only from the first result that is asked for."""
+        """Run everything that ``take`` gives; begin now, not when the first result is asked for."""
         self._send_what_is_new(take)
         return self._results(take)
 
     def _send_what_is_new(self, take: Take) -> None:
-        # not all at once: workers need not wait for the rest
+        # in several messages, so that workers need not wait for all to be sent
         while (room := min(self._room(), MOST_SENT)) and (tasks := take(room)):
             self._send([_Submission(works) for works in tasks])
 
@@ -134,7 +134,7 @@ class DaskExecutor:
                 self._given_up.setdefault(points[row].digest, failure)
 
     def _send(self, submissions: Sequence[_Submission]) -> None:
-        """Send work that was as often with a worker that died, in one message."""
+        """Send work in one message; all of it was with a worker that died equally often."""
         seconds = task_seconds(self._workers.threads)
         enough_s = 2.0 * seconds if seconds > TASK_S else 0.0
         futures = self._workers.client.map(
@@ -184,7 +184,7 @@ class DaskExecutor:
         return replace(submission, troubles=troubles, not_before=time.monotonic() + pause)
 
     def _next(self, timeout: float) -> Future[Any] | None:
-        """Return a future that has ended, None if there was none for a while; look after the workers meanwhile."""
+        """Return a future that has ended, None if there was none for a while; watch the workers meanwhile."""
         self._workers.look_if_due()
         try:
             return self._finished.get(timeout=timeout)
@@ -193,7 +193,7 @@ class DaskExecutor:
 
     def _fetch_all(self, first: Future[Any]) -> Iterator[tuple[Future[Any], Answer | None]]:
         """Yield all futures that have ended with their results, which come in one message: one by one each would cost
-        its way to the worker and back.  None for what is to be fetched by itself, since it or another is in trouble.
+        a round trip to the worker.  None for a result that is to be fetched by itself, since it or another failed.
         """
         futures = [first]
         while len(futures) < MOST_FETCHED and not self._finished.empty():
@@ -207,7 +207,7 @@ class DaskExecutor:
         yield from ((future, known.get(future)) for future in futures)
 
     def _receive(self, future: Future[Any], fetched: Answer | None) -> TaskResult | BaseException:
-        """Return a task's result, or the error by which Dask lost it: what the experiment raises is in the result."""
+        """Return a task's result, or the error with which Dask lost it; what the experiment raises is in the result."""
         try:
             answer = fetched or self._workers.result(future)
         except SweepError:

@@ -1,4 +1,4 @@
-"""The workers of a Dask client: what they need is brought to them, they are compared with this process, and watched."""
+"""Brings the workers of a Dask client what they need, compares them with this process, and watches them."""
 
 import pickle
 import time
@@ -17,18 +17,18 @@ from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin
 from sweep.load import source_digest, sources_of
 
 LOOK_EVERY_S = 1.0
-"""At the number of workers."""
+"""Seconds between two looks at the number of workers."""
 
 PATIENCE_S = 3.0
-"""Without workers before the user is told: one that died is replaced in less."""
+"""Seconds without workers before the user is told: a worker that died is replaced sooner."""
 
 MAX_ATTEMPTS, PAUSE_S = 6, 0.25
-"""To bring the workers what they need while some of them go, and the time between two of these."""
+"""Attempts to bring the workers what they need while some of them leave, and the seconds between two attempts."""
 
 
 class DaskWorkers:
-    """The workers of a Dask ``client`` for an experiment: ``where`` they are in words, their ``threads``, and what is
-    ``expected`` of them, since it decides numbers.
+    """The workers of a Dask ``client`` for an experiment: ``where`` they are in words, how many ``threads`` they have,
+    and the identity that is ``expected`` of them.
     """
 
     def __init__(self, client: Client, where: str, reference: str, say: Say) -> None:
@@ -62,7 +62,7 @@ class DaskWorkers:
             raise
         except Exception as error:  # whatever keeps a worker from importing what it is sent
             raise (self.unable(error) if self.client.status == "running" else self.gone()) from error
-        # One that has gone meanwhile is asked again with its first task.
+        # A worker that has gone meanwhile is compared with its first task, should it return.
         found = {worker: what for worker, what in found.items() if not isinstance(what, OSError)}
         for worker, what in sorted(found.items()):
             if isinstance(what, Identity):
@@ -71,7 +71,7 @@ class DaskWorkers:
         self.look()
 
     def _register(self, plugin: WorkerPlugin) -> None:
-        """Bring a plugin to all workers, of which some may go meanwhile."""
+        """Bring a plugin to all workers; some of them may leave meanwhile."""
         for attempt in range(MAX_ATTEMPTS):
             try:
                 self.client.register_plugin(plugin)
@@ -82,7 +82,7 @@ class DaskWorkers:
                 time.sleep(PAUSE_S)
 
     def look_if_due(self) -> None:
-        """Look, unless that was done a moment ago."""
+        """Call `look`, unless that was done a moment ago."""
         if time.monotonic() - self._looked > LOOK_EVERY_S:
             self.look()
 
@@ -105,8 +105,8 @@ class DaskWorkers:
         self.threads = max(1, self.threads)
 
     def result(self, future: Future[Any]) -> Answer:
-        """Wait for a result, and look after the workers meanwhile: the one that had it may have died since, and then it
-        is computed again, which without workers would take for ever.
+        """Wait for a result, and watch the workers meanwhile: if the worker that had it has died since, it is computed
+        again, which would take for ever without workers.
         """
         fetching = self.fetch([future])
         while not wait([fetching], LOOK_EVERY_S).done:
@@ -116,14 +116,14 @@ class DaskWorkers:
     def fetch(self, futures: list[Future[Any]]) -> Fetching[list[Answer]]:
         """Begin to fetch results, in one message.
 
-        It goes on whether it is waited for or not.  Dask ends what takes longer than its timeouts, and where that had
-        not begun yet, as on a machine that stands still for a moment, all that the client fetches later fails.
+        Fetching goes on whether it is waited for or not.  Dask cancels what takes longer than its timeouts; if it had
+        not begun yet, as on a machine that stalls for a moment, all that the client fetches later fails.
         """
         loop: Any = self.client.loop
         return run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
 
     def warn(self, worker: str, texts: list[str]) -> None:
-        """Say in what a worker differs that decides no number, once."""
+        """Say once how a worker differs in what decides no number."""
         for text in texts:
             if text not in self._warned:
                 self._warned.add(text)

@@ -1,4 +1,4 @@
-"""Ends a block that takes too long: by an exception where Python can raise one, else with its process."""
+"""Ends a block that takes too long: by an exception where Python can raise one, else by the end of its process."""
 
 import ctypes
 import signal
@@ -8,18 +8,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 GRACE_S = 2.0
-"""Between the exception and the end of the process: a block in compiled code does not see the exception."""
+"""Seconds between the exception and the end of the process: a block in compiled code does not see the exception."""
 
 
 class TimeLimitError(BaseException):
-    """Raised inside a block at its time limit; no Exception, because a block may catch those."""
+    """Raised inside a block at its time limit; not an Exception, because a block may catch those."""
 
 
 class Deadlines:
     """The times by which the blocks under way in this process must have ended, one for each thread.
 
-    A process has one alarm clock, so all its blocks share one of these.  It must be a process that may be ended: a
-    worker of a cluster or a child of one.
+    A process has one alarm clock, so all its blocks share one instance.  The process must be one that may be ended:
+    a worker of a cluster or a child of one.
     """
 
     def __init__(self) -> None:
@@ -28,8 +28,8 @@ class Deadlines:
 
     @contextmanager
     def within(self, seconds: float | None) -> Iterator[None]:
-        """Raise TimeLimitError in this block after so many seconds; `GRACE_S` later the system ends the process with
-        SIGALRM, which even code that keeps the interpreter's lock cannot hinder.
+        """Raise TimeLimitError in this block after ``seconds``; `GRACE_S` later the system ends the process with
+        SIGALRM, even if the code never releases the interpreter's lock.
         """
         if seconds is None:
             yield
@@ -46,11 +46,11 @@ class Deadlines:
             try:
                 timer.cancel()
                 bell.silence()
-            finally:  # the bell may ring, once, in the two lines above
+            finally:  # the exception may be raised, once, in the two lines above
                 self._set(thread, None)
 
     def _set(self, thread: int, end: float | None) -> None:
-        """Set or drop a thread's end, and the alarm to the first of all."""
+        """Set or drop a thread's end, and set the alarm to the earliest of all ends."""
         with self._lock:
             if end is None:
                 self._ends.pop(thread, None)
@@ -77,4 +77,4 @@ class _Bell:
     def silence(self) -> None:
         with self._lock:
             self._over = True
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(self._thread, None)  # one on its way would hit the next block
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(self._thread, None)  # else a pending one hits the next block

@@ -1,4 +1,4 @@
-"""What an executor is, and the serial one that defines what is meant."""
+"""Defines what an executor is, and the serial executor, which is the reference for all others."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -16,10 +16,10 @@ from sweep.planning.plan import Work
 from sweep.studies.study import Study
 
 Take = Callable[[int], list[list[Work]]]
-"""Gives up to so many tasks' work that can be done now; after a result has been taken there may be more."""
+"""Returns the work of at most so many tasks that can begin now; once a result has been taken, there may be more."""
 
 Results = Iterator[tuple[list[Work], TaskResult]]
-"""The work of each task and its result, which has no rows for blocks at its end that were not started."""
+"""The work of each task and its result, which has no rows for the last blocks if they were not started."""
 
 Executor = Callable[[Take], Results]
 Opened = AbstractContextManager[tuple["Place", Executor]]
@@ -45,10 +45,10 @@ class Limits:
 NO_LIMITS = Limits()
 
 WORKERS_START_S = 1.5
-"""What starting worker processes takes, imports included."""
+"""Seconds that worker processes take to start, imports included."""
 
 JUDGED_S = 0.05
-"""So much work shows how long the rest takes: a first call may take a hundred times as long as the others."""
+"""Seconds of work that show how long the rest takes: a first call may take a hundred times as long as the others."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Place:
 
 
 def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS, enough_s: float = 0.0) -> Task:
-    """Return what a worker must know to do this work, and after which seconds it is to hand back what it has."""
+    """Return this work as a task; after ``enough_s`` seconds its worker is to return what it has."""
     defaults = study.experiment.defaults()
     units = tuple(
         PointBlock(
@@ -97,10 +97,10 @@ def serial(study: Study, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Ex
 def measured_first(
     study: Study, cost: float, cores: int, elsewhere: Callable[[], Opened], say: Say
 ) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor for work of unknown length: it computes in this process until what is left, judged by the time
-    that was measured, is worth the start of workers ``elsewhere``, which then do the rest.
+    """Give an executor for work of unknown length: it computes in this process and measures the time, until
+    what is left is worth the start of workers ``elsewhere``, which then do the rest.
 
-    ``cost`` is that of all work, in the same unit as that of the work given out.
+    ``cost`` is that of all work, in the unit of `Work.cost`.
     """
     with ExitStack() as stack:
         here = stack.enter_context(serial(study))

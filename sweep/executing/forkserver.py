@@ -1,7 +1,7 @@
 """The process that workers are forked from: it imports what all of them need, once.
 
-Two worker processes begin to compute after 0.75 of the time that they take when each is started anew and imports for
-itself.  It has one thread: a process that has several must not be forked.
+Two worker processes forked from it begin to compute after 0.75 of the time that they need when each is started anew and
+imports for itself.  It has one thread: a process that has several must not be forked.
 """
 
 import multiprocessing
@@ -18,7 +18,7 @@ Made = TypeVar("Made")
 
 PRELOADED = ["linksweep", "sweep.executing.preloaded", "core.experiment"]
 """What workers import: linksweep first, which keeps a ``sweep.py`` of the user's from being taken for ours; last the
-experiment that most run, with which a worker begins 0.05 s sooner; one that does not need it loses half of that."""
+experiment that is run most: its workers begin 0.05 s sooner, those of others lose half of that."""
 
 KEEP_BYTES = 2**28
 """Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them
@@ -31,7 +31,7 @@ ENVIRONMENT = {
     "PYTHONHASHSEED": "6640",  # Dask's: sets of strings are in the same order on all workers of all runs
     **dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
 }
-"""Of every worker, and read by Python and libraries as it starts, before Dask can say anything."""
+"""Environment of every worker; Python and libraries read it as they start, before Dask could set anything."""
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """Keeps modules of the folder that a run is started in out of the process that workers are forked from."""
@@ -39,11 +39,11 @@ SAFE_PATH = "PYTHONSAFEPATH"
 
 @contextmanager
 def start_method() -> Iterator[str]:
-    """Give multiprocessing's name for the way in which workers are to be started in this block.
+    """Give the start method of multiprocessing that workers are to be started with in this block.
 
     It is "spawn" where there is a fork server already, which has neither our environment nor our signal mask, and where
-    there can be none: its socket is in the temporary directory, whose name may be too long for one.  Ours ends with the
-    block: it must not outlive a run, nor must pools of the user's be forked from it.
+    none can be started: its socket is in the temporary directory, whose path may be too long for a socket.  Our server
+    ends with the block: it must not outlive a run, and the user's own pools must not be forked from it.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods() or _servers():
         yield "spawn"
@@ -58,7 +58,7 @@ def start_method() -> Iterator[str]:
     finally:
         for server in _servers():
             server.kill()
-            # `multiprocessing` collects it when it needs one again, and must find it ended then.
+            # `multiprocessing` reaps it when it next needs a fork server, and must find it ended then.
             os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
 
 
@@ -92,12 +92,12 @@ def _start() -> None:
 
 
 def signals_blocked(make: Callable[[], Made]) -> Made:
-    """Return ``make()``, whose processes do not get SIGINT, SIGHUP and SIGTERM: a terminal or a batch system sends them
-    to all of them, but they are the client's to answer (distributed#1925).  A worker unblocks SIGTERM (`TaskPlugin`),
-    which what it runs may need; the process that workers are forked from outlives all of them.
+    """Return ``make()``; the processes that it starts do not get SIGINT, SIGHUP and SIGTERM: a terminal or a batch
+    system sends these to every process, but only the client is to answer (distributed#1925).  A worker unblocks SIGTERM
+    (`TaskPlugin`), which its experiment may need; the process that workers are forked from outlives all of them.
 
-    They inherit the signal mask of the thread that starts them, which is not this one, so that this one can be
-    interrupted meanwhile.
+    Processes inherit the signal mask of the thread that starts them.  Here that is another thread, so that this one can
+    be interrupted meanwhile.
     """
     made: Future[Made] = Future()
 
@@ -105,7 +105,7 @@ def signals_blocked(make: Callable[[], Made]) -> Made:
         try:
             if hasattr(signal, "pthread_sigmask"):
                 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
-                resource_tracker.ensure_running()  # before the others: where it starts, it unblocks them here
+                resource_tracker.ensure_running()  # before the other two: its start unblocks these in this thread
                 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
             made.set_result(make())
         except BaseException as error:

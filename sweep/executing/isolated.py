@@ -1,4 +1,4 @@
-"""Runs a task in a child process, so that a block that ends its process ends nothing else, and is known by it."""
+"""Runs a task in a child process, so that a block that ends its process ends nothing else and can be identified."""
 
 import os
 import pickle
@@ -22,22 +22,22 @@ from sweep.executing.worker import ENOUGH_S, run_units
 from sweep.load import load_experiment, provide, sources_of
 
 TRIES = 2
-"""So often a block may end its child: with the worker that it ended before that makes three times."""
+"""How often a block may end its child: with the worker that it ended before, that makes three times."""
 
 MEMORY_SHARE = 0.95
-"""Of the memory limit: where Dask's nanny ends a worker."""
+"""Share of the memory limit at which a child is ended, the same at which Dask's nanny ends a worker."""
 
 LOOK_EVERY_S = 0.05
-"""At the child's memory."""
+"""Seconds between two looks at the child's memory."""
 
 LAST_WORDS = 4096
-"""As many bytes of what a child wrote to standard error are kept."""
+"""Bytes that are kept of the end of what a child wrote to standard error."""
 
 
 def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> TaskResult:
     """Compute a task as `run_task` does, in a child process that a block may end or overfill (``memory_limit``, bytes).
 
-    As there, the last blocks have no result where the task takes longer than `ENOUGH_S`.
+    As with `run_task`, the last blocks have no result where the task takes longer than `ENOUGH_S`.
 
     Raises SweepError where the child cannot start or is not as ``expected``.
     """
@@ -51,7 +51,7 @@ def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> Tas
         if death is None:
             continue
         guilty = next(part for part in pending if part.result is None)
-        if len(guilty.unit.points) > 1:  # who of those that share the draw is to blame?
+        if len(guilty.unit.points) > 1:  # which of those that share the draw is to blame?
             place = parts.index(guilty)
             alone = (replace(guilty.unit, points=(own,)) for own in guilty.unit.points)
             parts[place : place + 1] = [_Part(unit, whole=False) for unit in alone]
@@ -83,8 +83,8 @@ class _Part:
 def _run_child(
     task: Task, parts: Sequence[_Part], expected: Identity, memory_limit: int | None, enough: float
 ) -> Failure | None:
-    """Fill in the results of these parts, in order, until the child has done all or it is later than ``enough`` (None),
-    or it died of the next one.
+    """Fill in the results of these parts, in order.  Return None once the child has done all or it is later than
+    ``enough``, or the failure of the next part if the child died of it.
     """
     import psutil
 
@@ -151,7 +151,7 @@ def _end_of(file: IO[bytes]) -> str:
 
 
 def child() -> None:
-    """Run as the child: read a task from standard input, answer with an `Identity`, a result a block, and None."""
+    """Run as the child: read a task from standard input, answer with an `Identity`, the result of each unit, None."""
     import faulthandler
 
     from threadpoolctl import threadpool_limits
@@ -159,7 +159,7 @@ def child() -> None:
     answers = Connection(os.dup(1), readable=False)
     os.dup2(2, 1)  # what an experiment prints must not get between the answers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    faulthandler.enable(all_threads=False)  # says where it was when it ends
+    faulthandler.enable(all_threads=False)  # prints where the code was when the process ends
     faulthandler.register(signal.SIGALRM, all_threads=False, chain=True)
     task: Task
     sources, task = pickle.load(sys.stdin.buffer)
@@ -181,5 +181,5 @@ def child() -> None:
 
 
 def _end_with_parent() -> None:
-    sys.stdin.buffer.read()  # ends when the parent has closed the pipe or is no more
+    sys.stdin.buffer.read()  # returns when the parent has closed the pipe or has ended
     os._exit(1)

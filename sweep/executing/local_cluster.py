@@ -23,22 +23,22 @@ from sweep.executing.upstream import (
 )
 
 PATIENCE_S = 0.5
-"""What workers get to finish in when a run is stopped."""
+"""Seconds that workers get to finish when a run is stopped."""
 
 LOOPBACK = "127.0.0.1"
 
 OWN_CLUSTER = {
-    "distributed.admin.low-level-log-length": 10,  # of messages that are kept, in memory and with all they carried
-    "distributed.scheduler.allowed-failures": 0,  # what a dead worker had is done again, guarded
+    "distributed.admin.low-level-log-length": 10,  # messages kept in memory, with all that they carried
+    "distributed.scheduler.allowed-failures": 0,  # we do a dead worker's task again, in a child process
     **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
 }
 
 NOT_WATCHED = {
     "distributed.worker.profile.enabled": False,  # looks at all threads a hundred times a second
-    "distributed.admin.tick.interval": "1s",  # how late event loops are, of each process fifty times a second
+    "distributed.admin.tick.interval": "1s",  # of measuring how late event loops are; by default 20 ms, in each process
     "distributed.admin.system-monitor.interval": "2s",
 }
-"""Of a cluster without a dashboard, which alone shows what is measured so: a hundredth of a run's time."""
+"""Settings without a dashboard, which alone shows these measurements: they take a hundredth of a run's time."""
 
 GUARD = (
     "a script that computes in worker processes must call linksweep under `if __name__ == '__main__':`, because each "
@@ -47,8 +47,8 @@ GUARD = (
 
 
 class NoWorkersError(SweepError, SystemExit):
-    """Worker processes cannot be started.  A script that does not catch it ends with the sentence, without a traceback:
-    none of its lines would be the one to change.
+    """Worker processes cannot be started.  A script that does not catch this ends with the message and no traceback:
+    none of the lines in it would be the one to change.
     """
 
     def __init__(self, reason: object) -> None:
@@ -58,10 +58,10 @@ class NoWorkersError(SweepError, SystemExit):
 
 @contextmanager
 def local_cluster(options: Mapping[str, Any], dashboard: bool = False, method: str | None = None) -> Iterator[Any]:
-    """Start a Dask cluster of this machine as `own_cluster` does; raises NoWorkersError.
+    """Start a Dask cluster on this machine as `own_cluster` does; raises NoWorkersError.
 
-    Its scheduler is in this process: a ``dashboard`` takes a second there, for importing bokeh.  A profile is not made
-    without one (`NOT_WATCHED`): Python before 3.11.9 may stop for ever when it is (gh-106883).
+    Its scheduler is in this process, where a ``dashboard`` takes a second to import bokeh.  Without one nothing is
+    profiled (`NOT_WATCHED`): profiling can make Python before 3.11.9 hang (gh-106883).
     """
     leave_a_worker_that_runs_its_script()
     with ExitStack() as stack:
@@ -71,14 +71,14 @@ def local_cluster(options: Mapping[str, Any], dashboard: bool = False, method: s
                 own_cluster(LocalCluster, {**options, "scheduler_kwargs": {"dashboard": dashboard}}, method)
             )
         except RuntimeError as error:
-            raise NoWorkersError(error) from None  # Dask's own traceback is of sixty lines, none of them the script's
+            raise NoWorkersError(error) from None  # Dask's own traceback has sixty lines, none of them from the script
         yield cluster
 
 
 @contextmanager
 def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None) -> Iterator[Any]:
-    """Start a cluster that belongs to this run, to be ended with it; worker processes of this machine by a
-    ``method`` of multiprocessing, `start_method` unless it is given.
+    """Start a cluster that belongs to this run and ends with it; worker processes on this machine are started by a
+    ``method`` of multiprocessing, by default that of `start_method`.
     """
     with ExitStack() as stack:
         stack.enter_context(without_logs())
@@ -92,13 +92,13 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
                 stack.enter_context(only_scripts_with_a_file_run())
                 method = method or stack.enter_context(start_method())
                 stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
-                defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # what they are forked from has it
+                defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # the process they are forked from has it
             else:
-                defaults["worker_dashboard_address"] = here  # else they are served to the world: its host is none
+                defaults["worker_dashboard_address"] = here  # else on all addresses: such workers have no host
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
             defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
-        with warnings.catch_warnings():  # on a busy machine even our own folder takes a second
+        with warnings.catch_warnings():  # on a busy machine even making our own folder takes a second
             warnings.filterwarnings("ignore", "Creating scratch directories is taking")
             cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options})))
         stack.enter_context(_prompt_end(cluster))
@@ -108,7 +108,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
 
 @contextmanager
 def _prompt_end(cluster: Any) -> Iterator[None]:
-    """Where an exception ends the run, do not wait for blocks under way: nobody will take their results."""
+    """Do not wait for blocks under way where an exception ends the run: nobody will take their results."""
 
     async def close_workers() -> None:
         await asyncio.gather(*(worker.close(timeout=PATIENCE_S) for worker in cluster.workers.values()))
@@ -124,7 +124,7 @@ def _prompt_end(cluster: Any) -> Iterator[None]:
 
 @contextmanager
 def without_logs() -> Iterator[None]:
-    """Keep Dask's log off standard error in this block, where it says at length what we say in a sentence; other
+    """Keep Dask's log off standard error in this block, since we say in a sentence what it says at length; other
     handlers of its loggers are left alone.
     """
     removed = [
@@ -134,7 +134,7 @@ def without_logs() -> Iterator[None]:
         for handler in logger.handlers
         if type(handler) is logging.StreamHandler
     ]
-    nothing = logging.NullHandler()  # without any, Python would print to standard error after all
+    nothing = logging.NullHandler()  # without a handler Python would print to standard error after all
     for logger, handler in removed:
         logger.removeHandler(handler)
         logger.addHandler(nothing)

@@ -1,4 +1,4 @@
-"""A function of many pieces on Dask workers: results in the order of the pieces, few of them in memory at a time."""
+"""Maps a function over many pieces on Dask workers: results in the order of the pieces, few in memory at a time."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -27,7 +27,7 @@ def here(function: Callable[..., Result], pieces: Iterable[tuple[Any, ...]]) -> 
 def ordered_map(workers: int | None, scheduler: str | None, experiment: str) -> Iterator[Map]:
     """Give a map over so many local worker processes or the workers of a scheduler; in this process by default.
 
-    A piece gives the same bits wherever it is computed.  Raises SweepError where no workers can be had, where one dies,
+    A piece gives the same bits wherever it is computed.  Raises SweepError where there are no workers, where one dies,
     and where the workers of a scheduler would not compute ``experiment`` as this process would.
     """
     if scheduler is None and (workers is None or workers == 1):
@@ -78,6 +78,6 @@ def _elsewhere(scheduler: str, experiment: str) -> Iterator[Any]:
             raise SweepError(f"the Dask scheduler at {scheduler} has no workers")
         own = identity(experiment).deciding
         found = client.run(identity, experiment, on_error="return")
-        there = client.nthreads()  # without those that have gone since they were asked
+        there = client.nthreads()  # without workers that have gone since they were asked
         require_same(own, {worker: what for worker, what in found.items() if worker in there})
         yield client

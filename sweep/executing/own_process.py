@@ -1,4 +1,4 @@
-"""What the code of an experiment may do to the process that runs it: fork it, and stop it."""
+"""Deals with what the code of an experiment may do to the process that runs it: fork it, or stop it."""
 
 import os
 import sys
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def forks_ended() -> Iterator[None]:
-    """End a child process that is forked in this block and leaves it: it would go on with the run, beside its parent.
+    """End a child process that was forked in this block as it leaves it: it would go on with the run beside its parent.
 
     The child ends as a Python process does: with the code of `sys.exit`, with 1 and a traceback, or with 0.
     """
@@ -33,7 +33,7 @@ def _end(error: BaseException) -> None:
 
 
 def is_interruption(error: BaseException) -> bool:
-    """Return whether an exception stops the run: one of the user's, which Python raises in the main thread.  All
-    others are the experiment's.
+    """Return whether an exception stops the run, as the user's interruption does, which Python raises in the main
+    thread.  All other exceptions belong to the experiment.
     """
     return isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread()

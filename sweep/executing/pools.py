@@ -1,4 +1,4 @@
-"""The pools: what a study can run on in this machine.  A further one is an entry of `POOLS`, and its name."""
+"""The pools that a study can run on, on this machine.  A new one needs an entry in `POOLS` and a name in `PoolName`."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -32,7 +32,7 @@ def _processes(
 
     with ExitStack() as stack:
         with uncollected():
-            method = stack.enter_context(start_method())  # it imports Dask while this process does
+            method = stack.enter_context(start_method())  # its server imports Dask while this process does
             from sweep.executing.clusters import local_workers
 
             opened = stack.enter_context(local_workers(study, workers, say, limits, dashboard, method))

@@ -1,4 +1,4 @@
-"""What every worker imports, imported once in the process that they are forked from.  None of it starts a thread."""
+"""Imports what every worker needs, once, in the process that workers are forked from.  None of it starts a thread."""
 
 import gc
 
@@ -9,4 +9,4 @@ with uncollected():
 
     import sweep.executing.worker_plugin  # noqa: F401
 
-gc.freeze()  # nor will workers look there: they share this memory for as long as none of them touches it
+gc.freeze()  # workers will not search these objects either: they share this memory until one of them writes to it

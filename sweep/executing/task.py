@@ -30,11 +30,11 @@ class PointBlock:
 
 @dataclass(frozen=True)
 class Task:
-    """Blocks to compute, as plain values that pickle small; ``keep_samples`` asks for the realisations too.
+    """Blocks to compute, as plain values with a small pickle; ``keep_samples`` asks for the realisations too.
 
-    ``source_digest`` names the sources of the experiment, which were provided or are in its file.  After ``enough_s``,
-    if that is more than `sweep.executing.worker.ENOUGH_S`, a worker hands back what it has.  With
-    ``time_limit_s``, for a block of one point, the process must be one that may be ended.
+    ``source_digest`` identifies the sources of the experiment, which were provided or are in its file.  After
+    ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
+    ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.
     """
 
     experiment_reference: str
@@ -48,8 +48,8 @@ class Task:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a block has no sums: in a sentence, with the traceback where Python has one; both bounded, and such that
-    every encoding of Unicode can hold them.
+    """Why a block has no sums: in a sentence, with the traceback where Python has one; both limited in length and
+    without characters that an encoding of Unicode cannot write.
     """
 
     kind: Literal["exception", "NaN", "killed", "time limit"]
@@ -66,10 +66,10 @@ class TaskResult:
     """Sums of a task, (rows, width), one row for each point of each unit in their order, and the seconds that each
     took, (rows,).  The last units have no rows where the task took longer than `sweep.executing.worker.ENOUGH_S`.
 
-    ``failures`` maps the number of a row that could not be computed to the reason, ``samples`` that of one whose
-    samples are kept to these, (realisations, width), ``said`` the first row of a unit to what was printed in it.
-    Of a plain function ``values`` are the results by row; the client makes sums of them, since only it knows what they
-    are to be like.  ``texts`` are those in them, by their digests.
+    By the number of a row, ``failures`` has the reason why it could not be computed, ``samples`` its samples where they
+    are kept, (realisations, width), and ``said`` what was printed in the unit whose first row it is.  For a plain
+    function ``values`` has the results by row; the client turns them into sums, since only it knows their layout.
+    ``texts`` are the texts in these results, by their digests.
     """
 
     sums: NDArray[np.float64]
@@ -100,7 +100,7 @@ def too_long(task: Task, trace: str) -> Failure:
 
 
 def failed(rows: int, width: int, reason: Failure | None = None) -> TaskResult:
-    """Return the result of so many rows without sums, all for one reason."""
+    """Return a result of so many rows without sums, all failed for the ``reason`` if there is one."""
     failures = {} if reason is None else dict.fromkeys(range(rows), reason)
     return TaskResult(np.full((rows, width), np.nan), np.zeros(rows), failures)
 

@@ -19,15 +19,15 @@ from sweep.functions.results import Flat
 from sweep.planning.streams import block_generators
 
 MOST_CATALOGUES = 256
-"""Catalogues in one call."""
+"""Most catalogues in one call."""
 
 APART = 0.01
-"""Relative difference of two numbers that are not the same result: solvers of many equations together stop where all
-are as good as asked for, so that their last digits are not those of one.
+"""Relative difference above which two numbers are not the same result.  A solver of many equations together stops when
+all are within its tolerance, so that the last digits differ from those of one equation alone.
 """
 
 ROUNDING = 1e-9
-"""Difference, relative to the largest number of all points, that is rounding."""
+"""Difference, relative to the largest number of all points, that counts as rounding."""
 
 _DEPENDENCE: dict[tuple[str, str | None], str] = {}
 """How points of vectorised functions depend on those beside them, by the reference and the digest of the function."""
@@ -36,8 +36,8 @@ _DEPENDENCE: dict[tuple[str, str | None], str] = {}
 def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
     """Return the results of all points of a task from one call of a vectorised function, or None where it raises.
 
-    The first time in a process the first and the last of them are computed alone, too; where that gives something else,
-    all points fail, here and from then on.
+    The first call in a process also computes the first and the last point alone; where a result differs, all points
+    fail, in this call and later ones.
     """
     defaults = experiment.defaults()
     points = [defaults | unit.points[0] for unit in task.units]
@@ -52,7 +52,7 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
                 values = experiment.many(points)
                 if who not in _DEPENDENCE:
                     _DEPENDENCE[who] = dependence(experiment, points, values)
-        except BaseException as error:  # who is to blame is found out one by one
+        except BaseException as error:  # which point is to blame is found out one by one
             if is_interruption(error):
                 raise
             return None
@@ -82,8 +82,8 @@ def dependence(experiment: FunctionExperiment, points: Sequence[Point], values: 
             if there.shape != here.shape or np.any(_differ(there, here, among[name])):
                 return (
                     f"{experiment.name}: {name!r} is {_shown(there, here)} in a call for {len(points):,} points, but "
-                    f"{_shown(here, there)} for the same point alone; a vectorised function returns for each point "
-                    "what does not depend on the others"
+                    f"{_shown(here, there)} for the same point alone; what a vectorised function returns for a point "
+                    "must not depend on the others"
                 )
     return ""
 
@@ -115,8 +115,8 @@ def _shown(one: NDArray[Any], other: NDArray[Any]) -> str:
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
-    """Yield units in groups: those of small catalogues of one point, with as many realisations, and those between them,
-    of large catalogues, which have a block each.
+    """Yield units in groups: those of small catalogues of one point with equally many realisations, and those between
+    them, whose blocks have only one catalogue.
     """
     for small, group in groupby(units, lambda u: (u.stream, u.block.n_sim, u.points) if u.block.n_cat > 1 else None):
         if small is None:
@@ -135,7 +135,7 @@ def takes_several(experiment: Experiment, task: Task) -> bool:
 def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
     """Return the sums of blocks of one point whose catalogues are evaluated in one call.
 
-    None where they are large, and where that raises: each by itself says which is to blame.
+    None where they are large, and where the call raises: one by one the blocks show which is to blame.
     """
     n_cat = [unit.block.n_cat for unit in units]
     if experiment.evaluate_catalogues is None or n_cat[0] == 1:
@@ -158,7 +158,7 @@ def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBl
     for number, catalogues in enumerate(n_cat):
         total = np.zeros((len(points), experiment.sums_width))
         for _ in range(catalogues):
-            total += next(flat)  # in their order, as they are added one by one
+            total += next(flat)  # in the order in which `run_block` adds them
         result.sums[number * len(points) : (number + 1) * len(points)] = total
     result.seconds[:] = (time.perf_counter() - begun) / len(result.seconds)
     return result

@@ -1,5 +1,5 @@
-"""Imports without a search for garbage: modules are none, and Python looks for some each time that it has made a few
-hundred objects.
+"""Speeds up imports by not collecting garbage: modules are not garbage, but Python searches for it after every few
+hundred new objects.
 """
 
 import gc

@@ -1,4 +1,4 @@
-"""What needs names of libraries that are not public, each with the reason upstream that makes it necessary."""
+"""Functions that need private names of libraries, each with the reason upstream that makes it necessary."""
 
 import atexit
 import multiprocessing
@@ -13,9 +13,9 @@ REPLACE_EVERY_S = 5
 
 
 def dask_arrays_only_where_imported() -> None:
-    """Keep xarray from importing dask.array to see that an array is none of Dask's, which takes a quarter of the time
-    of `sweep show`: there is none where nobody has imported it.  Other imports of xarray wait until they are needed
-    since pydata/xarray#7179.
+    """Keep xarray from importing dask.array only to see that an array is not one of Dask's, which takes a quarter of
+    the time of `sweep show`: there is no such array where nobody has imported it.  Since pydata/xarray#7179 other
+    imports of xarray wait until they are needed.
     """
     from xarray.namedarray import pycompat
 
@@ -24,7 +24,7 @@ def dask_arrays_only_where_imported() -> None:
 
 
 class _DaskArrays:
-    """What xarray keeps of a module of arrays: here its class, if it was imported, the rest when it is asked for."""
+    """Replaces xarray's record of a module of arrays: has the class if it was imported, and imports it for the rest."""
 
     def __init__(self, imported: Callable[[], Any]) -> None:
         self._imported = imported
@@ -40,7 +40,7 @@ class _DaskArrays:
 
 @contextmanager
 def lost_workers_replaced(cluster: Any) -> Iterator[None]:
-    """Let a cluster start again the workers that it is to have and has lost, which batch jobs that ended are.
+    """Let a cluster replace the workers that it has lost, such as batch jobs that have ended.
 
     dask-jobqueue#691: a cluster forgets them, and starts others only when its size is changed.
     """
@@ -68,7 +68,7 @@ def skip_end_of_clusters() -> None:
 @contextmanager
 def only_scripts_with_a_file_run() -> Iterator[None]:
     """Keep worker processes that are started in this block from running a script that came by standard input: Python
-    gives the name of its file as ``<stdin>``, which is none.
+    gives the name of its file as ``<stdin>``, which is no file.
     """
     script = sys.modules["__main__"]
     name = getattr(script, "__file__", None)
@@ -83,9 +83,9 @@ def only_scripts_with_a_file_run() -> Iterator[None]:
 
 
 def leave_a_worker_that_runs_its_script() -> None:
-    """End a worker process that runs the script it belongs to and meets no guard: it would start workers too.
+    """End a worker process whose script calls linksweep without a guard: it would start workers too.
 
-    distributed#4751.  The process that started it says why.
+    distributed#4751.  The process that started it tells the user why.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise SystemExit(1)

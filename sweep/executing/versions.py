@@ -23,7 +23,7 @@ class Identity:
 
 
 def identity(reference: str, digest: str | None = None) -> Identity:
-    """Return what this process would compute an experiment with; raises SweepError as `load_experiment`."""
+    """Return the versions by which this process would compute an experiment; raises SweepError as `load_experiment`."""
     experiment = load_experiment(reference, digest=digest)
     deciding = {name: version_of(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
@@ -44,8 +44,8 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
 
 
 def require_same(expected: Mapping[str, str], found: Mapping[str, Any]) -> None:
-    """Raise SweepError with a list unless what decides the numbers is as ``expected`` in the `Identity` that each
-    worker, by its address, has answered with; or where it has answered with an exception.
+    """Raise SweepError with a list of the workers, by their addresses, that have answered with an exception or with an
+    `Identity` in which something that decides the numbers is not as ``expected``.
     """
     problems = []
     for worker, what in sorted(found.items()):

@@ -1,4 +1,4 @@
-"""What runs on a worker: a task's blocks, one after the other, each to its sums."""
+"""Computes a task on a worker: the sums of its blocks, one after the other."""
 
 import time
 import traceback
@@ -21,14 +21,14 @@ from sweep.load import load_experiment
 from sweep.planning.streams import block_generators, generators_of
 
 ENOUGH_S = 2.0
-"""A task that takes longer hands back what it has, so that results are not kept waiting for those of slower points."""
+"""Seconds after which a task returns what it has, so that its results do not wait for those of slower points."""
 
 
 def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
-    """Compute the blocks of a task, the last ones only if it has not taken `ENOUGH_S` before; a point that raises is
-    recorded and the rest goes on.
+    """Compute the blocks of a task, but begin no further one after `ENOUGH_S` or the task's ``enough_s``, whichever is
+    longer; a point that raises is recorded and the rest goes on.
 
-    ``deadlines`` are those of this process if it has some.
+    ``deadlines`` are those of this process if it has any.
     """
     begun = time.monotonic()
     results: list[TaskResult] = []
@@ -40,7 +40,7 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
 
 
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
-    """Yield the result of each unit of a task; no more of a point that took too long is tried."""
+    """Yield the result of each unit of a task; the other blocks of a point that took too long are not tried."""
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     if isinstance(experiment, FunctionExperiment) and experiment.vectorised and len(task.units) > 1:
         together = points_together(experiment, task, deadlines)
@@ -52,7 +52,7 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
         for units in alike(task.units) if several else [task.units]:
             known = catalogues_together(experiment, task, units) if several else None
             if known is None:
-                said.taken()  # it is said again
+                said.taken()  # the units say it again, one by one
                 yield from _one_by_one(experiment, task, units, deadlines, said)
                 continue
             if (told := said.taken()) is not None:
@@ -77,7 +77,7 @@ def _one_by_one(
         begun = time.perf_counter()
         points = [defaults | unit.points[row] for row in rows]
         if rows and not _try(experiment, points, rows, unit, pairs, task, result, deadlines) and len(rows) > 1:
-            for point, row in zip(points, rows, strict=True):  # who of those that share the draw is to blame?
+            for point, row in zip(points, rows, strict=True):  # which of those that share the draw is to blame?
                 afresh = generators_of(task.seed, unit.stream, unit.block)
                 _try(experiment, [point], [row], unit, afresh, task, result, deadlines)
         if (told := said.taken()) is not None:
@@ -98,7 +98,7 @@ def _try(
     result: TaskResult,
     deadlines: Deadlines,
 ) -> bool:
-    """Compute some points of a unit into these rows of its result; return whether that went well."""
+    """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
     try:
         with forks_ended(), deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
             if isinstance(experiment, FunctionExperiment):
@@ -126,10 +126,10 @@ def _try(
 def function_values(
     experiment: FunctionExperiment, points: Sequence[Point], n_sim: int, pairs: Sequence[GeneratorPair]
 ) -> list[Flat]:
-    """Return the results of a plain function at points: of one evaluation each, or of a block of realisations of the
+    """Return the results of a plain function at points: of one evaluation each, or of a block of realisations for the
     catalogue of each pair of generators.
 
-    Raises ResultError for what is no result, and whatever the function raises.
+    Raises ResultError for a value that is not a result, and whatever the function raises.
     """
     if experiment.vectorised:
         return experiment.many(points)
@@ -143,11 +143,11 @@ def run_block(
     pairs: Sequence[GeneratorPair],
     keep_samples: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, where
-    they are to be kept, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
-    the outputs.  There are ``n_sim`` for each pair of generators, those of a catalogue.
+    """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, with
+    ``keep_samples``, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
+    the outputs.  Each pair of generators gives the ``n_sim`` realisations of one catalogue.
 
-    Raises ResultError where these are not what is declared or not finite, and whatever the experiment raises.
+    Raises ResultError where sums or samples are not as declared or not finite, and whatever the experiment raises.
     """
     kept = experiment.sample_outputs if keep_samples else ()
     evaluate = experiment.samples if kept and experiment.samples is not None else experiment.evaluate

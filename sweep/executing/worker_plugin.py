@@ -23,24 +23,24 @@ PLUGIN = "linksweep"
 class TaskPlugin(WorkerPlugin):
     """Limits BLAS to one thread for as long as the plugin is on a worker, and holds the deadlines of its blocks.
 
-    Dask's nanny does the first for the workers that it starts, but not in other processes (distributed#9075); sums of
-    products would then depend on the number of cores, and workers would fight for them.
+    Dask's nanny limits BLAS for the workers that it starts, but not in other processes (distributed#9075): sums of
+    products there would depend on the number of cores, and workers would compete for the cores.
     """
 
     name = PLUGIN
     idempotent = True  # a second client of the same workers must not reset their alarm
 
     def setup(self, worker: Any) -> None:
-        """Set the limits when the plugin reaches a worker, in the main thread of a process of its own."""
+        """Set the limits when the plugin reaches a worker; in a process of its own this runs in the main thread."""
         self._limits = threadpool_limits(1)
         self.deadlines = Deadlines()
         if getattr(worker, "nanny", None):  # a process of its own
-            os.dup2(2, 1)  # to standard error what goes to standard output: also of code in C, and of programs started
+            os.dup2(2, 1)  # standard output goes to standard error, also that of C code and of programs it starts
             if hasattr(signal, "pthread_sigmask"):
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
 
     def teardown(self, worker: Any) -> None:
-        """Give the threads back."""
+        """Lift the limit of one thread."""
         self._limits.restore_original_limits()
 
 
@@ -60,7 +60,7 @@ class SourcesPlugin(WorkerPlugin):
 
 @dataclass(frozen=True)
 class Answer:
-    """What a worker says: its address, in what it differs from the client, and the result if this decides no number."""
+    """A worker's answer: its address, how it differs from the client, and the result if this decides no number."""
 
     worker: str
     deciding: list[str]
@@ -71,7 +71,7 @@ class Answer:
 def run_on_worker(task: Task, expected: Identity, guarded: bool, memory_limit: int | None) -> Answer:
     """Run a task on the worker that this is called on, if it computes the same numbers as the client.
 
-    With ``guarded`` in a child process, of so many bytes at most (None: as many as the worker may have).
+    With ``guarded`` the task runs in a child process of at most ``memory_limit`` bytes (None: the worker's own limit).
     """
     worker = get_worker()
     found = identity(task.experiment_reference, task.source_digest)

@@ -1,1 +1,1 @@
-"""A run from plan to results, points computed again, and progress and status for people."""
+"""Runs a study from plan to results, computes points again, and shows progress and status."""

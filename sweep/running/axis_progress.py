@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sweep.planning.point_status import Status
 
 MOST_LINES = 15
-"""For one axis in a text."""
+"""Most lines for one axis in a text."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def by_axis(
     realisations: NDArray[np.int64],
     wanted: int,
 ) -> dict[str, list[AxisSegment]]:
-    """Return for each dimension one segment a value.
+    """Return for each dimension one segment for each value.
 
     ``axes`` has the values along each dimension, by axis; ``status`` and ``realisations`` done are shaped as the grid,
     and ``wanted`` are the realisations of a point that is not done.
@@ -85,7 +85,7 @@ def by_axis(
 
 
 def folded(segments: Sequence[AxisSegment], most: int = MOST_LINES) -> list[AxisSegment]:
-    """Join neighbours, down to ``most`` segments: those finished or untouched alike first, then the shortest."""
+    """Join neighbours, down to ``most`` segments: first those all finished or all untouched, then the shortest."""
     left = list(segments)
     if len(left) > most:
         left = []
@@ -100,7 +100,7 @@ def folded(segments: Sequence[AxisSegment], most: int = MOST_LINES) -> list[Axis
 
 
 def as_lines(completion: Mapping[str, Sequence[AxisSegment]], units: Mapping[str, str]) -> list[str]:
-    """Return the completion as aligned text; what is nowhere is left out."""
+    """Return the completion as aligned text; columns that would be empty are left out."""
     headers = ["", "points done", "realisations", "failed", "excluded"]
     partly = any(s.realisations != s.points for segments in completion.values() for s in segments)
     shown = [True, True, partly, *(any(getattr(s, n) for ss in completion.values() for s in ss) for n in headers[3:])]

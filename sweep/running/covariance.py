@@ -1,4 +1,4 @@
-"""How the errors of points that share random numbers go together: a jackknife over what they share."""
+"""Covariances of the errors of points that share random numbers, by a jackknife over what they share."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from sweep.planning.plan import Plan
 from sweep.planning.point_status import Status
 
 LARGEST = 10**7
-"""Elements of one covariance at most, which has one for every pair of points along an axis, and of its samples."""
+"""Most elements of one covariance, which has one for every pair of points along an axis, and of its samples."""
 
 Variable = tuple[tuple[str, ...], Array, dict[str, Any]]
 
@@ -24,10 +24,10 @@ def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int],
     """Return ``NAME_mc_covariance_AXIS`` of every result with a Monte-Carlo error, for every axis along which points
     share their random numbers; dimensions of the result and ``AXIS_other``.
 
-    What is independent are the catalogues, with all their blocks; of a study of one catalogue its blocks.  The results
-    without one of them, each in turn, give the covariance (Efron 1982, The Jackknife, Sect. 3.5 and 6.1).  It has all
-    errors that go together: those of realisations, and those of catalogues if there are several.  The attribute
-    ``samples`` says how many there were; where they are fewer than `FEWEST_SAMPLES` there is no covariance.
+    The independent samples are the catalogues, each with all its blocks, or the blocks where there is one catalogue.
+    The results without each of them in turn give the covariance (Efron 1982, The Jackknife, Sect. 3.5 and 6.1).  It has
+    all correlated errors: those of realisations, and those of catalogues if there are several.  The attribute
+    ``samples`` says how many samples there were; with fewer than `FEWEST_SAMPLES` there is no covariance.
     """
     samples = _independent(plan)
     if len(samples) < FEWEST_SAMPLES:
@@ -54,9 +54,9 @@ def _shared_dimensions(plan: Plan, output: Output, samples: int) -> list[str]:
 
 
 def _independent(plan: Plan) -> list[list[Block]]:
-    """Return the blocks of each sample: points that share random numbers are cut in the same way whatever they cost.
+    """Return the blocks of each sample: points that share random numbers have the same blocks whatever they cost.
 
-    Of one catalogue these are its whole blocks, without a last one that is smaller.
+    Where there is one catalogue, each of its blocks is a sample, except a last one that is smaller.
     """
     blocks = plan.blocks(1.0)
     if plan.grid.study.sampling.n_cat == 1:
@@ -72,8 +72,8 @@ def _deviations(
     rows: Mapping[bytes, int],
     sums: Array,
 ) -> dict[str, Array]:
-    """Return what becomes of each result without each of the samples, about the mean, scaled so that products add up
-    to the covariance; (points, size of the result, samples), NaN for points that are not done.
+    """Return each result without each of the samples in turn, less the mean, scaled so that products add up to the
+    covariance; (points, size of the result, samples), NaN for points that are not done.
     """
     grid, count = plan.grid, len(samples)
     experiment, n_cat = grid.study.experiment, grid.study.sampling.n_cat
@@ -85,7 +85,7 @@ def _deviations(
         n = float(accumulator.realisations[point.index])
         without = experiment.named(accumulator.total[point.index] - own)
         results = experiment.summarise(without, np.full(count, n - own_n), catalogues)
-        scale = (n - own_n) / np.sqrt(n * own_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all there is
+        scale = (n - own_n) / np.sqrt(n * own_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all blocks
         for name, mine in deviations.items():
             values = np.reshape(results[name], (count, -1)).T
             mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))

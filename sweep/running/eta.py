@@ -5,10 +5,10 @@ from bisect import bisect_right, insort
 from dataclasses import dataclass
 
 OVERLAP = 0.25
-"""A task may seem to begin so much of its length before the last one on its worker ended: results travel and wait."""
+"""A task may seem to begin this fraction of its length before the last one on its worker ended: results come late."""
 
 SILENT = 5.0
-"""A worker that gives nothing for so many of the longest tasks is gone."""
+"""A worker without a result for so many times the longest task counts as gone."""
 
 
 @dataclass(order=True)
@@ -23,8 +23,8 @@ class _Lane:
 class Eta:
     """Estimates the time left, with all times in seconds of one clock.
 
-    Which results can come from one worker is seen from their times; there are at most ``workers`` of them if that is
-    known.  The time since a worker's last result counts as work under way.
+    Which results can come from one worker is inferred from their times; there are at most ``workers`` workers if that
+    is known.  The time since a worker's last result counts as work under way.
 
     Example: two of ten tasks have come from one worker, which takes 3 s for each.
 
@@ -44,7 +44,7 @@ class Eta:
         self._lanes: list[_Lane] = []
 
     def extend(self, cost: float) -> None:
-        """Tell that there is more work than was known."""
+        """Add work that was not known before."""
         self._known += cost
 
     def take(self, now: float, cost: float, seconds: float) -> None:

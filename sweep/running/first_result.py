@@ -1,4 +1,4 @@
-"""What the results of a plain function are like: the first one says so, and later ones are held to it."""
+"""Takes the layout of a plain function's results from the first one, and requires it of later ones."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,8 +18,8 @@ Done = tuple[list[Work], TaskResult]
 
 
 def first_results(study: Study, pending: Pending, run: Executor, workers: int = 1) -> tuple[Study, list[Done]]:
-    """Return a study with the layout of the first result, and all work done to get one; as it is where its outputs are
-    declared.
+    """Return a study with the layout of the first result, and all work done to get one; where its outputs are declared,
+    return it as it is.
 
     Each of the ``workers`` gets one task; the first of these, in the order of the points, that has a result decides.
     Where every point fails nothing is known of the results, and the study stays as it is.
@@ -53,7 +53,7 @@ def first_results(study: Study, pending: Pending, run: Executor, workers: int = 
 
 
 def as_rows(experiment: FunctionExperiment, works: Sequence[Work], result: TaskResult) -> TaskResult:
-    """Return the result of a task with a row for each value that is like the first; others fail."""
+    """Return the result of a task with a row for each value that has the layout of the first; others fail."""
     sums = np.full((len(result.seconds), experiment.sums_width), np.nan)
     failures, samples, texts = dict(result.failures), {}, {}
     counts = [work.block.realisations for work in works for _ in work.points]

@@ -1,4 +1,4 @@
-"""Two stores of one experiment become one that holds the points of both."""
+"""Merges two stores of one experiment into one that holds the points of both."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -38,11 +38,11 @@ MERGED = "merged"
 """The attribute of a store made of others: JSON of where their results come from."""
 
 KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", "host", "versions", "git_commit")
-"""Attributes of a store that one made of it remembers."""
+"""Attributes of a store that are kept in a store made of it."""
 
 ROWS_AT_ONCE = 10_000
 DIGEST = slice(0, failures.DIGEST_BYTES)
-"""Of a block's key, the digest of its point."""
+"""The part of a block's key that is the digest of its point."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,16 @@ class _Source:
 
     @cached_property
     def layout(self) -> Layout | None:
-        """What the results of a plain function are, if the store says so."""
+        """The layout of the results of a plain function, if the store has it."""
         return layout_of_record(_record(self.attributes))
 
 
 def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, trust: bool = False) -> xr.Dataset:
-    """Make the store ``into`` of two stores of one experiment, and return its results; it goes on as any other.
+    """Make the store ``into`` of two stores of one experiment, and return its results; a run can go on with it.
 
     The points are those of both: a grid where they fill one, else a table of points.  What both have is kept once.
     Raises SweepError, with nothing written, for stores of other experiments, samplings or code (unless
-    ``accept_code``), for points that have other bits in the two, and where something is at the place already.
+    ``accept_code``), for points whose bits differ between the two, and where something is at the place already.
     """
     first, second = sources = [_source(located(place), trust) for place in (one, other)]
     _require_alike(first, second, accept_code)
@@ -110,7 +110,7 @@ def _record(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
-    """Raise SweepError that says in what two stores differ."""
+    """Raise SweepError that says how two stores differ, if they do."""
     old, new = json.loads(one.attributes["study_meaning"]), json.loads(other.attributes["study_meaning"])
     found = differences({**one.attributes, "study_meaning": json.dumps({**old, "fixed": new["fixed"]})}, other.study)
     found = [
@@ -168,7 +168,7 @@ _GRID = ("axes", "points", "grid", "exclude", "published", "claim")
 
 
 def _crossed(study: Study) -> dict[str, tuple[Value, ...]]:
-    """Return the axes of a study that are along no dimension with others."""
+    """Return the axes of a study that share a dimension with no other axis."""
     own = () if study.points is None else study.points.names
     zipped = {name for group in study.zipped for name in group}
     return {name: values for name, values in study.axes.items() if name not in own and name not in zipped}
@@ -185,7 +185,7 @@ def _written(values: Sequence[Value]) -> list[Any]:
 
 
 def _rows(one: _Source, other: _Source) -> list[list[bytes]]:
-    """Return the blocks to take from each, in the order of their rows; raises SweepError for one with other bits."""
+    """Return the blocks to take from each in the order of their rows; raises SweepError where a block differs."""
     mine, theirs = one.ledger.rows, other.ledger.rows
     for key in mine.keys() & theirs.keys():
         same = one.sums[mine[key]].tobytes() == other.sums[theirs[key]].tobytes()

@@ -12,7 +12,7 @@ from sweep.running.eta import Eta, in_words
 from sweep.running.writer import Taken
 
 EVERY_S = 0.5
-"""The line is replaced at most so often."""
+"""Seconds between two updates of the line, at least."""
 
 
 def in_notebook() -> bool:

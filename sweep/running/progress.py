@@ -21,10 +21,10 @@ from sweep.running.writer import Taken
 from sweep.studies.study import Study
 
 SENTENCES = logging.getLogger("linksweep")
-"""To the user, and to the log file: a debug message for each point, an error for each that fails."""
+"""Messages to the user and to the log file, with a debug message for each point."""
 
 RECORD = logging.getLogger("linksweep.record")
-"""To the log file alone."""
+"""Messages to the log file alone, such as the traceback of each point that fails."""
 
 LINE_FIRST_S, LINE_LAST_S = 5.0, 600.0
 LINE_SHARE = 0.1
@@ -87,7 +87,7 @@ class TerminalProgress:
             (SENTENCES if self._bar is None else RECORD).info(line)
 
     def written(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
@@ -166,9 +166,9 @@ def _left_in_words(eta: Eta, now: float) -> str:
 
 
 class Sentences(logging.Handler):
-    """Writes to whatever standard error is at the moment: a bar puts itself below."""
+    """Writes to the present standard error, which a bar replaces so that it stays below the lines."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line; without a terminal any more there is nobody to tell."""
+        """Write a line; if the terminal is closed, nobody can read it and the error is ignored."""
         with suppress(OSError, ValueError):
             print(self.format(record), file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""The study of an existing store, and one of its points computed again in this process."""
+"""Makes the study of an existing store again, and computes one of its points again in this process."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -35,10 +35,10 @@ MAX_NAMED = 10
 
 @dataclass(frozen=True)
 class Reproduction:
-    """One point again: its results, and the variables that differ from those in the store in any bit.
+    """One point computed again: its results, and the variables that differ from those in the store in any bit.
 
-    ``differences`` is None where the store has no results of the point, ``stored`` the word for its status there,
-    ``other_code`` says in what today's code differs from that of the store.
+    ``differences`` is None where the store has no results of the point, ``stored`` is the word for its status
+    there, ``other_code`` says how today's code differs from that of the store.
     """
 
     place: str
@@ -63,7 +63,7 @@ def _study_of(store: OpenStore, trust: bool) -> Study:
 
 
 def study_to_look_at(store: Where) -> Study:
-    """Return the study of a store of the link, to draw what it is about; nothing that the store names is imported.
+    """Return the study of a store of the link, to draw what it simulates; nothing that the store names is imported.
 
     Raises SweepError for another experiment, and where the study names functions in files.
     """
@@ -110,7 +110,7 @@ def compute(plan: Plan) -> xr.Dataset:
     accumulator = Accumulator(plan, {}, np.empty((0, 0)))
     pending = Pending(plan, accumulator)
     texts: dict[bytes, str] = {}
-    with threadpool_limits(1):  # as everywhere: the last bits depend on it
+    with threadpool_limits(1):  # as everywhere, since the last bits depend on it
         while tasks := pending.take(1):
             for work in tasks[0]:
                 result = _as_rows(plan.grid.study, work)
@@ -124,7 +124,7 @@ def compute(plan: Plan) -> xr.Dataset:
 
 
 def _with_layout(plan: Plan) -> Plan:
-    """Return the plan of a plain function whose results are only known after the first with what that is like."""
+    """Return a plan with the layout of the first result, for a plain function that does not declare its outputs."""
     study = plan.grid.study
     if not isinstance(study.experiment, FunctionExperiment) or not study.experiment.undeclared:
         return plan

@@ -21,11 +21,11 @@ from sweep.planning.point_status import Status
 from sweep.studies.form import printed_rounding
 from sweep.studies.study import POINT
 
-dask_arrays_only_where_imported()  # before the first dataset that is made here; `snapshot.decode` does for those read
+dask_arrays_only_where_imported()  # before the first dataset is made here; `snapshot.decode` does so before one is read
 
 
 MISSING_INT = np.iinfo(np.int64).min
-"""Stands for a missing integer where some integer of the array is too large to be a float."""
+"""Stands for a missing integer where some integer of the array is too large for a float to hold exactly."""
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
@@ -46,7 +46,7 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
         results = experiment.results(sums, n, np.full(len(n), float(study.sampling.n_cat)))
     for output in experiment.outputs:
         if output.name in study.axes:
-            continue  # the coordinate of that name says it already
+            continue  # the coordinate of that name has these values already
         values = typed_array(results.get(output.name), done, experiment.shape_of(output), texts)
         variables[output.name] = _variable(grid, values, output)
     if not experiment.deterministic:
@@ -115,7 +115,7 @@ def assemble_samples(
 
 
 def code_variable(plan: Plan, codes: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
-    """Return which code made each point, for a store that several have made."""
+    """Return which code made each point, for a store that several codes have made."""
     meaning = "code that made the point: its place, from 1, in the attribute code; 0 none, -1 several"
     return _variable(plan.grid, plan.grid.with_repeats(codes), Output("code", "", meaning))
 
@@ -193,7 +193,7 @@ def _published(grid: Grid) -> dict[str, Any]:
 
 
 def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:
-    """Return the position in the grid that a published row speaks of, or None if it is not in this grid."""
+    """Return the position in the grid that a published row refers to, or None if it is not in this grid."""
     study = grid.study
     settings = study.experiment.defaults() | dict(study.fixed)
     for column, text in row.items():

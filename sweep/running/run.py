@@ -1,4 +1,4 @@
-"""Runs a study: plan minus ledger, through an executor, into the store; the one place where the pieces meet."""
+"""Runs a study: lets an executor compute what the ledger lacks of the plan, and writes it into the store."""
 
 from collections.abc import Collection, Sequence
 from contextlib import ExitStack, suppress
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class Progress(Protocol):
-    """Who watches a run; what such a class leaves out does nothing."""
+    """What watches a run; methods that such a class leaves out do nothing."""
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
         """Work begins, at the place that ``where`` names, with so many workers if that is known."""
@@ -97,7 +97,7 @@ def run_study(
     with watched() as interruptions, ExitStack() as stack:
         try:
             stack.enter_context(locked(store, break_lock=break_lock))
-        except SweepError:  # what another process writes to, or nobody may, can be looked at
+        except SweepError:  # a store that cannot be locked can still be read
             found = None if fresh else find_store(store, study)
             if retry or found is None or (part := part_of_larger(found, plan.grid)) is None:
                 raise
@@ -163,7 +163,7 @@ def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: Tas
 
 
 def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple[Plan, Store | None]:
-    """Return a plan, that of a plain function with the layout of results that its store holds, and the open store.
+    """Return a plan, for a plain function with the layout of results that its store has, and the open store.
 
     Raises SweepError for a store that other code made unless ``accept_code``.
     """
@@ -180,8 +180,8 @@ def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple
 def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
     """Return the store of a plan: the one that is there, or a new one.
 
-    One without results that was made when nothing was known of them is begun anew where that is known now; its failures
-    stay.
+    A store without results that was made before their layout was known is begun anew once it is known; its failures
+    are kept.
     """
     study = plan.grid.study
     begun = store is not None and store.study.experiment.undeclared and not study.experiment.undeclared

@@ -13,13 +13,13 @@ from sweep.running.eta import in_words
 from sweep.studies.study import Study
 
 NAMED = 5
-"""So many warnings are named, and reasons for which points failed."""
+"""Most warnings that are named, and most reasons of failed points."""
 
 SLOWEST = 3
-"""So many of the slowest points are named."""
+"""Most of the slowest points that are named."""
 
 MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
-"""A point is slow that takes so many times longer than half of them, and more than so many seconds."""
+"""A point is slow if it takes more than so many times the median of all points, and more than so many seconds."""
 
 LONGEST_REASON = 200
 """Characters of a reason in the last line of a run."""
@@ -49,7 +49,7 @@ def _short(message: str) -> str:
 
 
 class RunSummary:
-    """Adds up a run from its results."""
+    """Adds up what a run took from its results."""
 
     def __init__(self, study: Study) -> None:
         self.done = PlanSize(0, 0, 0, 0.0)

@@ -1,4 +1,4 @@
-"""Measures how a study scales with workers: the same work on more of them (strong), as much work for each (weak)."""
+"""Measures how a study scales with workers: the same work on more of them (strong), as much for each (weak)."""
 
 import os
 import tempfile
@@ -31,7 +31,7 @@ Grown = Literal["n_sim", "n_cat"]
 
 @dataclass
 class _Clock(Silent):
-    """Notes when the workers of a run are there, and when its results are on disk."""
+    """Records when the workers of a run have started, and when its results are on disk."""
 
     started: float = 0.0
     ended: float = 0.0
@@ -52,13 +52,13 @@ def measure_scaling(
 ) -> xr.Dataset:
     """Return ``seconds``, ``speedup`` and ``efficiency`` of a study, medians over repetitions, (kind, workers).
 
-    Seconds begin when the workers are there and end with the last result on disk; ``start_seconds`` are what comes
-    before and after.  Each repetition has every run in it, ratios are taken within one, and ``NAME_error`` is the
-    standard error of the median, where there are at least 5 repetitions.  Weak scaling multiplies the catalogues by the
-    workers where a study has several, or else the realisations; a function without random numbers has neither, and no
-    weak scaling.  Runs go into stores of their own, which are removed.
-    Raises SweepError for workers that are not distinct or do not begin with one, for a study of a precision, and where
-    a point fails.
+    ``seconds`` begin when the workers have started and end with the last result on disk; ``start_seconds`` are those
+    before and after.  Each repetition has every run in it, ratios are taken within a repetition, and ``NAME_error`` is
+    the standard error of the median, where there are at least 5 repetitions.  Weak scaling multiplies the catalogues by
+    the workers where a study has several, or else the realisations; a function without random numbers has neither, and
+    no weak scaling.  Runs go into stores of their own, which are removed.
+    Raises SweepError for workers that are not distinct or do not begin with one, for a study with a precision, and
+    where a point fails.
     """
     _check(study, workers, repetitions)
     grown: Grown = "n_cat" if study.sampling.n_cat > 1 else "n_sim"
@@ -116,7 +116,7 @@ def _check(study: Study, workers: Sequence[int], repetitions: int) -> None:
     if repetitions < 1:
         problems.append(f"repetitions = {repetitions}: must be >= 1")
     if study.sampling.precision is not None:
-        problems.append("a study of a precision decides itself how much work it is; leave `precision` out")
+        problems.append("a study with a precision decides itself how much it computes; leave `precision` out")
     if problems:
         raise SweepError(problems, study.source)
 
@@ -126,7 +126,7 @@ def _with(study: Study, name: Grown, value: int) -> Study:
 
 
 def _timed(study: Study, workers: int, pool: PoolName) -> tuple[float, float]:
-    """Return the seconds of a run with its workers there, and of what is before and after."""
+    """Return the seconds of a run once its workers have started, and those before and after."""
     clock = _Clock()
     with tempfile.TemporaryDirectory(prefix="linksweep-scaling-", ignore_cleanup_errors=True) as folder:
         begun = time.perf_counter()
@@ -141,7 +141,7 @@ def _timed(study: Study, workers: int, pool: PoolName) -> tuple[float, float]:
 def _dataset(workers: NDArray[np.int64], timed: Array) -> xr.Dataset:
     kinds = KINDS[: len(timed)]
     seconds, starts = timed[..., 0], timed[..., 1]
-    work = np.stack([np.ones_like(workers), workers])[: len(kinds), :, None]  # as many times that of one worker
+    work = np.stack([np.ones_like(workers), workers])[: len(kinds), :, None]  # over the work of one worker
     speedup = work * seconds[:, :1] / seconds
     values = {
         "seconds": (seconds, "s", "time with the workers there"),

@@ -1,4 +1,4 @@
-"""What a store holds and what a plan would do, as plain mappings for people and scripts."""
+"""Reports what a store holds and what a plan would do, as plain mappings for people and scripts."""
 
 import json
 import math
@@ -74,9 +74,9 @@ Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int
 
 
 def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -> Progress:
-    """Return the progress that the ledger knows, or a dataset that says the ``same``, which takes less time.
+    """Return the progress by the ledger, or by a dataset that says the ``same``, which takes less time.
 
-    Raises SweepError where the store has not recorded what that takes.
+    Raises SweepError where the store has not recorded what that needs.
     """
     study = recorded_study(opened.attributes, str(opened.location))
     grid = Grid(study)

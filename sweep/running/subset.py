@@ -1,4 +1,4 @@
-"""Whether a store holds a larger study already, and which of its points a smaller one asks for."""
+"""Finds the points of a study in a store that already holds a larger one."""
 
 import json
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 def part_of_larger(store: OpenStore, grid: Grid) -> "xr.Dataset | None":
-    """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, an axis
-    more, more realisations or catalogues.  None where something is missing there, or there is nothing more.
+    """Return the points of a grid from the dataset of a store that has more than them: more values on an axis, another
+    axis, more realisations or catalogues.  None where the store lacks some of them, or has nothing more.
     """
     study = grid.study
     try:
@@ -52,7 +52,7 @@ def _enough_realisations(attributes: dict[str, Any], grid: Grid) -> bool:
     if grid.study.experiment.deterministic:
         return True
     stored = attributes.get("precision")
-    if stored is not None or sampling.precision is not None:  # by how much a point was realised depends on all of these
+    if stored is not None or sampling.precision is not None:  # these decide how many realisations a point has
         fine_enough = stored is not None and sampling.precision is not None and stored <= sampling.precision
         return fine_enough and all(attributes[key] == getattr(sampling, key) for key in ("n_sim", "n_cat"))
     return bool(attributes["n_sim"] >= sampling.n_sim and attributes["n_cat"] >= sampling.n_cat)
@@ -72,7 +72,7 @@ def _places(dataset: "xr.Dataset", dimension: str, axes: tuple[str, ...], grid: 
 
 
 def _as_stored(dataset: "xr.Dataset", parameter: str, value: Value) -> Value:
-    """Return a value as the coordinate has it; None for one that the study defines otherwise than the store's did."""
+    """Return a value as the coordinate has it; None for one that the study defines otherwise than the store's study."""
     if not isinstance(value, Named):
         return value
     defined = json.loads(dataset.attrs.get("defined", "{}")).get(parameter, {})

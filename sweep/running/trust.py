@@ -1,7 +1,7 @@
-"""Which code a store would run, and whether its user must be asked before that is imported.
+"""Finds which code a store would run, and whether the user must be asked before it is imported.
 
-Looking at a store imports nothing that it names.  Computing from one does; where that code lies inside the store, or
-the store was not written here, the user says with ``--trust`` that it may.
+Looking at a store imports nothing that it names, but computing from it does.  Where that code lies inside the store, or
+the store was not written here, the user must allow it with ``--trust``.
 """
 
 import importlib.machinery
@@ -24,7 +24,7 @@ REFERENCE = re.compile(r"(?P<place>[^:\n]+\.py|[A-Za-z_][\w.]*):[A-Za-z_]\w*")
 
 
 def foreign_code(attributes: Mapping[str, Any]) -> list[str]:
-    """Return the references to code, none of linksweep's own, that making a store's study imports."""
+    """Return the references to code other than linksweep's own that making a store's study imports."""
     try:
         document = json.loads(attributes["study_document"])
         named = [str(document.get("experiment", "core.experiment:link")), *_texts(document.get("define", {}))]
@@ -73,7 +73,7 @@ def _is_inside(reference: str, location: Location) -> bool:
 
 
 def _file(reference: str) -> str:
-    """Return the file that a reference is about, or its module where there is none; imports nothing."""
+    """Return the file that a reference names, or its module where there is none; imports nothing."""
     place = reference.rpartition(":")[0]
     if place.endswith(".py"):
         return place

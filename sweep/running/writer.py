@@ -1,4 +1,4 @@
-"""The one writer of a run: results into the ledger as they come, on disk every second, as a dataset now and then."""
+"""Writes a run's results into the ledger as they come, to disk every second, and as a dataset every few seconds."""
 
 import json
 import time
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
 MAX_FAILURES_NAMED = 1000
 
 KEPT = ("merged", "started")
-"""Attributes of a store that stay whatever goes on with it."""
+"""Attributes of a store that every later run keeps."""
 
 
 @dataclass(frozen=True)
 class Taken:
-    """What a task did, what more its results made known, which points it ended, and why some failed, by their index."""
+    """What a task did, what more its results call for, which points it ended, and why some failed, by their index."""
 
     done: PlanSize
     more: PlanSize
@@ -47,7 +47,7 @@ class Taken:
 
 
 class Writer:
-    """Takes the results of tasks, in whatever order they arrive, and puts what they make known into ``pending``.
+    """Takes the results of tasks, in whatever order they arrive, and puts what more they call for into ``pending``.
 
     ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
     manager it makes results durable also while this thread waits for the next ones, or computes them.
@@ -168,9 +168,9 @@ class Writer:
         return dataset
 
     def stop(self) -> None:
-        """After an interruption: make everything durable, and write the dataset once more unless that takes long.
+        """Make everything durable after an interruption, and write the dataset once more unless that takes long.
 
-        Where it is not, the dataset is that of an earlier moment, and the next run makes it anew from the ledger.
+        Where it is not written, the dataset is an earlier one, and the next run makes it anew from the ledger.
         """
         with self._held():
             self.flush()
@@ -192,7 +192,7 @@ class Writer:
                 if self._unflushed and not self._ended.is_set():
                     try:
                         self.flush()
-                    except Exception as error:  # told by the next flush, in the thread of the run
+                    except Exception as error:  # raised by the next flush, in the thread of the run
                         self._problem = error
                         return
 
@@ -203,7 +203,7 @@ class Writer:
         return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
     def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
-        """Let those of some finished points fail whose results are not what the experiment declares; return why."""
+        """Record those finished points as failed whose results are not what the experiment declares; return why."""
         found = failing(self.accumulator, indices) if indices else {}
         failures = {index: failure_of(error) for index, error in found.items()}
         for index, failure in failures.items():

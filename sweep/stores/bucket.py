@@ -1,4 +1,4 @@
-"""A store in a bucket: the same files as in a folder, as objects of S3 or of anything that speaks its language."""
+"""A store in a bucket: the same files as in a folder, as objects of S3 or of any server with its interface."""
 
 import os
 import re
@@ -64,7 +64,7 @@ class Bucket:
 
     @cached_property
     def objects(self) -> S3Store:
-        """The bucket as obstore has it, under the prefix; Zarr's ObjectStore takes it too."""
+        """The bucket under the prefix, as a store of obstore; Zarr's ObjectStore takes it too."""
         return S3Store(
             self.bucket,
             prefix=self.prefix or None,
@@ -110,7 +110,7 @@ class Bucket:
         return False
 
     def swap(self, key: str, old: bytes, new: bytes) -> bool:
-        """Replace an object that still holds ``old``: a put that the server refuses if it has changed since it was
+        """Replace an object if it still holds ``old``: a put that the server refuses if it has changed since it was
         read.
         """
         with suppress(PreconditionError), self._errors(missing_is_none=True):
@@ -123,8 +123,8 @@ class Bucket:
     def delete(self, key: str) -> None:
         """Remove an object if there is one.
 
-        S3 deletes by a POST, which obstore does not repeat after a connection that broke, since it cannot know that
-        this one may be repeated.
+        S3 deletes by a POST, which obstore does not repeat after a broken connection, since it cannot know that this
+        one may be repeated.
         """
         until = time.monotonic() + TIMEOUT.total_seconds()
         while True:
@@ -148,18 +148,18 @@ class Bucket:
             return not any(page for page in obstore.list(self.objects, chunk_size=1))
 
     def obstacle(self) -> str | None:
-        """Nothing can be told without trying."""
+        """Return None: nothing can be told without an attempt to write."""
         return None
 
     def tidied(self) -> AbstractContextManager[None]:
-        """A bucket has no folders."""
+        """Do nothing, since a bucket has no folders."""
         return nullcontext()
 
     @contextmanager
     def _errors(self, *, missing_is_none: bool = False) -> Iterator[None]:
-        """Turn what goes wrong on the way to the server into an OSError of one sentence.
+        """Turn the errors of a request into an OSError with one sentence.
 
-        A precondition that does not hold is left to the caller.
+        A failed precondition is left to the caller.
         """
         try:
             yield

@@ -1,5 +1,5 @@
-"""Zarr's JSON documents with a checksum of their own among the attributes, bound to the name of the file: neither a
-flipped bit nor an exchange of files must change what a store means.
+"""Puts a checksum, of the content and the name of the file, among the attributes of Zarr's JSON documents: neither a
+flipped bit nor an exchange of files may change what a store means.
 """
 
 import json
@@ -11,7 +11,7 @@ from typing import Any
 SEAL = "checksum"
 BYTES = 16
 BYTES_UNBOUND = 8
-"""Of the checksums of store format 2, which knew nothing of the name of the file."""
+"""Bytes of the checksums of store format 2, which do not include the name of the file."""
 
 
 class DamagedError(ValueError):
@@ -66,7 +66,7 @@ def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def content_checksum(content: bytes) -> str:
-    """Return what tells the content of a file from any other."""
+    """Return the checksum of the content of a file."""
     return blake2b(content, digest_size=BYTES).hexdigest()
 
 

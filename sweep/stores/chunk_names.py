@@ -1,9 +1,9 @@
 """The names of the files of the dataset's chunks.
 
-An array's chunks have two sets of names, as two encodings of Zarr's specification give them, and each generation that
-changes the array uses the set that the last one does not.  So the files of the last generation stay as they are
-until the root document, replaced in one step, names those of the new one; who opened the last one reads on in
-peace until the generation after next begins.
+An array's chunks can have two sets of names, by two encodings of Zarr's specification, and each generation that changes
+the array uses the set that the last one does not.  So the files of the last generation stay as they are until the root
+document, replaced in one step, names those of the new one; a reader who opened the last one can read on until the
+generation after next begins.
 """
 
 import itertools
@@ -35,7 +35,7 @@ def chunk_places(document: Mapping[str, Any]) -> Iterator[tuple[int, ...]]:
 
 
 def leftovers(keys: Collection[str], documents: Collection[str]) -> set[str]:
-    """Return the files of the dataset's arrays, and of arrays that it has no more, among the names of all files."""
+    """Return the files of the dataset's arrays, and of arrays that it no longer has, among the names of all files."""
     folders: dict[str, set[str]] = {}
     for key in keys:
         folder, separator, _ = key.partition("/")

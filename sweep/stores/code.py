@@ -1,4 +1,4 @@
-"""Which code made the blocks of a store: a record for each, with the first row of the ledger that it made."""
+"""Records which code made the blocks of a store: each record has the first row of the ledger that the code made."""
 
 import json
 from bisect import bisect_right
@@ -18,11 +18,11 @@ from sweep.stores.store import CODE, Store
 from sweep.studies.study import Study
 
 UNKNOWN, SEVERAL = 0, -1
-"""What made a point that is not done, or whose blocks different codes made."""
+"""The code of a point that is not done, and of one whose blocks were made by different codes."""
 
 
 class CodeRecord(NamedTuple):
-    """Code that made the rows of a ledger from one on, up to those of the next record."""
+    """Code that made the rows of a ledger from ``first_row`` on, up to those of the next record."""
 
     first_row: int
     code: Mapping[str, str]
@@ -39,8 +39,8 @@ def as_json(records: Sequence[CodeRecord]) -> str:
 
 
 def differences_of_code(attributes: Mapping[str, Any], study: Study) -> list[str]:
-    """Say in what a study's code differs from that which made the last blocks of a store; nothing if it does not, or if
-    the store does not know.
+    """Say how a study's code differs from that which made the last blocks of a store; nothing if it does not, or if the
+    store has no record.
     """
     records = records_of(attributes)
     now = code_of(study.experiment_reference, study.experiment)
@@ -63,11 +63,11 @@ def check_code(store: Store, study: Study) -> None:
 
 
 def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
-    """Write down which code makes the blocks from now on, and say so where it is news."""
+    """Record which code makes the blocks from now on, and tell the user if it has changed or was not known."""
     records = continued(records_of(store.attributes), store.next_row, study)
     if CODE not in store.attributes:
         if not records[-1].code:
-            return  # what linksweep brings is known by its version
+            return  # linksweep's own experiments are known by its version
         if store.next_row:
             say(f"{store.location} does not say which code made it; it is taken to be today's")
     elif store.next_row:
@@ -79,7 +79,7 @@ def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
 def continued(records: Sequence[CodeRecord], rows: int, study: Study) -> list[CodeRecord]:
     """Return the records of a ledger of so many rows when a study's code goes on with it."""
     now = code_of(study.experiment_reference, study.experiment)
-    before = [record for record in records if record.first_row < rows]  # later ones have made nothing
+    before = [record for record in records if record.first_row < rows]  # later ones have made no rows
     if before and before[-1].code == now:
         return before
     return [*before, CodeRecord(rows if before else 0, now)]

@@ -40,12 +40,12 @@ def find_store(where: Where, study: Study) -> OpenStore | None:
 
 
 def check_points(found: OpenStore, study: Study) -> None:
-    """Raise SweepError where rows of a study's table of points are others than those of a store."""
+    """Raise SweepError where rows of a study's table of points differ from those of a store."""
     if changed := changed_points(found.attributes, study):
         raise SweepError(
             [
-                "holds a table of other points; one may only grow at its end: give another store with -o, or --fresh "
-                "replaces this one",
+                "holds a table of other points; a table may only grow at its end: give another store with -o, or "
+                "--fresh replaces this one",
                 *changed,
             ],
             str(found.location),
@@ -63,9 +63,9 @@ def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> O
 
 
 def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore | None:
-    """Begin a store anew: remove the ledger and the results of the one that is there; None where none is.
+    """Begin a store anew: remove the ledger and the results of the one that is there; None where there is none.
 
-    Files that linksweep did not write are left alone.  Raises SweepError where something else than a store is.
+    Files that linksweep did not write are left alone.  Raises SweepError where something other than a store is.
     """
     location = located(where)
     root = find_root(location)
@@ -75,7 +75,7 @@ def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> 
         keys = location.keys()
         arrays = chunk_names.leftovers(keys, snapshot.arrays_of(root))
         ours = {*arrays, *(key for key in keys if key.partition("/")[0] in RESERVED)}
-        # The index first: killed from here on, the old store is one that has lost its blocks.
+        # The index first: if the process is killed after this, the old store has merely lost its blocks.
         for key in sorted(ours, key=lambda key: not key.startswith("blocks/index/c/")):
             location.delete(key)
         return create_store(location, study, attributes)

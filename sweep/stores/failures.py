@@ -1,4 +1,4 @@
-"""What is kept of failed points, by digest, so that a later run, a report or a retry knows of them."""
+"""Records failed points by digest, so that a later run, a report or a retry knows of them."""
 
 from collections.abc import Mapping
 
@@ -10,7 +10,7 @@ TRACEBACK_BYTES = 4096
 DIGEST_BYTES = 16
 
 Record = dict[str, str]
-"""Of one point: place, kind, message, traceback, host, when."""
+"""The record of one point: place, kind, message, traceback, host, when."""
 
 
 def as_json(failures: Mapping[bytes, Record]) -> dict[str, Record]:
@@ -20,7 +20,7 @@ def as_json(failures: Mapping[bytes, Record]) -> dict[str, Record]:
     for digest, record in failures.items():
         text = record.get("traceback", "")
         tracebacks += bool(text)
-        end = text.encode()[-TRACEBACK_BYTES:].decode(errors="ignore")  # says what was raised and where
+        end = text.encode()[-TRACEBACK_BYTES:].decode(errors="ignore")  # the end says what was raised and where
         kept[digest.hex()] = record | {"traceback": end if tracebacks <= MAX_TRACEBACKS else ""}
     return kept
 

@@ -1,4 +1,4 @@
-"""A store in a folder of this machine: files that are written beside their names and then renamed."""
+"""A store in a folder of this machine: files are written under another name and then renamed."""
 
 import fcntl
 import os
@@ -33,7 +33,7 @@ class Folder:
 
     @property
     def _real(self) -> Path:
-        """The path without links, as far as they lead anywhere; `Path.resolve` raises where they go round."""
+        """The path with links resolved as far as possible; `Path.resolve` raises where links form a loop."""
         return Path(os.path.realpath(self.path))
 
     def get(self, key: str) -> bytes | None:
@@ -48,7 +48,7 @@ class Folder:
         return {key: self.get(key) for key in keys}
 
     def put(self, key: str, content: bytes) -> None:
-        """Write a file by renaming a finished one, and wait until both are on the disk."""
+        """Write a file by renaming a finished one, and wait until it and its name are on the disk."""
         path = self._write(key, content, durable=True)
         folder = os.open(path.parent, os.O_RDONLY)
         try:
@@ -77,9 +77,9 @@ class Folder:
         return False
 
     def swap(self, key: str, old: bytes, new: bytes) -> bool:
-        """Replace a file that still holds ``old``: who has the system's lock on the very file that is to go may do so.
+        """Replace a file if it still holds ``old``, while holding the system's lock on the file to be replaced.
 
-        Return whether it did; of two who try only one does.
+        Return whether it was replaced; of two processes that try, only one succeeds.
         """
         path = self.path / key
         with suppress(FileNotFoundError), path.open("rb") as file:
@@ -102,9 +102,7 @@ class Folder:
         return sorted(found)
 
     def is_free(self) -> bool:
-        """Return whether nothing is there, or a folder with at most the first file that a killed process did not
-        finish.
-        """
+        """Return whether nothing is there, or a folder with nothing but files that a killed process did not finish."""
         if not self.path.exists():
             return not self.path.is_symlink()
         return self.path.is_dir() and all(p.name.endswith(UNFINISHED) and p.is_file() for p in self.path.iterdir())
@@ -140,7 +138,7 @@ class Folder:
 
 @contextmanager
 def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
-    """Give a file beside ``path`` with this content, which is gone afterwards unless it was renamed."""
+    """Give a temporary file beside ``path`` with this content; it is removed afterwards unless it was renamed."""
     temporary = path.with_name(f"{path.name}.{uuid4().hex[:12]}{UNFINISHED}")
     try:
         with temporary.open("wb") as file:

@@ -1,4 +1,4 @@
-"""What a store's numbers mean, as its root document says it."""
+"""Describes and compares what a store's numbers mean, in the terms of its root document."""
 
 import json
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from sweep.tables.file import content_digest
 
 
 def identity(study: Study) -> dict[str, Any]:
-    """Return the attributes by which a store knows what its numbers mean and how its ledger is laid out."""
+    """Return the attributes of a store that say what its numbers mean and how its ledger is laid out."""
     return {
         "linksweep_format": FORMAT,
         "study_meaning": json.dumps(study.meaning(), default=content_digest),
@@ -23,7 +23,9 @@ def identity(study: Study) -> dict[str, Any]:
 
 
 def differences(attributes: Mapping[str, Any], study: Study) -> list[str]:
-    """Say in what the meaning of stored results differs from a study's; values of what is an axis in either do not."""
+    """Say how the meaning of stored results differs from a study's; values of parameters that are an axis in either are
+    not compared.
+    """
     old, new = json.loads(attributes["study_meaning"]), json.loads(identity(study)["study_meaning"])
     axes = {*json.loads(attributes["study_axes"]), *study.axes}
     defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
@@ -36,8 +38,8 @@ def differences(attributes: Mapping[str, Any], study: Study) -> list[str]:
 
 
 def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
-    """Say in what a study's table of points differs from that of a store; nothing where one only has more rows at its
-    end, or where there is no table in either.
+    """Say how a study's table of points differs from that of a store; nothing where one only has more rows at its end,
+    or where either has no table.
     """
     document = json.loads(attributes.get("study_document", "{}"))
     table = document.get("points") or {}
@@ -62,7 +64,7 @@ def _differ(was: Any, now: Any) -> bool:
 
 
 def _why(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Say in what two designs differ, and that one cannot grow where that is it."""
+    """Say how two designs differ, or that a design cannot grow where that is the only reason."""
     if "design" not in old or "design" not in new:
         return []
     differing = [key for key in ("design", "n", "seed", "ranges") if old.get(key) != new.get(key)]

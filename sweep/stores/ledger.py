@@ -1,10 +1,10 @@
-"""The ledger of finished blocks: ``index`` says who a row is (32 bytes as `ledger_key`) and at which row of
+"""The ledger of finished blocks: ``index`` says which block a row is (32 bytes as `ledger_key`) and at which row of
 ``samples`` its realisations begin (8 bytes), ``sums`` are the block's sums, ``samples`` the realisations themselves,
-where a study keeps them.  ``digests`` bind them: the digest of a row of the index with its sums (16 bytes), and of the
-same with its samples, so that a chunk that stands where another belongs is found.
+where a study keeps them.  ``digests`` tie them together: the digest of a row of the index with its sums (16 bytes), and
+that of the same row with its samples, so that a chunk in the place of another is found.
 
-They are written in the opposite order, so that a process killed at any instant leaves a ledger that is merely shorter.
-A chunk that is lost costs the rows in it and no other.
+The index is written last, so that a process killed at any instant leaves a ledger that is merely shorter.  A lost chunk
+costs only the rows in it.
 """
 
 from array import array
@@ -21,12 +21,12 @@ from sweep.stores.checksums import DamagedError, noting
 from sweep.stores.ledger_arrays import DIGEST_BYTES, KINDS, START_BYTES, Column
 
 ROW = np.dtype([("key", f"V{KEY_BYTES - 8}"), ("n_cat", "<u4"), ("n_sim", "<u4"), ("start", "<u8")])
-"""A row of the index: the key ends with how many catalogues there are and with the realisations of each."""
+"""A row of the index: the key ends with the number of catalogues and the number of realisations of each."""
 
 AT_ONCE = 2**16
 """Rows that are compared with their digests at a time."""
 
-ELSEWHERE = "it holds rows that blocks/index and blocks/digests do not speak of there"
+ELSEWHERE = "its rows are not those that blocks/index and blocks/digests name there"
 
 
 class Ledger:
@@ -68,9 +68,9 @@ class Ledger:
             columns["samples"].resume(self._samples_end)
 
     def _bound(self, index: NDArray[np.uint8], sums: Array, digests: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Return which rows have their own sums; raises DamagedError where there are those of others.
+        """Return which rows have their own sums; raises DamagedError where a row has those of another.
 
-        A row whose sums or digest were not written, or lost, merely does not count.
+        A row whose sums or digest were not written, or were lost, merely does not count.
         """
         same = (_digests(index, sums) == digests[:, :DIGEST_BYTES]).all(axis=1)
         there = index.any(axis=1) & digests.any(axis=1) & ~np.isnan(sums).all(axis=1)
@@ -80,7 +80,7 @@ class Ledger:
         return np.asarray(same)
 
     def sums(self) -> Array:
-        """Return all rows, (rows, width); `rows` says which is whose."""
+        """Return the sums of all rows, (rows, width); `rows` has the row of each block."""
         self.flush()
         if self._sums is None:
             self._sums = _as_long_as(self._columns["sums"].read(), self.next_row)
@@ -102,7 +102,7 @@ class Ledger:
         return samples
 
     def verify(self) -> None:
-        """Raise DamagedError where samples are not what was written; opening did so for the rest."""
+        """Raise DamagedError where samples are not what was written; opening has checked the rest."""
         if "samples" not in self._columns:
             return
         self._columns["samples"].verify()
@@ -132,7 +132,7 @@ class Ledger:
         self.next_row += len(keys)
 
     def bind(self, digests: Column) -> None:
-        """Write all digests, durably, into an array of them, which the ledgers of format 2 do not have."""
+        """Write all digests durably into ``digests``, an array that the ledgers of format 2 do not have."""
         self.flush()
         index, sums = self._columns["index"].read(), self.sums()
         rows = np.zeros((self.next_row, digests.width), dtype=np.uint8)
@@ -152,7 +152,7 @@ class Ledger:
             column.flush()
 
     def _sampled(self, starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which rows have the chunks of their samples."""
+        """Return which rows have all chunks of their samples."""
         if "samples" not in self._columns or not len(starts):
             return np.ones(len(starts), dtype=bool)
         column = self._columns["samples"]
@@ -165,7 +165,7 @@ class Ledger:
 
 
 def rows_of(index: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the keys of rows of the index, where their samples begin and how many these are."""
+    """Return the keys of rows of the index, where their samples begin and how many there are."""
     rows = index.view(ROW)[:, 0]
     return index[:, :KEY_BYTES], rows["start"].astype(np.int64), rows["n_cat"].astype(np.int64) * rows["n_sim"]
 
@@ -199,7 +199,7 @@ def _contents(values: Sequence[Array] | Array) -> Iterator[bytes]:
 
 
 def _as_long_as(rows: NDArray[Any], count: int) -> NDArray[Any]:
-    """Return the first rows; those of chunks that are not there are NaN, or 0 if they cannot be."""
+    """Return the first ``count`` rows; those of missing chunks are NaN, or 0 for integers."""
     fill = np.nan if rows.dtype.kind == "f" else 0
     if len(rows) >= count:
         return rows[:count]

@@ -20,25 +20,25 @@ START_BYTES = 8
 DIGEST_BYTES = 16
 FEWEST_ROWS = 64
 CHUNK_BYTES = {"index": 2**20, "digests": 2**20, "sums": 2**21, "samples": 2**22}
-"""Few files for many blocks, against what each flush writes again."""
+"""Bytes of a chunk: a compromise between few files for many blocks and what each flush writes again."""
 
 KINDS = {"samples": "float64", "sums": "float64", "digests": "uint8", "index": "uint8"}
-"""What each array is of, in the order of writing."""
+"""The type of each array, in the order of writing."""
 
 RECENT = 4
-"""Chunks kept in memory for who reads rows in about their order."""
+"""Chunks kept in memory for those who read rows more or less in order."""
 
 
 class Column:
-    """One of them: ``chunk_rows`` rows of ``width`` numbers in a chunk, filled up with NaN or, if whole, 0.
+    """One array of a ledger: a chunk has ``chunk_rows`` rows of ``width`` numbers, filled up with NaN, integers with 0.
 
-    Its last, unfinished chunk is in memory too, so that only whole chunks are written.
+    The last, unfinished chunk is kept in memory too, so that only whole chunks are written.
     """
 
     def __init__(
         self, location: Location, folder: str, shape: Sequence[int], dtype: str, keys: Collection[str]
     ) -> None:
-        """Find the chunks, of such a shape, among the names of all files of the store."""
+        """Find the chunks, each of this ``shape``, among ``keys``, the names of all files of the store."""
         self.chunk_rows, self.width = shape
         self._location, self._folder, self._dtype = location, folder, dtype
         self._fill = np.nan if dtype == "float64" else 0
@@ -84,7 +84,7 @@ class Column:
         return np.full((rows, self.width), self._fill, dtype=self._dtype)
 
     def read(self) -> NDArray[Any]:
-        """Return all rows, those of chunks that are not there as fill values; raises DamagedError, OSError."""
+        """Return all rows, those of missing chunks as fill values; raises DamagedError, OSError."""
         rows, size = self.empty(len(self)), self.chunk_rows
         for number, chunk in self._decoded(self.chunks).items():
             rows[number * size : (number + 1) * size] = chunk
@@ -107,7 +107,7 @@ class Column:
         return np.concatenate([self.empty(), *chunks])[start - before : stop - before]
 
     def resume(self, count: int, rows: NDArray[Any] | None = None) -> None:
-        """Go on after so many rows, which may be given if they were read; raises DamagedError, OSError."""
+        """Go on after so many rows; ``rows`` are given if they were read already; raises DamagedError, OSError."""
         self._start = count // self.chunk_rows * self.chunk_rows
         self._tail = self.part(self._start, count) if rows is None else rows[self._start : count].copy()
         self._new: list[NDArray[Any]] = []
@@ -145,7 +145,7 @@ class Column:
         return sealed({**document, "shape": [chunks * self.chunk_rows, self.width]}, self.description)
 
     def check_description(self, content: bytes | None) -> None:
-        """Raise ValueError unless this describes the array with all its chunks, or was not written yet as they were."""
+        """Raise ValueError unless this describes the array with all its chunks, or neither it nor a chunk is there."""
         if content is None and not self.chunks:
             return
         document = unsealed(content, self.description)
@@ -182,7 +182,7 @@ class Column:
                     raise ValueError("it has just been removed")
                 self._files["c/0/0"] = cpu.Buffer.from_bytes(content)
                 found[number] = np.asarray(self._zarr[...])
-            except Exception as error:  # each codec of Zarr has its own
+            except Exception as error:  # each codec of Zarr raises its own
                 damaged[self.key(number)] = " ".join(str(error).split()) or type(error).__name__
         if damaged:
             raise DamagedError(damaged)
@@ -190,7 +190,7 @@ class Column:
 
 
 def shapes_of(experiment: Experiment, *, keep_samples: bool) -> dict[str, list[int]]:
-    """Return rows and width of a chunk of each array, as a new store will remember them."""
+    """Return the rows and the width of a chunk of each array, for a new store to record."""
     widths = {"index": KEY_BYTES + START_BYTES, "sums": experiment.sums_width, "digests": DIGEST_BYTES}
     if keep_samples:
         widths["digests"] = 2 * DIGEST_BYTES

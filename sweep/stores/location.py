@@ -1,7 +1,7 @@
-"""Where a store is: a folder of this machine or a prefix in a bucket, as whole files with names like ``a/b/c``.
+"""Where a store is: a folder of this machine or a prefix in a bucket, with files that have names like ``a/b/c``.
 
-Both replace a file in one step, make one only if there is none (`create`), and replace one only if it is still what
-it was (`swap`); ledger, dataset and lock need nothing else.
+Both can replace a file in one step, make one only if there is none (`create`), and replace one only if it has not
+changed (`swap`); ledger, dataset and lock need nothing else.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sweep.stores.bucket import Bucket
 
 Location = Union[Folder, "Bucket"]
-"""A place for the files of a store.  Both kinds have the same methods; what fails in one raises OSError."""
+"""A place for the files of a store.  Both kinds have the same methods, which raise OSError where they fail."""
 
 Where = str | Path | Location
 """What may name a place: an address as a user writes it, a path, or the place itself."""

@@ -1,7 +1,7 @@
-"""One run at a time writes to a store: a file ``STORE.lock`` beside it says who does.
+"""Lets one run at a time write to a store: a file ``STORE.lock`` beside it names the process that does.
 
-A lock whose process on this very host has ended is taken over; that of another host cannot be judged from here, and
-is broken only on request.
+A lock whose process on this host has ended is taken over.  Whether a process on another host runs cannot be told from
+here, so its lock is broken only on request.
 """
 
 import json
@@ -24,9 +24,9 @@ ATTEMPTS = 100
 class Holder:
     """Who holds a lock.
 
-    ``boot`` tells hosts of the same name apart, and processes before and after a restart; ``started``, in ticks of the
-    kernel since it booted, a process from a later one of the same number.  Both are empty where the system has no
-    /proc.
+    ``boot`` distinguishes hosts of the same name, and processes before and after a restart; ``started``, in ticks of
+    the kernel since the boot, distinguishes a process from a later one with the same number.  Both are empty where the
+    system has no /proc.
     """
 
     host: str
@@ -65,7 +65,7 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
         try:
             yield
         finally:
-            with suppress(OSError):  # the next one finds that its process has ended
+            with suppress(OSError):  # the next run finds that this process has ended
                 if _read(location) == mine:
                     location.parent.delete(_key(location))
 
@@ -98,7 +98,9 @@ def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bo
     where = str(location)
     if other is None:
         if not break_lock:
-            raise SweepError(f"its lock {_key(location)} beside it is damaged; if nobody writes, --break-lock", where)
+            raise SweepError(
+                f"its lock {_key(location)} beside it is damaged; if no run writes to it, give --break-lock", where
+            )
         return
     state = other.state()
     if state == "runs" and not (break_lock and other.pid == os.getpid()):
@@ -137,7 +139,7 @@ def _this_host() -> tuple[str, str]:
 
 
 def _start_of(pid: int) -> str:
-    """Return when a process that runs was started, in ticks since the boot; empty where there is none."""
+    """Return when a running process was started, in ticks since the boot; empty where no such process runs."""
     try:
         state, *rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:

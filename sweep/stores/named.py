@@ -1,4 +1,4 @@
-"""Stores by the name of their study: ``quasars`` is ``results/quasars.zarr`` of the working directory."""
+"""Finds stores by the name of their study: ``quasars`` is ``results/quasars.zarr`` of the working directory."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -6,19 +6,19 @@ from pathlib import Path
 from sweep.stores.location import Location, Where, located
 
 RESULTS = Path("results")
-"""Where a run puts its store unless it is told another place."""
+"""The folder where a run puts its store by default."""
 
 
 def default_store(name: str) -> Path:
-    """Return where the store of a study is unless it was told another place."""
+    """Return where the store of a study is by default."""
     return RESULTS / f"{name}.zarr"
 
 
 def store_named(where: Where) -> Location:
-    """Return the place that an address, a path or the name of a study names; a path that exists goes first."""
+    """Return the place that an address, a path or the name of a study names; an existing path takes precedence."""
     if isinstance(where, str) and Path(where).name == where:
         default = default_store(where.removesuffix(".toml"))
-        with suppress(OSError, ValueError):  # of names that cannot be those of files
+        with suppress(OSError, ValueError):  # names that no file can have
             if not Path(where).exists() and default.exists():
                 return located(default)
     return located(where)

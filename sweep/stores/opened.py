@@ -1,4 +1,4 @@
-"""A store as it stands, opened once by its root document: the dataset that this means, and the ledger.
+"""Opens a store for reading by its root document: the dataset that this refers to, and the ledger.
 
 Nothing here writes, and nothing imports what a store names.
 """
@@ -54,7 +54,7 @@ class OpenStore:
         return attributes
 
     def dataset(self) -> "xr.Dataset":
-        """Return the labelled dataset, in memory, as one writing of it left it, whatever a run does meanwhile.
+        """Return the labelled dataset, in memory, as it was written at one time, whatever a run does meanwhile.
 
         Raises SweepError if there is none yet or if it is damaged.
         """
@@ -85,7 +85,7 @@ class OpenStore:
     def ledger(self, compared: bool = True) -> OpenLedger:
         """Return the ledger, its rows ``compared`` with their digests.
 
-        Raises SweepError that names the files of it which are damaged.
+        Raises SweepError that names the damaged files of the ledger.
         """
         damaged: dict[str, str] = {}
         copy: dict[str, Any] | None = None
@@ -118,7 +118,7 @@ def damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:
 
 @contextmanager
 def reading_ledger(location: Location) -> Iterator[None]:
-    """Turn an OSError, and what is damaged in a ledger, into a SweepError."""
+    """Turn an OSError, or the DamagedError of a ledger, into a SweepError."""
     try:
         with reading(location):
             yield

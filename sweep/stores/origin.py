@@ -1,4 +1,4 @@
-"""Where a store was written: by whom, on which host, at which place."""
+"""Records where a store was written: by whom, on which host, at which place."""
 
 import getpass
 import json
@@ -11,7 +11,7 @@ from sweep.stores.location import Location
 from sweep.studies.provenance import host
 
 ORIGIN = "written_by"
-"""The attribute of a store that holds it, as JSON."""
+"""The attribute of a store that holds its origin, as JSON."""
 
 
 def origin(location: Location) -> str:
@@ -23,7 +23,7 @@ def origin(location: Location) -> str:
 def was_written_here(location: Location, attributes: Mapping[str, Any]) -> bool:
     """Return whether the last run that wrote to a store was of this user, on this host, with the store at this place.
 
-    It is what the store says: a guard against code that came with a copy, not against one who forges these three.
+    The store itself says so: this guards against code in a copied store, not against someone who forges these three.
     """
     return bool(attributes.get(ORIGIN) == origin(location))
 
@@ -31,5 +31,5 @@ def was_written_here(location: Location, attributes: Mapping[str, Any]) -> bool:
 def _user() -> str:
     try:
         return getpass.getuser()
-    except (KeyError, OSError):  # a number without a name, as in a container
+    except (KeyError, OSError):  # a user without a name, as in a container
         return str(os.getuid())

@@ -20,7 +20,7 @@ from sweep.stores.root import COPY, FORMAT, ROOT, UNBOUND, find_root, is_bound, 
 from sweep.stores.texts import Texts
 
 NOT_BOUND = (
-    f"has store format {UNBOUND}, in which nothing says of a chunk where it belongs: files that were exchanged are not "
+    f"has store format {UNBOUND}, which does not record where a chunk belongs: files that were exchanged are not "
     f"found.  The next `sweep run` of the study makes it format {FORMAT}, in which they are"
 )
 CUT_SHORT = (
@@ -30,8 +30,8 @@ CUT_SHORT = (
 
 @dataclass(frozen=True)
 class Report:
-    """What is wrong with which file: of what says what the store means, of the ledger, of the results, which can be
-    written anew from the ledger.
+    """What is wrong with which file: of those that say what the store means (``identity``), of the ``ledger``, and of
+    the ``results``, which can be written anew from the ledger.
 
     ``remarks`` are sentences about a store in which nothing is wrong: that it is unfinished, or of an older format.
     """
@@ -48,7 +48,7 @@ class Report:
 def check(where: Where) -> Report:
     """Read every file of a store and compare it with its checksum.
 
-    Raises SweepError where there is no store, or one that nothing tells the meaning of, and while a run writes to it.
+    Raises SweepError where there is no store, where nothing says what its numbers mean, and while a run writes to it.
     """
     location = located(where)
     if (runs := holder(location)) is not None:
@@ -58,8 +58,8 @@ def check(where: Where) -> Report:
 
 
 def repair(where: Where, *, break_lock: bool = False) -> list[str]:
-    """Set right what can be, and return what was done in sentences; damaged files of the ledger are moved to
-    ``STORE.damaged``.
+    """Repair what can be repaired, and return what was done in sentences; damaged files, except those of the results,
+    are moved to ``STORE.damaged``.
 
     Raises SweepError as `check`, and as `locked`.
     """
@@ -123,7 +123,7 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], dict[str, Column
             column.verify()
     report.ledger.update(_missing_chunks(columns))
     if not report.ledger:  # else its rows are read in vain
-        with noting(report.ledger):  # chunks, each whole, that hold other rows than the ledger speaks of
+        with noting(report.ledger):  # whole chunks that stand in the place of others
             Ledger(columns).verify()
     if root is not None:
         _check_results(location, root, report)
@@ -142,7 +142,7 @@ def _unfinished(root: dict[str, Any]) -> str:
 
 
 def _missing_chunks(columns: dict[str, Column]) -> dict[str, str]:
-    """Return the chunks that are missing: below those that are there, or with what a row of the index speaks of."""
+    """Return the missing chunks: those before the last one that is there, and those of rows that the index has."""
     needed = {name: set(range(column.end)) for name, column in columns.items()}
     with suppress(DamagedError):  # a damaged index is in the report, and must be repaired first
         index = columns["index"].read()
@@ -155,7 +155,7 @@ def _missing_chunks(columns: dict[str, Column]) -> dict[str, str]:
 
 
 def _chunks_of_samples(index: NDArray[np.uint8], samples: Column) -> set[int]:
-    """Return the chunks of samples that rows of the index speak of, the last row of each block."""
+    """Return the chunks with the samples of the blocks in the index, of each block by its last row."""
     keys, starts, counts = rows_of(index)
     last = {keys[row].tobytes(): int(row) for row in np.flatnonzero(index.any(axis=1))}
     spans = (samples.numbers(int(starts[row]), int(starts[row] + counts[row])) for row in last.values())
@@ -183,7 +183,7 @@ def _check_results(location: Location, root: dict[str, Any], report: Report) -> 
 
 
 def _remake(location: Location, file: str, columns: dict[str, Column]) -> str:
-    """Replace a file of the ledger: a description by what its chunks tell, a chunk by one without rows."""
+    """Replace a file of the ledger: a description by one that fits the chunks, a chunk by one without rows."""
     _set_aside(location, file)
     for name, column in columns.items():
         if file == column.description:
@@ -197,7 +197,7 @@ def _remake(location: Location, file: str, columns: dict[str, Column]) -> str:
 
 
 def _strike_out(lost: int, samples: Column, index: Column) -> None:
-    """Remove the rows from the index whose samples are, if only in part, in a chunk that is lost."""
+    """Remove from the index the rows whose samples are, at least in part, in a lost chunk."""
     size = index.chunk_rows
     rows = index.read()
     _, starts, counts = rows_of(rows)

@@ -11,13 +11,13 @@ from sweep.stores.location import Location, reading
 
 FORMAT = 3
 UNBOUND = 2
-"""The format before: nothing in it says which chunk belongs where.  The next writing of a store makes it `FORMAT`."""
+"""The previous format, which does not record which chunk belongs where.  The next writing makes a store `FORMAT`."""
 
 ROOT, COPY = "zarr.json", "blocks/zarr.json"
 
 REPAIR = "`sweep repair {}` repairs what can be repaired"
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
-"""What only the documents of a store hold, however damaged one of them is."""
+"""Words by which a document of a store can be recognised even if it is damaged."""
 
 
 def read_root(location: Location) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def check_format(attributes: Mapping[str, Any], where: str) -> None:
 
 
 def is_bound(root: Mapping[str, Any]) -> bool:
-    """Return whether a store says of each of its chunks where it belongs."""
+    """Return whether a store records where each of its chunks belongs."""
     return bool(root["attributes"]["linksweep_format"] != UNBOUND)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CHECKSUMS = "chunk_checksums"
-"""The attribute of the root document by which it means certain chunks and no others."""
+"""The attribute of the root document with the checksums of the chunks that it refers to."""
 
 CHUNK_BYTES = 2**22
 TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
@@ -41,18 +41,18 @@ class Encoded:
     chunks: dict[tuple[int, ...], bytes]
 
     def digest(self) -> bytes:
-        """Return what tells it from another, whatever the names of its chunks."""
+        """Return a digest of the array, whatever the names of its chunks."""
         plain = {**self.document, "chunk_key_encoding": None}
         found = blake2b(json.dumps(plain, sort_keys=True).encode())
         found.update("".join(self.checksums()).encode())
         return found.digest()
 
     def checksums(self) -> list[str]:
-        """Return those of its chunks, in the order of `chunk_places`."""
+        """Return the checksums of its chunks, in the order of `chunk_places`."""
         return [content_checksum(self.chunks[place]) for place in chunk_places(self.document)]
 
     def named(self, encoding: int) -> "Encoded":
-        """Return the same with chunks under one of the two sets of names."""
+        """Return the same array with its chunks under one of the two sets of names."""
         return replace(self, document={**self.document, "chunk_key_encoding": ENCODINGS[encoding]})
 
     def files(self, name: str) -> dict[str, bytes]:
@@ -62,7 +62,7 @@ class Encoded:
 
 def encode(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Encoded]]:
     """Return the attributes and the arrays of a dataset; every chunk has a checksum, and none is left out for being
-    empty, so that one that is missing was lost.
+    empty, so that a missing one must have been lost.
     """
     files: dict[str, Any] = {}
     encoding: dict[Any, dict[str, Any]] = {}
@@ -102,7 +102,7 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
-    except Exception as error:  # each codec of Zarr has its own
+    except Exception as error:  # each codec of Zarr raises its own
         damaged = damaged_chunks(root, contents)
         raise (DamagedError(damaged) if damaged else ValueError(str(error))) from error
     dataset.attrs.pop(CHECKSUMS, None)
@@ -110,7 +110,7 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
 
 
 def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
-    """Return what is wrong with which of the ``contents`` of files that `chunk_keys` names."""
+    """Return what is wrong, by file, with the ``contents`` of files that `chunk_keys` names."""
     damaged: dict[str, str] = {}
     checksums = chunk_checksums(root)
     for name, document in arrays_of(root).items():
@@ -127,7 +127,7 @@ def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]
             files[key.removeprefix(f"{name}/")] = cpu.Buffer.from_bytes(content)
             try:
                 _ = array.blocks[place] if place else array[...]
-            except Exception as error:  # each codec of Zarr has its own
+            except Exception as error:  # each codec of Zarr raises its own
                 damaged[key] = " ".join(str(error).split()) or type(error).__name__
             else:
                 if not _is_meant(content, checksums.get(key)):
@@ -157,9 +157,9 @@ def root_document(attributes: Mapping[str, Any], documents: Mapping[str, Any]) -
 
 
 def array_document(content: bytes, file: str, root: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the document that a file ``NAME/zarr.json`` holds, which is for those who read without that of the root.
+    """Return the document that a file ``NAME/zarr.json`` holds, which is for those who read without the root document.
 
-    Raises ValueError where it is not one that was written there.
+    Raises ValueError where it is not what was written there.
     """
     if not is_bound(root) and json.loads(content) == arrays_of(root).get(file.removesuffix("/zarr.json")):
         return dict(json.loads(content))  # of format 2, and has no checksum

@@ -37,7 +37,7 @@ class Store(OpenStore):
     """The open store of one study: what is done, appending to it, and writing the dataset."""
 
     def __init__(self, opened: OpenStore, study: Study) -> None:
-        """Open the ledger; raises SweepError where files of it are damaged, or it is of another version's shape."""
+        """Open the ledger; raises SweepError where files of it are damaged, or it has the layout of another version."""
         super().__init__(opened.location, opened.root)
         self.study = study
         widths, expected = (
@@ -66,7 +66,7 @@ class Store(OpenStore):
         self._files = chunk_names.leftovers(keys, self._documents)
 
     def _leave_out_rows_without_texts(self) -> None:
-        """Count rows as missing whose texts are, so that these points are computed again."""
+        """Count rows as missing if their texts are missing, so that these points are computed again."""
         if not (places := self.study.experiment.text_places()):
             return
         sums = self._ledger.sums()
@@ -78,7 +78,7 @@ class Store(OpenStore):
         self.rows.remove(without)
 
     def sums(self) -> Array:
-        """Return all rows of the ledger, (rows, width); `rows` says which is whose."""
+        """Return the sums of all rows of the ledger, (rows, width); `rows` has the row of each block."""
         with reading_ledger(self.location):
             return self._ledger.sums()
 
@@ -123,7 +123,7 @@ class Store(OpenStore):
                 document = group_document({"failures": failures.as_json(self.failures)})
                 self.location.put(failures.FILE, sealed(document, failures.FILE))
                 self._failures_changed = False
-            self.texts.flush()  # before the rows that speak of them
+            self.texts.flush()  # before the rows that refer to them
             self._ledger.flush()
             self._unwritten = 0
 
@@ -160,7 +160,7 @@ class Store(OpenStore):
         self._documents, self._digests, self.root = documents, digests, root
 
     def _bind(self, shapes: Mapping[str, Sequence[int]]) -> None:
-        """Add what a store of format 2 lacks, before its root document becomes one of today's."""
+        """Add what a store of format 2 lacks, before its root document changes to the present format."""
         if not self._is_bound:
             columns = columns_of(self.location, shapes, self.location.keys("blocks/"))
             self._ledger.bind(columns["digests"])
@@ -176,14 +176,14 @@ class Store(OpenStore):
             self.location.delete(key)
 
     def _named(self, name: str, array: snapshot.Encoded, digest: bytes) -> snapshot.Encoded:
-        """Name an array's chunks: as the last generation does if nothing has changed, or else as it does not."""
+        """Name an array's chunks: as in the last generation if nothing has changed, else by the other set of names."""
         if name not in self._documents:
             return array.named(0)
         last = chunk_names.encoding_of(self._documents[name])
         return array.named(last if self._digests.get(name) == digest else 1 - last)
 
     def _write_arrays(self, arrays: Mapping[str, snapshot.Encoded]) -> None:
-        """Write values, and then the status that speaks of them, for those who read without the root document."""
+        """Write the values first and the status last, for those who read without the root document."""
         for names in (set(arrays) - {"status"}, {"status"} & set(arrays)):
             self.location.put_all({k: content for name in names for k, content in arrays[name].files(name).items()})
             described = {f"{name}/zarr.json": arrays[name].document for name in names}
@@ -195,7 +195,7 @@ class Store(OpenStore):
         return self._ledger.next_row
 
     def record_code(self, code: str) -> None:
-        """Remember, before anything of it is computed, which code makes the blocks from now on."""
+        """Record which code makes the blocks from now on, before it makes any."""
         if self.attributes.get(CODE) == code:
             return
         self.root = {**self.root, "attributes": {**self.attributes, CODE: code}}
@@ -205,8 +205,8 @@ class Store(OpenStore):
         self.keep_copy()
 
     def keep_copy(self, attributes: Mapping[str, Any] | None = None) -> None:
-        """Keep a copy of what the store means, by new attributes or its own, in the ledger if the study has changed;
-        raises SweepError where it cannot be written.
+        """Write a copy of what the store means, the new ``attributes`` or its own, into the ledger if the study has
+        changed; raises SweepError where it cannot be written.
         """
         attributes = self.attributes if attributes is None else attributes
         decisive = ("study_digest", "linksweep_format", "ledger")
@@ -219,7 +219,7 @@ class Store(OpenStore):
 
 
 def open_dataset(where: Where) -> "xr.Dataset":
-    """Return the labelled dataset of a store, in memory, as one writing of it left it, whatever a run does meanwhile.
+    """Return the labelled dataset of a store, in memory, as it was written at one time, whatever a run does meanwhile.
 
     Raises SweepError unless a linksweep store of this format is there, if there is no dataset yet or it is damaged.
     """

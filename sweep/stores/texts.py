@@ -1,4 +1,4 @@
-"""The texts in results, by the digests that stand for them in the ledger's rows: documents of bounded size."""
+"""Stores the texts in results by the digests that stand for them in the ledger's rows, in documents of limited size."""
 
 import re
 from collections.abc import Collection, Mapping
@@ -9,7 +9,7 @@ from sweep.stores.location import Location
 
 FOLDER = "blocks/texts"
 MOST_BYTES = 2**20
-"""A document is not added to beyond this."""
+"""Size from which on nothing is added to a document."""
 
 _FILE = re.compile(rf"{FOLDER}/(\d+)/zarr\.json")
 
@@ -18,7 +18,7 @@ class Texts(dict[bytes, str]):
     """The texts of a store, by digest.  Those that `add` takes are durable after `flush`."""
 
     def __init__(self, location: Location, keys: Collection[str]) -> None:
-        """Read the documents among the names of all files of the store; a damaged one counts as missing."""
+        """Read the documents among ``keys``, the names of all files of the store; a damaged one counts as missing."""
         super().__init__()
         self._location = location
         self._last: dict[str, str] = {}
@@ -32,7 +32,7 @@ class Texts(dict[bytes, str]):
         self._number = 1 + max(numbers.values(), default=-1)
 
     def add(self, texts: Mapping[bytes, str]) -> None:
-        """Add texts that are not known."""
+        """Add the texts that are not there yet."""
         for digest, text in texts.items():
             if digest not in self:
                 if self._bytes > MOST_BYTES:

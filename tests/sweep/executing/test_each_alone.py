@@ -38,7 +38,7 @@ def told(of_all):
 )
 def test_what_depends_on_the_others_is_told_with_both_values(of_all, words):
     assert words in told(of_all)
-    assert "returns for each point what does not depend on the others" in told(of_all)
+    assert "returns for a point must not depend on the others" in told(of_all)
 
 
 @pytest.mark.parametrize(
