@@ -59,10 +59,8 @@ def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]
         words["realisations"] = f"{report['realisations']:,}, {done:,} of them done"
-    tasks = report["tasks_about"]
-    words["work"] = counted(report["blocks_pending"], "block") + (
-        f" in about {counted(tasks, 'task')}" if tasks else ""
-    )
+    tasks = f" in about {counted(report['tasks_about'], 'task')}" if report["tasks_about"] else ""
+    words["work"] = f"{counted(report['blocks_pending'], 'block')}{tasks}"
     words["memory"] = (
         f"{report['memory_mb']:,.3g} MB: {report['result_mb']:,.3g} MB of results, "
         f"{report['ledger_mb']:,.3g} MB of ledger"
