@@ -74,10 +74,12 @@ def _elsewhere(scheduler: str, experiment: str) -> Iterator[Any]:
     from sweep.executing.versions import identity, require_same
 
     with client_at(scheduler) as client:
+        own, asked = identity(experiment).deciding, set[str]()
+        while new := client.nthreads().keys() - asked:  # others may join, or leave, while these are asked
+            found = client.run(identity, experiment, workers=sorted(new), on_error="return")
+            there = client.nthreads()
+            require_same(own, {worker: what for worker, what in found.items() if worker in there})
+            asked |= new
         if not client.nthreads():
             raise SweepError(f"the Dask scheduler at {scheduler} has no workers")
-        own = identity(experiment).deciding
-        found = client.run(identity, experiment, on_error="return")
-        there = client.nthreads()  # without workers that have gone since they were asked
-        require_same(own, {worker: what for worker, what in found.items() if worker in there})
         yield client

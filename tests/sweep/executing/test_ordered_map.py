@@ -7,6 +7,7 @@ from distributed.comm import CommClosedError
 from sweep.contract import SweepError
 from sweep.executing.local_cluster import local_cluster
 from sweep.executing.ordered_map import ordered_map
+from tests.patience import PATIENCE_S
 
 GONE = "tcp://127.0.0.1:9"
 
@@ -34,6 +35,34 @@ def doubled(cluster):
 def test_a_worker_that_goes_while_it_is_asked_is_not_missed(cluster, monkeypatch):
     answering(monkeypatch, lambda client: [GONE])
     assert doubled(cluster) == [1, 2, 4, 8, 16]
+
+
+def test_no_worker_is_left_once_they_have_been_asked(cluster, monkeypatch):
+    """Workers are there when they are asked, and gone when they are counted again."""
+    counts = iter([{GONE: 1}, {}, {}, {}])
+    monkeypatch.setattr(
+        Client, "run", lambda *_, workers, **__: {worker: CommClosedError("closed") for worker in workers}
+    )
+    monkeypatch.setattr(Client, "nthreads", lambda _client: next(counts))
+    with pytest.raises(SweepError, match="has no workers"):
+        doubled(cluster)
+
+
+def test_one_that_joins_while_others_are_asked_is_asked_too(cluster, monkeypatch):
+    calls = []
+
+    def run(client, *arguments, workers, real=Client.run, **options):
+        calls.append(workers)
+        if len(calls) == 1:
+            cluster.scale(2)
+            client.wait_for_workers(2, PATIENCE_S)
+        return real(client, *arguments, workers=workers, **options)
+
+    monkeypatch.setattr(Client, "run", run)
+    assert doubled(cluster) == [1, 2, 4, 8, 16]
+    first, second = calls
+    assert len(first) == len(second) == 1
+    assert first != second
 
 
 def test_one_that_is_there_and_does_not_answer_is_refused(cluster, monkeypatch):
