@@ -48,7 +48,8 @@ class FixedDesign:
         columns = self.setup.stacked(self.columns)
 
         def products(normals: Array, place: slice) -> Array:
-            return ratio * transposed_product(columns[..., place, :, :], normals)
+            found = transposed_product(columns[..., place, :, :], normals)
+            return found if ratio == 1.0 else ratio * found
 
         def squares(normals: Array, place: slice) -> Array:
             part = normals[..., measured, :]

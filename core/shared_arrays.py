@@ -15,8 +15,8 @@ from core.blocks import Objects
 PART = 2048
 """Objects whose products are added up at a time: it decides how the sums are rounded."""
 
-PREPARED = 8192
-"""Objects that are prepared at a time, so that intermediate arrays of 64 KiB stay near the core."""
+PREPARED = 16384
+"""Objects that are prepared at a time, so that intermediate arrays of 128 KiB stay near the core."""
 
 
 def parts(n_obj: int, size: int = PART) -> list[slice]:
