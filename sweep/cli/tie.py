@@ -44,7 +44,7 @@ figures_option = click.option(
     default="scaled",
     help="Kinds of errors, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.",
 )
-@option_with_default("--resamples", type=click.IntRange(2), default=1000, help="How many the bootstrap draws.")
+@option_with_default("--resamples", type=click.IntRange(2), default=1000, help="Number of bootstrap resamples.")
 @option_with_default("--seed", type=click.IntRange(0), default=0, help="Seed of the bootstrap.")
 @option_with_default(
     "--sign",
