@@ -132,17 +132,11 @@ class OwnFixedSums:
         return self.design.solved(self.products, self.squares)
 
 
-def fixed_design(setup: Setup, shared: Prefixes) -> FixedDesign:
-    """Return the design at the true reference; raises LinkError where the catalogue does not determine the link."""
-    (design,) = fixed_designs([setup], shared)
-    return design
-
-
 def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign]:
-    """Return the design of each setup; that of the largest catalogue should come first.
+    """Return the design of each setup at the true reference; that of the largest catalogue should come first.
 
     The small matrices of similar designs are computed together: one by one they would take longer than the objects of a
-    small catalogue.  Raises LinkError as `fixed_design`.
+    small catalogue.  Raises LinkError where a catalogue does not determine the link.
     """
     found: dict[int, FixedDesign] = {}
     alike: dict[Hashable, list[int]] = {}

@@ -212,8 +212,8 @@ def _points(
     drawn, shared = _draws(scenarios, catalogue_rngs, stack), Prefixes()
     order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))
     setups = [prepare(scenarios[k], drawn[k], shared) for k in order]
-    points = dict(zip(order, fixed_designs(setups, shared), strict=True))
-    return [_Point(points[k], n_sim, keep_estimates) for k in range(len(drawn))]
+    designs = dict(zip(order, fixed_designs(setups, shared), strict=True))
+    return [_Point(designs[k], n_sim, keep_estimates) for k in range(len(drawn))]
 
 
 def _draws(scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Generator], stack: Stack) -> list[Draw]:
@@ -230,15 +230,12 @@ def _draws(scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Gen
     draws = [scenario.draw_catalogue for scenario in scenarios]
     nests = [(d.family, d.n_obj) if isinstance(d, NestedDraw) else (k, None) for k, d in enumerate(draws)]
     largest: dict[Hashable, Catalogue] = {}
-    catalogues: dict[tuple[Hashable, int | None], Catalogue] = {}
     drawn: dict[int, Draw] = {}
     for k in sorted(range(len(draws)), key=lambda k: -(nests[k][1] or 0)):  # a family's largest first
         family, n_obj = nests[k]
         if family not in largest:
             catalogue_rng.bit_generator.state = objects
             largest[family] = draws[k](catalogue_rng)
-        if nests[k] not in catalogues:
-            catalogues[nests[k]] = largest[family].take(slice(n_obj))
         directions.bit_generator.state = start
-        drawn[k] = Draw.of(scenarios[k], catalogues[nests[k]], directions)
+        drawn[k] = Draw.of(scenarios[k], largest[family].take(slice(n_obj)), directions)
     return [drawn[k] for k in range(len(draws))]

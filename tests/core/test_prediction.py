@@ -14,7 +14,7 @@ from core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
 from core.design import design_matrix
 from core.errors import CatalogueErrors, NoErrors, NormalErrors
 from core.experiment import evaluate, link, scenario, summarise
-from core.fixed_design import fixed_design
+from core.fixed_design import fixed_designs
 from core.link import inverse_and_condition, solve
 from core.prepared import Draw, prepare
 from core.projected import neglected
@@ -69,7 +69,7 @@ def test_the_predicted_bias_is_what_a_link_without_errors_returns():
     solution = solve(design, setup.differences.T, np.full((4, 30), MAS))
     expected = solution.estimate - setup.truth
     assert np.abs(expected[3:]).max() > 0.01 * np.abs(glide).max()
-    found = fixed_design(setup, Prefixes()).bias
+    found = fixed_designs([setup], Prefixes())[0].bias
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
@@ -85,7 +85,7 @@ def test_correlation_and_condition_number_of_a_clustered_sky():
     setup = setup_of(patch, satellite=NormalErrors(1.0, 1.0))
     columns = design_matrix(patch.ra, patch.dec, patch.pmra, patch.pmdec).reshape(-1, 6)
     expected = np.linalg.cond(columns / np.linalg.norm(columns, axis=0)) ** 2
-    found = fixed_design(setup, Prefixes()).condition_number
+    found = fixed_designs([setup], Prefixes())[0].condition_number
     assert found == pytest.approx(expected, rel=1e-6)
     assert found > 100.0
     assert inverse_and_condition(np.diag([1.0, 1e9]))[1] == pytest.approx(1.0, rel=1e-12)
@@ -103,7 +103,7 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
     sigma = np.sqrt(np.einsum("nii->ni", blocks))
     correlation = blocks / (sigma[:, :, None] * sigma[:, None, :])
     catalogue = scattered(sigma=sigma.T * MAS, correlation=correlation)
-    found = fixed_design(setup_of(catalogue, satellite=CatalogueErrors()), Prefixes()).predicted_variance()
+    found = fixed_designs([setup_of(catalogue, satellite=CatalogueErrors())], Prefixes())[0].predicted_variance()
     design = np.moveaxis(design_matrix(catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec), 0, 1)
     a, weights = design.reshape(-1, 6), (sigma.ravel() * MAS) ** -2.0
     gain = np.linalg.inv(a.T @ (weights[:, None] * a)) @ (a * weights[:, None]).T
@@ -140,8 +140,8 @@ def test_points_that_share_a_draw_keep_what_is_their_own(common, one, other):
 
 def test_columns_of_another_truth_are_others_though_the_differences_are_the_same():
     setup, shared = setup_of(scattered(), satellite=NormalErrors(1.0, 1.0)), Prefixes()
-    one = fixed_design(setup, shared)
-    other = fixed_design(replace(setup, truth=2.0 * setup.truth), shared)
+    one = fixed_designs([setup], shared)[0]
+    other = fixed_designs([replace(setup, truth=2.0 * setup.truth)], shared)[0]
     np.testing.assert_allclose(one.bias - other.bias, setup.truth, rtol=1e-9)
 
 
@@ -151,7 +151,7 @@ def test_the_bound_of_what_is_projected_contains_the_mean_change():
     n, sigma = 80_000, 200.0
     one_quarter = scattered(n, ra=rng.uniform(0.0, 0.5 * np.pi, n), dec=rng.uniform(0.3, 0.7, n))
     errors = {"satellite": NormalErrors(1.0, 1.0), "reference": NormalErrors(sigma, sigma)}
-    design = fixed_design(setup_of(one_quarter, **errors), Prefixes())
+    design = fixed_designs([setup_of(one_quarter, **errors)], Prefixes())[0]
     variance = (sigma**2 + 1.0) * MAS**2
     size = np.tan(one_quarter.dec) * (sigma * MAS) ** 2 / variance
     mean = np.array([np.sum(size * np.sin(one_quarter.ra)), -np.sum(size * np.cos(one_quarter.ra)), 0.0, 0.0, 0.0, 0.0])

@@ -11,7 +11,7 @@ from core.constants import MAS
 from core.design import design_matrix
 from core.errors import CatalogueErrors, NormalErrors
 from core.experiment import evaluate, link, scenario
-from core.fixed_design import fixed_design
+from core.fixed_design import fixed_designs
 from core.link import LinkError, solve
 from core.prepared import Draw, prepare
 from core.projected import Projected, neglected
@@ -142,7 +142,7 @@ def test_what_is_neglected_is_bounded(changes):
     arcsec = {"reference_errors": "normal", "reference_sigma_pos": 1000.0, "reference_sigma_pm": 500.0}
     arcsec |= {"satellite_errors": "normal", "satellite_sigma_pos": 700.0, "satellite_sigma_pm": 200.0}
     setup = set_up(point(**(arcsec | changes)))
-    design, n_sim, rng = fixed_design(setup, Prefixes()), 200, np.random.default_rng(5)
+    design, n_sim, rng = fixed_designs([setup], Prefixes())[0], 200, np.random.default_rng(5)
     sigma = np.sqrt(design.predicted_variance())
     whole, fixed = [], []
     for _ in range(n_sim):
@@ -179,7 +179,7 @@ def test_a_truth_far_beyond_the_errors_is_refused():
 
 
 def test_no_reference_error_neglects_nothing():
-    np.testing.assert_array_equal(neglected(fixed_design(set_up(point()), Prefixes())), 0.0)
+    np.testing.assert_array_equal(neglected(fixed_designs([set_up(point())], Prefixes())[0]), 0.0)
 
 
 def test_correlated_errors_are_refused():
@@ -199,7 +199,7 @@ def test_correlated_errors_are_refused():
 def test_the_triangle_has_the_products_of_the_columns():
     """R^T R = P^T P, however many objects there are: those of one more part than fit in one, and fewer than columns."""
     for n_obj in (2, 40, 5000):
-        design = fixed_design(set_up(point(n_obj=n_obj, weighting="equal")), Prefixes())
+        design = fixed_designs([set_up(point(n_obj=n_obj, weighting="equal"))], Prefixes())[0]
         columns = design.columns.reshape(4 * n_obj, -1)
         products, triangle = columns.T @ columns, Projected(design).triangle
         scale = np.sqrt(np.diag(products))

@@ -13,7 +13,7 @@ from core.design import design_matrix
 from core.errors import CatalogueErrors, Errors, MagnitudeErrors
 from core.errors.floor import FlooredErrors
 from core.experiment import cost, evaluate, link, samples, scenario, summarise
-from core.fixed_design import fixed_design
+from core.fixed_design import fixed_designs
 from core.frames import triad
 from core.harmonics import terms, toroidal, turned
 from core.link import LinkError
@@ -208,7 +208,7 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
     for part, sigma in ((slice(0, 2), 2.0 * MAS), (slice(2, 4), 0.7 * MAS)):
         flat = np.moveaxis(gain[:, :, part], 1, 2).reshape(6, -1)
         expected = expected + sigma**2 * np.einsum("ka,ab,kb->k", flat, covariance, flat)
-    np.testing.assert_allclose(fixed_design(setup, Prefixes()).predicted_variance(), expected, rtol=1e-9)
+    np.testing.assert_allclose(fixed_designs([setup], Prefixes())[0].predicted_variance(), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])
@@ -292,7 +292,7 @@ def test_the_leak_of_known_fields_is_predicted():
     f = plain_differences(catalogue, (0.3, -0.1, 0.2), (0.4, -0.3), 12.0, field) * MAS
     expected = np.einsum("kni,in->k", gain_of(setup)[:, :, 2:], f)
     assert np.abs(expected[3:]).min() > 0.01 * MAS
-    np.testing.assert_allclose(fixed_design(setup, Prefixes()).bias, expected, atol=1e-7 * MAS)
+    np.testing.assert_allclose(fixed_designs([setup], Prefixes())[0].bias, expected, atol=1e-7 * MAS)
 
 
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])
