@@ -9,8 +9,8 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from contextlib import contextmanager
+from concurrent.futures import Future, wait
+from contextlib import contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
 from typing import Any, TypeVar
 
@@ -33,6 +33,9 @@ ENVIRONMENT = {
 }
 """Environment of every worker; Python and libraries read it as they start, before Dask could set anything."""
 
+UNDO_S = 5.0
+"""Seconds that an interrupted run waits for what it has begun to start, so as to end it: usually less than one."""
+
 SAFE_PATH = "PYTHONSAFEPATH"
 """Keeps modules of the folder that a run is started in out of the process that workers are forked from."""
 
@@ -49,17 +52,21 @@ def start_method() -> Iterator[str]:
         yield "spawn"
         return
     try:
-        signals_blocked(_start)
+        signals_blocked(_start, lambda _: _end_servers())
     except OSError:
         yield "spawn"
         return
     try:
         yield "forkserver"
     finally:
-        for server in _servers():
-            server.kill()
-            # `multiprocessing` reaps it when it next needs a fork server, and must find it ended then.
-            os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
+        _end_servers()
+
+
+def _end_servers() -> None:
+    for server in _servers():
+        server.kill()
+        # `multiprocessing` reaps it when it next needs a fork server, and must find it ended then.
+        os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
 
 
 def _servers() -> list[Any]:
@@ -91,13 +98,13 @@ def _start() -> None:
                 os.environ[name] = value
 
 
-def signals_blocked(make: Callable[[], Made]) -> Made:
+def signals_blocked(make: Callable[[], Made], undo: Callable[[Made], object]) -> Made:
     """Return ``make()``; the processes that it starts do not get SIGINT, SIGHUP and SIGTERM: a terminal or a batch
     system sends these to every process, but only the client is to answer (distributed#1925).  A worker unblocks SIGTERM
     (`TaskPlugin`), which its experiment may need; the process that workers are forked from outlives all of them.
 
     Processes inherit the signal mask of the thread that starts them.  Here that is another thread, so that this one can
-    be interrupted meanwhile.
+    be interrupted meanwhile: what is made then is given to ``undo``.
     """
     made: Future[Made] = Future()
 
@@ -111,5 +118,14 @@ def signals_blocked(make: Callable[[], Made]) -> Made:
         except BaseException as error:
             made.set_exception(error)
 
-    threading.Thread(target=start, name="start-children", daemon=True).start()
-    return made.result()
+    def undone(made: Future[Made]) -> None:
+        with suppress(Exception):
+            undo(made.result())
+
+    try:
+        threading.Thread(target=start, name="start-children", daemon=True).start()
+        return made.result()
+    except BaseException:  # a process that is starting while this one ends would print a traceback
+        wait([made], UNDO_S)
+        made.add_done_callback(undone)
+        raise

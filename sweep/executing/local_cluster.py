@@ -100,7 +100,8 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
         with warnings.catch_warnings():  # on a busy machine even making our own folder takes a second
             warnings.filterwarnings("ignore", "Creating scratch directories is taking")
-            cluster = stack.enter_context(signals_blocked(partial(kind, **{**defaults, **options})))
+            make = partial(kind, **{**defaults, **options})
+            cluster = stack.enter_context(signals_blocked(make, lambda cluster: cluster.close()))
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(lost_workers_replaced(cluster))
         yield cluster

@@ -2,9 +2,11 @@
 
 import errno
 import os
+import queue
 import signal
 import subprocess
 import sys
+import time
 from multiprocessing import forkserver, resource_tracker
 
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 import xarray as xr
 from distributed import LocalCluster
 
-from sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked
+from sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked, start_method
 from sweep.executing.local_cluster import own_cluster
 from sweep.executing.worker_plugin import TaskPlugin
 from tests.patience import PATIENCE_S
@@ -108,7 +110,54 @@ def test_what_cannot_be_started_is_told(monkeypatch):
 
     monkeypatch.setattr(resource_tracker, "ensure_running", full)
     with pytest.raises(OSError, match="Too many"):
-        signals_blocked(int)
+        signals_blocked(int, undo=print)
+
+
+def interrupted_meanwhile():
+    os.kill(os.getpid(), signal.SIGINT)
+    time.sleep(0.2)  # not made yet when the interrupt arrives
+    return "made"
+
+
+def test_what_is_made_while_it_is_interrupted_is_undone():
+    undone = []
+    with pytest.raises(KeyboardInterrupt):
+        signals_blocked(interrupted_meanwhile, undone.append)
+    assert undone == ["made"]
+
+
+def test_what_is_made_too_late_is_undone_later(monkeypatch):
+    monkeypatch.setattr("sweep.executing.forkserver.UNDO_S", 0.0)
+    undone = queue.Queue()
+    with pytest.raises(KeyboardInterrupt):
+        signals_blocked(interrupted_meanwhile, undone.put)
+    assert undone.get(timeout=PATIENCE_S) == "made"
+
+
+class Interrupted(LocalCluster):
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        interrupted_meanwhile()
+
+
+def test_an_interrupted_start_leaves_no_process_in_a_session():
+    with pytest.raises(KeyboardInterrupt), own_cluster(Interrupted, ONE):
+        pass
+    assert not servers_below(os.getpid())
+    assert not workers_below(os.getpid())
+
+
+def test_an_interrupted_server_is_ended(monkeypatch):
+    start = forkserver.ensure_running
+
+    def interrupted():
+        start()
+        interrupted_meanwhile()
+
+    monkeypatch.setattr(forkserver, "ensure_running", interrupted)
+    with pytest.raises(KeyboardInterrupt), start_method():
+        pass
+    assert not servers_below(os.getpid())
 
 
 @pytest.mark.slow
