@@ -48,6 +48,14 @@ BENCHMARKS = {
 }
 
 
+NOT_OF_USERS = (
+    "PYTHONDONTWRITEBYTECODE",  # users have compiled modules; the first start makes them
+    "OPENBLAS_CORETYPE",  # and the kernels that OpenBLAS chooses for their processor
+    "OPENBLAS_L2_SIZE",
+)
+"""Variables that are removed from the environment before anything is measured."""
+
+
 def line(one: Measured) -> str:
     """Return a number as the table shows it."""
     target = "" if one.target is None else f"{one.target.relation} {one.target.value:,g}"
@@ -57,7 +65,6 @@ def line(one: Measured) -> str:
 
 def main() -> int:
     """Measure, print, write; 1 if a target is missed."""
-    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # users have compiled modules; the first start makes them
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -71,11 +78,14 @@ def main() -> int:
     options = parser.parse_args()
     if unknown := set(options.names) - set(BENCHMARKS):
         parser.error(f"no benchmark {', '.join(sorted(unknown))}; there are {', '.join(BENCHMARKS)}")
+    if removed := [f"{name}={os.environ.pop(name)}" for name in NOT_OF_USERS if name in os.environ]:
+        print(f"measured without {', '.join(removed)}")
     report: dict[str, Any] = {
         "machine": platform.machine(),
         "cores": os.cpu_count(),
         "python": platform.python_version(),
         "size": options.size,
+        "without": removed,
         "benchmarks": {},
     }
     missed = False

@@ -67,7 +67,7 @@ def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     )
     if "seconds" in report:
         cores = f"{report['cores']} core{'' if report['cores'] == 1 else 's'}"
-        words["time"] = f"at least {in_words(report['seconds'])} on {cores} of this machine: its random numbers alone"
+        words["time"] = f"at least {in_words(report['seconds'])} of computing on {cores} of this machine"
     return words | {"store": report["store"]}
 
 

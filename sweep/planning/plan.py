@@ -22,8 +22,10 @@ OVERHEAD = 20_000
 MOST_SHARING = 64
 """Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory."""
 
-SHARED = 0.15
-"""The share of its cost that a point takes if it uses the random numbers of another: its part of the linear algebra."""
+SHARED = 0.05
+"""The least share of its cost that a point takes if it uses the random numbers of another: its part of the linear
+algebra.  With errors of both catalogues it takes nearly all of it.
+"""
 
 MAX_BLOCKS = 10_000_000
 

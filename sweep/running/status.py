@@ -114,8 +114,8 @@ def _of_dataset(dataset: xr.Dataset) -> Progress:
 
 
 def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
-    """Return what a run would do; the time is what the random numbers alone would take, from a short timing of this
-    machine, with so many ``workers`` (one per core by default).
+    """Return what a run would do; the time is the least that computing takes with so many ``workers`` (one per core by
+    default), from a short timing of random numbers on this machine.
     """
     plan, survey = plan_study(study, store, accept_code)
     grid = plan.grid
