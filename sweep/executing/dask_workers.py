@@ -62,8 +62,6 @@ class DaskWorkers:
             raise
         except Exception as error:  # whatever keeps a worker from importing what it is sent
             raise (self.unable(error) if self.client.status == "running" else self.gone()) from error
-        # A worker that has gone meanwhile is compared with its first task, should it return.
-        found = {worker: what for worker, what in found.items() if not isinstance(what, OSError)}
         for worker, what in sorted(found.items()):
             if isinstance(what, Identity):
                 self.warn(worker, differences(self.expected.others, what.others))

@@ -1,14 +1,16 @@
 """Maps a function over many pieces on Dask workers: results in the order of the pieces, few in memory at a time."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
 from sweep.contract import SweepError
+from sweep.executing.versions import identity, require_same
 
 Result = TypeVar("Result")
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
@@ -33,15 +35,21 @@ def ordered_map(workers: int | None, scheduler: str | None, experiment: str) -> 
     if scheduler is None and (workers is None or workers == 1):
         yield here
         return
-    with _local(workers) if scheduler is None else _elsewhere(scheduler, experiment) as client:
-        yield lambda function, pieces: _mapped(client, function, pieces)
+    if scheduler is None:
+        with _local(workers) as client:
+            yield partial(_mapped, client, _on_one_thread)
+    else:
+        with _elsewhere(scheduler, experiment) as (client, expected):
+            yield partial(_mapped, client, partial(_as_expected, expected, experiment))
 
 
-def _mapped(client: Any, function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+def _mapped(
+    client: Any, compute: Callable[..., Any], function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]
+) -> Iterator[Any]:
     from distributed import KilledWorker
 
     threads = sum(client.nthreads().values())
-    sent = (client.submit(_on_one_thread, function, *piece, pure=False) for piece in pieces)
+    sent = (client.submit(compute, function, *piece, pure=False) for piece in pieces)
     waiting = deque(islice(sent, AHEAD * max(threads, 1)))
     while waiting:
         future = waiting.popleft()
@@ -69,17 +77,23 @@ def _local(workers: int | None) -> Iterator[Any]:
 
 
 @contextmanager
-def _elsewhere(scheduler: str, experiment: str) -> Iterator[Any]:
+def _elsewhere(scheduler: str, experiment: str) -> Iterator[tuple[Any, Mapping[str, str]]]:
+    """Give a client of a scheduler whose workers are as this process is, and what is expected of those that join."""
     from sweep.executing.clusters import client_at
-    from sweep.executing.versions import identity, require_same
 
+    expected = identity(experiment).deciding
     with client_at(scheduler) as client:
-        own, asked = identity(experiment).deciding, set[str]()
-        while new := client.nthreads().keys() - asked:  # others may join, or leave, while these are asked
-            found = client.run(identity, experiment, workers=sorted(new), on_error="return")
-            there = client.nthreads()
-            require_same(own, {worker: what for worker, what in found.items() if worker in there})
-            asked |= new
+        require_same(expected, client.run(identity, experiment, on_error="return"))
         if not client.nthreads():
             raise SweepError(f"the Dask scheduler at {scheduler} has no workers")
-        yield client
+        yield client, expected
+
+
+def _as_expected(
+    expected: Mapping[str, str], experiment: str, function: Callable[..., Result], *arguments: Any
+) -> Result:
+    """Compute a piece on a worker that would compute what the client would; raises SweepError on any other."""
+    from distributed import get_worker
+
+    require_same(expected, {get_worker().address: identity(experiment)})
+    return _on_one_thread(function, *arguments)

@@ -46,9 +46,13 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
 def require_same(expected: Mapping[str, str], found: Mapping[str, Any]) -> None:
     """Raise SweepError with a list of the workers, by their addresses, that have answered with an exception or with an
     `Identity` in which something that decides the numbers is not as ``expected``.
+
+    A worker that has gone meanwhile (OSError) is left out: should it return, it is compared with its first task.
     """
     problems = []
     for worker, what in sorted(found.items()):
+        if isinstance(what, OSError):
+            continue
         if isinstance(what, BaseException):
             problems.append(f"{worker}: {type(what).__name__}: {what}")
         else:
