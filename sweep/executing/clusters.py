@@ -1,5 +1,6 @@
 """Makes the Dask clusters that a run may use: of this machine, one that runs elsewhere, one that a file describes."""
 
+import asyncio
 import importlib.metadata
 import warnings
 from collections.abc import Iterator
@@ -9,7 +10,9 @@ from typing import Any
 
 from distributed import Client
 from distributed.comm.addressing import get_address_host_port
+from distributed.comm.core import connect
 from distributed.security import Security
+from distributed.utils import LoopRunner
 from threadpoolctl import threadpool_limits
 
 from sweep.contract import SweepError
@@ -68,7 +71,8 @@ def dask_from_file(study: Study, path: Path, say: Say, limits: Limits = NO_LIMIT
             while cause.__cause__ is not None:
                 cause = cause.__cause__
             raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(path)) from error
-        yield _place(client, words), _executor(client, study, words, say, limits)
+        executor = _executor(client, study, words, say, limits)
+        yield _place(client, words), executor
 
 
 @contextmanager
@@ -80,26 +84,53 @@ def dask_scheduler(
     """
     with client_at(address, security) as client:
         words = f"the Dask scheduler at {address}"
-        yield _place(client, words), _executor(client, study, words, say, limits)
+        executor = _executor(client, study, words, say, limits)
+        yield _place(client, words), executor
 
 
 @contextmanager
 def client_at(address: str, security: Security | None = None) -> Iterator[Client]:
     """Give a client of a Dask scheduler that runs elsewhere; raises SweepError where none answers."""
-    if address.startswith("tls://") and (security or Security()).get_connection_args("client")["ssl_context"] is None:
+    options = (security or Security()).get_connection_args("client")
+    if address.startswith("tls://") and options["ssl_context"] is None:
         raise SweepError(
             f"no certificates for {address!r}: give --tls-ca, --tls-cert and --tls-key, or configure Dask with them"
         )
+    try:
+        get_address_host_port(address)
+    except (ValueError, TypeError) as error:
+        message = f"no Dask scheduler has the address {address!r}: {error}; expected tcp://HOST:PORT or tls://HOST:PORT"
+        raise SweepError(message) from error
     with without_logs(), ExitStack() as stack:
         try:
-            get_address_host_port(address)  # a client of a malformed address would hang when it is closed
+            kind = LoopRunner().run_sync(_server_at, address, options)
+            if kind != "Scheduler":
+                raise SweepError(f"{address!r} is the address of a Dask {kind.lower()}, not of a scheduler")
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of other versions: `DaskWorkers` says it in words
                 client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
         except (OSError, ValueError, TypeError, TimeoutError) as error:
-            message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s: {error}"
+            reason = f": {error}" if str(error) else ""
+            message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s{reason}"
             raise SweepError(message) from error
         yield stack.enter_context(client)
+
+
+async def _server_at(address: str, options: dict[str, Any]) -> str:
+    """Return what kind of Dask server answers; raises OSError, TimeoutError or ValueError.
+
+    A client would wait for ever for the handshake of a server that says nothing, such as a scheduler that is stopped.
+    """
+
+    async def ask() -> str:
+        server = await connect(address, timeout=CONNECT_TIMEOUT_S, **options)
+        try:
+            await server.write({"op": "identity", "reply": True})
+            return str((await server.read())["type"])
+        finally:
+            server.abort()
+
+    return await asyncio.wait_for(ask(), CONNECT_TIMEOUT_S)
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:
@@ -121,12 +152,16 @@ def _executor(client: Client, study: Study, words: str, say: Say, limits: Limits
 
 
 def _place(client: Client, words: str) -> Place:
-    """Return the place of a client, with the dashboard if its scheduler can show one: this needs bokeh."""
+    """Return the place of a client whose workers are there, with the dashboard if the scheduler can show one: this
+    needs bokeh.
+    """
     try:
         client.run_on_scheduler(importlib.metadata.version, "bokeh")
     except Exception:  # a missing package there, or a scheduler that runs nothing for clients
-        return Place(words)
-    return Place(words, dashboard=_dashboard(client))
+        link = ""
+    else:
+        link = _dashboard(client)
+    return Place(words, dashboard=link, threads=sum(client.nthreads().values()))
 
 
 def _dashboard(client: Client) -> str:

@@ -53,11 +53,14 @@ JUDGED_S = 0.05
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run is, in words, with how many workers if that is known, and the Dask dashboard if there is one."""
+    """Where a run is, in words: how many workers if that is known, the Dask dashboard if there is one, and how many
+    ``threads`` there are as it begins.
+    """
 
     words: str
     workers: int | None = None
     dashboard: str = ""
+    threads: int = 1
 
 
 def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS, enough_s: float = 0.0) -> Task:

@@ -6,7 +6,7 @@ import logging
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import Any
@@ -100,8 +100,9 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
         with warnings.catch_warnings():  # on a busy machine even making our own folder takes a second
             warnings.filterwarnings("ignore", "Creating scratch directories is taking")
-            make = partial(kind, **{**defaults, **options})
-            cluster = stack.enter_context(signals_blocked(make, lambda cluster: cluster.close()))
+            make: Callable[[], Any] = partial(kind, **{**defaults, **options})
+            made = signals_blocked(make, lambda made: made.close())
+            cluster = stack.enter_context(made)
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(lost_workers_replaced(cluster))
         yield cluster

@@ -1,10 +1,12 @@
 """Maps a function over many pieces on Dask workers: results in the order of the pieces, few in memory at a time."""
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
+from threading import Event
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -14,6 +16,12 @@ from sweep.executing.versions import identity, require_same
 
 Result = TypeVar("Result")
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
+
+LOOK_EVERY_S = 1.0
+"""Seconds between two looks at the workers while a result is waited for."""
+
+WITHOUT_WORKERS_S = 60.0
+"""Seconds that workers may be missing, for instance until a batch system starts others."""
 
 AHEAD = 2
 """Pieces for each worker thread that are computed before their turn."""
@@ -46,20 +54,36 @@ def ordered_map(workers: int | None, scheduler: str | None, experiment: str) -> 
 def _mapped(
     client: Any, compute: Callable[..., Any], function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]
 ) -> Iterator[Any]:
-    from distributed import KilledWorker
-
     threads = sum(client.nthreads().values())
     sent = (client.submit(compute, function, *piece, pure=False) for piece in pieces)
     waiting = deque(islice(sent, AHEAD * max(threads, 1)))
     while waiting:
         future = waiting.popleft()
-        try:
-            result = future.result()
-        except KilledWorker as error:
-            raise SweepError(f"a worker died, perhaps for lack of memory: {error}") from error
+        result = _result(client, future)
         waiting.extend(islice(sent, 1))
         del future  # Dask forgets the result
         yield result
+
+
+def _result(client: Any, future: Any) -> Any:
+    """Wait for a result while there are workers; Dask itself would wait for others for ever."""
+    from distributed import CancelledError, KilledWorker
+
+    ended = Event()
+    future.add_done_callback(lambda _: ended.set())
+    had_workers = time.monotonic()
+    while not ended.wait(LOOK_EVERY_S):
+        now = time.monotonic()
+        if client.status != "running" or client.nthreads():
+            had_workers = now
+        elif now - had_workers > WITHOUT_WORKERS_S:
+            raise SweepError(f"the workers have gone, and there have been none for {WITHOUT_WORKERS_S:g} s")
+    try:
+        return future.result()
+    except KilledWorker as error:
+        raise SweepError(f"a worker died, perhaps for lack of memory: {error}") from error
+    except CancelledError as error:
+        raise SweepError(f"the connection to the Dask scheduler is lost: {error}") from error
 
 
 def _on_one_thread(function: Callable[..., Result], *arguments: Any) -> Result:

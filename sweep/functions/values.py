@@ -61,8 +61,9 @@ def _coordinate_of_xarray(dim: str, along: Any) -> Coordinate:
 
 def is_xarray(value: object) -> bool:
     """Return whether a value is an xarray object, without importing xarray."""
-    xarray = sys.modules.get("xarray")
-    return xarray is not None and isinstance(value, (xarray.DataArray, xarray.Dataset))
+    xarray = sys.modules.get("xarray")  # while another thread imports it, it has no classes yet, and nobody has a value
+    kinds = tuple(getattr(xarray, name, ()) for name in ("DataArray", "Dataset"))
+    return isinstance(value, kinds)
 
 
 def value_of(value: Any) -> Value:

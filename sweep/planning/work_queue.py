@@ -52,17 +52,23 @@ class Pending:
         self._known: deque[Work] = deque()
         self._fresh = self._shared() if plan.grid.study.sampling.common_random_numbers else self._alone()
         self._left = accumulator.survey.pending.cost
+        self._begun = False
         self._tasks_out = 0
         self._measured_cost = self._measured_s = 0.0
 
     def add(self, works: Iterable[Work]) -> None:
-        """Put work that results have shown to be needed before all other work."""
+        """Put work that results have shown to be needed before all other work.
+
+        Before anything is given out nothing needs to be put here: the accumulator misses it, as it does all other work.
+        """
         for work in works:
-            self._known.append(work)
+            if self._begun:
+                self._known.append(work)
             self._left += work.cost
 
     def take(self, count: int) -> list[list[Work]]:
         """Return up to ``count`` tasks' work."""
+        self._begun = True
         tasks: list[list[Work]] = []
         while len(tasks) < count and (task := self._task()):
             tasks.append(task)

@@ -115,7 +115,7 @@ def run_study(
         where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
         place, run = stack.enter_context(where)
         progress.start(accumulator.survey, place.words, place.workers)
-        study, first = first_results(study, Pending(plan, accumulator, tuning), run, place.workers or 1)
+        study, first = first_results(study, Pending(plan, accumulator, tuning), run, place.workers or place.threads)
         if first:
             plan = plan.of(study)
         opened = _opened(store, opened, plan)

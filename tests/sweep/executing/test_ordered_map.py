@@ -1,15 +1,17 @@
 """Pieces of work on the workers of a scheduler: these are asked who they are before they get any."""
 
+import time
+
 import pytest
 from distributed import Client
 from distributed.comm import CommClosedError
 
 from sweep.contract import SweepError
-from sweep.executing import versions
+from sweep.executing import ordered_map, versions
 from sweep.executing.local_cluster import local_cluster
-from sweep.executing.ordered_map import ordered_map
 from tests.patience import PATIENCE_S
 
+EXPERIMENT = "core.experiment:link"
 ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
 
 
@@ -20,7 +22,7 @@ def cluster():
 
 
 def doubled(cluster, pieces=5):
-    with ordered_map(None, cluster.scheduler_address, "core.experiment:link") as mapped:
+    with ordered_map.ordered_map(None, cluster.scheduler_address, EXPERIMENT) as mapped:
         return list(mapped(pow, [(2, n) for n in range(pieces)]))
 
 
@@ -55,3 +57,23 @@ def test_one_that_joins_later_is_compared_too(monkeypatch):
         monkeypatch.setattr(Client, "run", run)
         with pytest.raises(SweepError, match=r"tcp://.*: numpy is .* here, 0\.1 there"):
             doubled(cluster, 20)
+
+
+def test_without_workers_it_does_not_wait_for_ever(cluster, monkeypatch):
+    monkeypatch.setattr(ordered_map, "LOOK_EVERY_S", 0.1)
+    monkeypatch.setattr(ordered_map, "WITHOUT_WORKERS_S", 0.5)
+    with ordered_map.ordered_map(None, cluster.scheduler_address, EXPERIMENT) as mapped:
+        results = mapped(time.sleep, [(0.0,), (5.0,)])
+        next(results)
+        monkeypatch.setattr(Client, "nthreads", lambda _client: {})
+        with pytest.raises(SweepError, match="the workers have gone"):
+            next(results)
+
+
+def test_a_scheduler_that_goes_is_told():
+    with local_cluster(ONE) as own, ordered_map.ordered_map(None, own.scheduler_address, EXPERIMENT) as mapped:
+        results = mapped(time.sleep, [(0.0,), *[(1.0,)] * 5])
+        next(results)
+        own.close()
+        with pytest.raises(SweepError, match="the connection to the Dask scheduler is lost"):
+            list(results)

@@ -2,8 +2,10 @@
 
 import dataclasses
 import datetime
+import sys
 from collections import namedtuple
 from decimal import Decimal
+from types import ModuleType
 
 import astropy.units as u
 import numpy as np
@@ -316,3 +318,10 @@ def test_a_tuple_has_the_declared_outputs_in_order():
     rows = split_points((np.array([3.0, 5.0]), np.array([1.0, 1.0])), 2, pairs, "points")
     assert [row.row for row in rows] == [flatten((total, 1.0), pairs).row for total in (3.0, 5.0)]
     assert flatten((1.0, 2.0), Declared("pair", "pair")).layout.fields[0].dims == ("pair_dim_0",)
+
+
+def test_while_another_thread_imports_xarray(monkeypatch):
+    """It is in ``sys.modules`` before it has any classes."""
+    monkeypatch.setitem(sys.modules, "xarray", ModuleType("xarray"))
+    values, _ = back({"x": 1.5})
+    assert values["x"] == 1.5

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+import zarr
 
 import linksweep
 from linksweep import Output, SweepError, experiment
@@ -230,6 +231,22 @@ def test_precision_is_reached_for_means_and_quantiles(tmp_path):
     for name in ("wait_mean", "wait_q95", "long_count"):
         assert (ds[f"{name}_mc_error"] <= 0.06 * ds[name]).all(), name
     assert (ds.n_sim_done > 64).all()
+
+
+@pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
+def test_a_precision_takes_the_same_realisations_in_every_run(tmp_path, pool):
+    """Once each: those of the first points, which say what the function returns, are not computed again."""
+    study = {
+        "axes": {"load": [0.2, 0.5, 0.8]},
+        "sampling": {"n_sim": 64, "precision": 0.06, "seed": 1},
+        "store": tmp_path / "q.zarr",
+    }
+    ds = linksweep.run(queue, pool=pool, workers=1 if pool == "serial" else 2, **study)
+    index = zarr.open_group(tmp_path / "q.zarr", path="blocks")["index"][:]
+    keys = index[index.any(axis=1)]
+    assert len(keys) == len(np.unique(keys, axis=0))
+    assert ds.n_sim_done.values.tolist() == [2560, 1024, 1024]
+    assert linksweep.run(queue, **study).drop_attrs().identical(ds.drop_attrs())
 
 
 def test_reproduce_computes_the_same_bits(tmp_path):

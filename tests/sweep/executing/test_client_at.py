@@ -1,0 +1,45 @@
+"""Addresses at which no Dask scheduler answers are refused in time and by name."""
+
+import socket
+from contextlib import closing
+
+import pytest
+
+from sweep.contract import SweepError
+from sweep.executing import clusters
+from sweep.executing.clusters import client_at, dask_scheduler
+from sweep.executing.local_cluster import local_cluster
+from sweep.studies.reader import study_from_dict
+
+
+def test_a_port_that_says_nothing(monkeypatch):
+    """Dask's own client would wait for ever."""
+    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 1)
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        address = "tcp://{}:{}".format(*server.getsockname())
+        with (
+            pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}' within 1 s$"),
+            client_at(address),
+        ):
+            pass
+
+
+def test_the_address_of_a_worker():
+    with local_cluster({"n_workers": 1, "threads_per_worker": 1, "processes": True}) as cluster:
+        (worker,) = cluster.scheduler_info["workers"]
+        with pytest.raises(SweepError, match=f"'{worker}' is the address of a Dask worker"), client_at(worker):
+            pass
+
+
+@pytest.mark.parametrize("address", ["host", "nonsense://x:1", "tcp://"])
+def test_what_is_no_address(address):
+    with pytest.raises(SweepError, match=r"expected tcp://HOST:PORT"), client_at(address):
+        pass
+
+
+def test_every_thread_of_a_scheduler_gets_one_of_the_first_points(coins):
+    with (
+        local_cluster({"n_workers": 2, "threads_per_worker": 1, "processes": True}) as cluster,
+        dask_scheduler(study_from_dict(coins), cluster.scheduler_address, None, print) as (place, _),
+    ):
+        assert place.threads == 2
