@@ -121,11 +121,11 @@ class DaskWorkers:
         return run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
 
     def warn(self, worker: str, texts: list[str]) -> None:
-        """Say once how a worker differs in what decides no number."""
+        """Say once how a worker differs in what decides at most how sums are rounded."""
         for text in texts:
             if text not in self._warned:
                 self._warned.add(text)
-                self._say(f"warning: {text} (worker {worker}); this should not change a number")
+                self._say(f"warning: {text} (worker {worker}); the last digits of results may differ")
 
     def gone(self) -> SweepError:
         """Return the error for a connection that is lost."""

@@ -3,7 +3,10 @@
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
+
+from threadpoolctl import threadpool_info
 
 from sweep.code_identity import code_of
 from sweep.contract import SweepError
@@ -29,8 +32,17 @@ def identity(reference: str, digest: str | None = None) -> Identity:
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
     for name, text in code_of(reference, experiment, digest).items():
         deciding[name] = f"with digest {text}" if name.startswith(("file ", "function ", "value ")) else text
-    others = {"python": platform.python_version(), "machine": platform.machine()}
+    others = {"python": platform.python_version(), "machine": platform.machine(), "linear algebra": _kernels()}
     return Identity(deciding, others | {name: version_of(name) for name in OTHERS})
+
+
+@cache
+def _kernels() -> str:
+    """Return the processors that kernels of linear algebra are for, by library: sums are rounded as these add up."""
+    found = {
+        f"{info['internal_api']} for {info['architecture']}" for info in threadpool_info() if "architecture" in info
+    }
+    return ", ".join(sorted(found)) or "unknown"
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
