@@ -32,7 +32,8 @@ class Interruptions:
     """The signals that stop a run: the first raises KeyboardInterrupt, the second is handled as before the run.
 
     Python drops a KeyboardInterrupt that arrives in a finaliser or in a callback of its import system, and libraries
-    drop some while they are imported.  So it is raised again until it gets through.  This does not work if the caller
+    drop some while they are imported.  So it is raised again until it gets through; a callback of the garbage collector
+    is let finish, since Dask's fails ever after if it was interrupted.  This does not work if the caller
     runs everything inside an ``except`` block: there a dropped interrupt looks like one that is being handled.
     """
 
@@ -80,7 +81,9 @@ class Interruptions:
             signal.raise_signal(number)
             return
         self.received, self._lost, self._owed = number, False, self._holding
-        if not self._holding:
+        if _is_called_by_the_collector(frame):
+            self._look_later()
+        elif not self._holding:
             self._interrupt()
 
     def _interrupt(self) -> NoReturn:
@@ -121,6 +124,16 @@ def _is_handling(thread: int) -> bool:
         if collects:
             gc.enable()
     return (found[0] if isinstance(found, tuple) else found) is not None  # a tuple of three in Python 3.11
+
+
+def _is_called_by_the_collector(frame: FrameType | None) -> bool:
+    """Return whether a frame is that of a callback of the garbage collector, or below one."""
+    callbacks = {getattr(getattr(callback, "__func__", callback), "__code__", None) for callback in gc.callbacks}
+    while frame is not None:
+        if frame.f_code in callbacks:
+            return True
+        frame = frame.f_back
+    return False
 
 
 @contextmanager

@@ -173,6 +173,27 @@ def test_what_a_library_swallows_comes_again():
     assert ended_as(body) == signal.SIGINT
 
 
+def test_a_callback_of_the_collector_is_let_finish():
+    """Python prints what is raised there, and Dask's callback fails at all later calls if one was interrupted."""
+    steps = []
+
+    def callback(phase, info):
+        if phase == "start" and not steps:
+            signal.raise_signal(signal.SIGINT)
+            steps.append("finished")
+
+    def body(interruptions):
+        gc.collect()
+        threading.Event().wait(ENDLESS_S)
+
+    gc.callbacks.append(callback)
+    try:
+        assert ended_as(body) == signal.SIGINT
+    finally:
+        gc.callbacks.remove(callback)
+    assert steps == ["finished"]
+
+
 @pytest.mark.parametrize("where", ["finally", "except", "with"])
 def test_cleaning_up_takes_its_time(where):
     """What is on its way out is not interrupted again."""
