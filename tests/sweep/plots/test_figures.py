@@ -166,6 +166,12 @@ def test_components_have_their_own_symbol_and_unit(dataset_of):
     assert axes.get_ylabel() == r"$\sigma$($\omega_{x}$) [mas/yr]"
 
 
+def test_a_component_keeps_its_symbol_where_a_panel_has_a_unit_of_its_own(dataset_of):
+    one = select(dataset_of("quasars"), {"component": "omega_x"})
+    labels = [axes.get_ylabel() for axes in axes_of(draw_figure(one, variables=["sigma"]))]
+    assert labels == [r"$\sigma$($\omega_{x}$) [mas/yr]", r"$\sigma$($\omega_{x}$) [µas/yr]"]
+
+
 def test_components_in_different_units_are_refused(dataset_of):
     with pytest.raises(
         SweepError, match="sigma has components in mas and mas / yr; choose one with --at component=epsilon_x"
