@@ -159,6 +159,7 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
         else:
             axes.plot(x, y, **style)
     fit_scale(axes, "y", array.values)
+    axes.set_label(variable)  # for the caption
     axes.set_xlabel(label(dataset[parameter], parameter))
     finish(axes)
 
