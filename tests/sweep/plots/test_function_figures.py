@@ -1,10 +1,14 @@
 """Pictures of results of plain functions: lists, truth values, names, and no errors."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 import linksweep
+from sweep.plots import style
 from sweep.plots.caption import caption, caption_and_description, description
+from sweep.plots.figure import draw_figure
 
 
 def decay(half_life: float, years: int = 10):
@@ -50,3 +54,30 @@ def test_points_without_errors_are_neither_simulated_nor_said_to_have_any(decaye
 def test_one_point_of_a_function_is_computed(decayed):
     [axes] = linksweep.plot(decayed.sel(half_life=[2.0]), variables=["lost"]).axes
     assert [text.get_text() for text in axes.get_yticklabels()] == ["computed"]
+
+
+def letters_in(town: str) -> int:
+    return len(town)
+
+
+KINDS = ["steel", "aluminium", "carbon fibre composite"]
+TOWNS = ["Amsterdam", "Buenos Aires", "Constantinople", "Heidelberg", "Kuala Lumpur", "Llanfairpwllgwyngyll", "Turin"]
+
+
+@pytest.mark.parametrize(
+    ("names", "width", "turned"), [(KINDS, None, 0.0), (KINDS, 88.0, 0.0), (TOWNS, None, 45.0), (TOWNS * 4, 88.0, 90.0)]
+)
+def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, turned):
+    different = [f"{name}{'' if i < len(TOWNS) else i}" for i, name in enumerate(names)]
+    ds = linksweep.run(letters_in, tmp_path / "s.zarr", axes={"town": different}, pool="serial")
+    with style.settings(width):
+        figure = draw_figure(ds)
+        figure.draw_without_rendering()
+    [axes] = figure.axes
+    texts = axes.get_xticklabels()
+    assert [" ".join(text.get_text().split()) for text in texts] == different
+    assert {text.get_rotation() for text in texts} == {turned}
+    if turned == 0.0:
+        boxes = [text.get_window_extent() for text in texts]
+        assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+    assert axes.get_window_extent().height > 0.3 * figure.bbox.height
