@@ -48,9 +48,12 @@ def axis_label(dataset: xr.Dataset, axis: str) -> str:
 
 
 def explained_label(array: xr.DataArray, name: str) -> str:
-    """Return the label of an axis with its name in words before the symbol that the experiment gives it."""
+    """Return the label of an axis with its name in words before the symbol that the experiment gives it, unless that
+    is the name.
+    """
     words, shown = name.replace("_", " "), label(array, name)
-    return f"{words} {shown}" if array.attrs.get("symbol", words) != words else shown
+    own = plain(str(array.attrs.get("symbol", "")))
+    return f"{words} {shown}" if own and own.lower() not in (words.lower(), name.lower()) else shown
 
 
 def quantity_label(dataset: xr.Dataset, variable: str) -> str:

@@ -53,7 +53,7 @@ def logarithmic_ticks(axis: Axis, values: Any, few_ticks: bool = False) -> None:
         many: tuple[float, ...] = (1.0, 2.0, 5.0) if span > FEW_TICKS else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
         few = (1.0, 3.0) if span > 10.0 else (1.0, 2.0, 5.0)
         axis.set_major_locator(LogLocator(subs=few if few_ticks else many))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
         axis.set_minor_formatter(NullFormatter())
 
 
@@ -68,12 +68,15 @@ def edges(places: NDArray[np.float64], logarithm: bool) -> NDArray[np.float64]:
     return np.exp(whole) if logarithm else whole
 
 
-def _tick(value: float) -> str:
-    """Return a number of one digit as a tick shows it."""
-    if not value > 0.0:
-        return ""
-    power = int(np.floor(np.log10(value) + 1e-9))
+def number_text(value: float) -> str:
+    """Return a number of few digits as ticks and contours show it.
+
+    Examples:
+        >>> number_text(1000.0), number_text(-0.25), number_text(2e6)
+        ('1000', '-0.25', '$2\\\\times10^{6}$')
+    """
+    power = int(np.floor(np.log10(abs(value)) + 1e-9)) if value else 0
     if -4 <= power <= 4:
         return f"{value:g}"
-    digit = value / 10.0**power
-    return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
+    digits = f"{value / 10.0**power:.3g}"
+    return rf"$10^{{{power}}}$" if digits == "1" else rf"${digits}\times10^{{{power}}}$"

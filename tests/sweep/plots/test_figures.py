@@ -10,6 +10,7 @@ from astropy import units
 from astropy.coordinates import SkyCoord
 from click.testing import CliRunner
 from matplotlib.container import ErrorbarContainer
+from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -477,6 +478,7 @@ def test_symbols(name, shown):
         ("theta", {"units": "deg"}, r"$\theta$ [deg]"),
         ("mission_length", {"symbol": "$T$", "units": "yr"}, "mission length $T$ [yr]"),
         ("share", {"symbol": "share"}, "share"),
+        ("n_obj", {"symbol": r"$N_\mathrm{obj}$"}, r"$N_\mathrm{obj}$"),
     ],
 )
 def test_only_a_symbol_of_its_own_is_explained(name, attributes, shown):
@@ -490,6 +492,26 @@ def test_a_map_over_whole_numbers_has_ticks_at_them():
     axes = draw_map(Figure().add_subplot(), values, "end", "rate", "n", colour_limits(values, "end"))
     assert all(tick == round(tick) for tick in axes.get_yticks())
     assert not all(tick == round(tick) for tick in axes.get_xticks())
+
+
+def test_contours_of_negative_numbers_are_solid_and_have_plain_numbers():
+    numbers = np.linspace(-4000.0, 4000.0, 25).reshape(5, 5)
+    values = xr.Dataset({"z": (("x", "y"), numbers)}, coords={"x": np.arange(5.0), "y": np.arange(5.0)})
+    axes = draw_map(Figure().add_subplot(), values, "z", "x", "y", colour_limits(values, "z"))
+    lines = next(one for one in axes.collections if isinstance(one, ContourSet))
+    assert min(lines.levels) < 0.0
+    assert {style for _, style in lines.get_linestyle()} == {None}
+    assert "-2000" in [text.get_text() for text in lines.labelTexts]
+
+
+def test_a_map_of_truth_values_has_no_contours():
+    coords = {"x": np.arange(5.0), "y": np.arange(5.0)}
+    values = xr.Dataset({"z": (("x", "y"), np.tri(5, dtype=bool))}, coords=coords)
+    figure = Figure()
+    axes = draw_map(figure.add_subplot(), values, "z", "x", "y", colour_limits(values, "z"))
+    add_bar(figure, values, "z")
+    assert not any(isinstance(one, ContourSet) for one in axes.collections)
+    assert [text.get_text() for text in figure.axes[1].get_yticklabels()] == ["no", "yes"]
 
 
 def test_ticks_below_two_decades_all_have_numbers():
