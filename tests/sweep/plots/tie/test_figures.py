@@ -48,6 +48,15 @@ def test_the_caption_of_a_link_says_what_its_kind_shows(link):
     assert "reference" in words
 
 
+def test_the_legend_of_weights_covers_no_points(link):
+    figure = linksweep.plot(link, "weight")
+    figure.draw_without_rendering()
+    [legend] = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["kept", "dropped, of no weight", "10 %"]
+    assert not any(legend.get_window_extent().overlaps(axes.get_window_extent()) for axes in figure.axes)
+    assert figure.axes[0].get_title() == "8 kept, 1 dropped"
+
+
 @pytest.mark.slow
 def test_the_scatter_of_the_stretched_solutions_is_the_jackknife_error(link):
     axes = linksweep.plot(link, "jackknife").axes[0]
