@@ -20,11 +20,14 @@ from sweep.contract import SweepError, shown, suggest
 from sweep.plots.labels import label, quantity_label, value_text
 from sweep.plots.legends import legend
 from sweep.plots.scales import fit_scale, is_wide, logarithmic_ticks
-from sweep.plots.style import COLOURS, figure_size, finish, most_columns, series
+from sweep.plots.style import COLOURS, figure_size, finish, in_lines, most_columns, series
 from sweep.studies.study import POINT
 
 MOST_PARAMETERS = 12
 MOST_PAIRED = 8
+NAME_INCHES = 1.1
+"""The most room for a name at the left of a panel; a longer one is broken into lines."""
+
 MOST_ACROSS = 4
 
 FEW_POINTS = 300
@@ -202,7 +205,10 @@ def _places(
         fit_scale(axes, which, x, units_of(array.attrs), few_ticks)
         return x
     names = sorted(set(map(str, array.values.tolist())))
-    (axes.set_xticks if which == "x" else axes.set_yticks)(range(len(names)), names)
+    if which == "x":
+        axes.set_xticks(range(len(names)), names)
+    else:
+        axes.set_yticks(range(len(names)), [in_lines(name, NAME_INCHES, 1) for name in names])
     (axes.set_xlim if which == "x" else axes.set_ylim)(-0.5, len(names) - 0.5)
     place = {name: float(k) for k, name in enumerate(names)}
     spread = SPREAD * (np.arange(array.size) * GOLDEN % 1.0 - 0.5)

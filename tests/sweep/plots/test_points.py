@@ -79,6 +79,16 @@ def test_the_diagonal_of_pairs_has_an_axis_of_its_own(tmp_path):
     )
 
 
+def test_a_long_name_at_the_left_is_broken(tmp_path):
+    def cost(length: float = 1.0, kind: str = "steel"):
+        return length * len(kind)
+
+    table = {"length": [1.0, 2.0, 3.0], "kind": ["steel", "carbon fibre composite", "steel"]}
+    ds = linksweep.run(cost, tmp_path / "s.zarr", points=table, pool="serial")
+    panel = [axes for axes in linksweep.plot(ds, kind="pairs").axes if axes.get_visible()][1]
+    assert [text.get_text() for text in panel.get_yticklabels()] == ["carbon fibre\ncomposite", "steel"]
+
+
 def test_points_take_the_width_that_is_asked_for(points):
     with style.settings(88.0):
         figure = draw_figure(points.isel(scale=0))
