@@ -1,24 +1,23 @@
 """The caption of a figure, and a description for those who cannot see it, from the drawing and the results."""
 
-import re
-
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.analysis.answer import answer_in_short, answers, completeness
+from sweep.analysis.answer import answers, completeness, conclusion_in_words
 from sweep.formatting import first_of
+from sweep.plots.kinds import LINK
+from sweep.plots.labels import plain, with_chosen_component
+from sweep.plots.signs import PUBLISHED, drawn_variables, entries, signs_in_words
 from sweep.readable import with_micro_signs
 
 MOST_PANELS = 6
-"""The most panels whose titles a description names."""
+"""The most panels that a description names."""
 
-SIGNS = {
-    "simulated": "Points are simulated, with one-sigma errors.",
-    "predicted": "Lines are predicted in closed form.",
-    "published": "Open symbols are published.",
-}
-"""What entries of a legend mean."""
+MOST_RANGES = 3
+"""The most quantities or components whose ranges are given."""
+
+COLOUR_BAR = "<colorbar>"
 
 
 def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
@@ -27,35 +26,61 @@ def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
 
 
 def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> str:
-    """Return the caption: the title, what the signs mean, and on request the answer of the study."""
-    title = str(dataset.attrs.get("title", "")).rstrip(".")
-    entries = _entries(figure)
-    signs = [words for entry, words in SIGNS.items() if entry in entries]
+    """Return the caption: the title, what the signs mean, and on request the answer of the study, or else the ranges
+    of what is drawn.
+    """
     is_study = "status" in dataset and with_answer
-    sentences = [*completeness(dataset), *answer_in_short(dataset)] if is_study else []
+    found = (conclusion_in_words(dataset) or _ranges(figure, dataset)) if is_study else []
     source = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
-    published = [f"Published: {'; '.join(source)}."] if source and "published" in entries else []
-    parts = [f"{title}." if title else "", *signs, *published, *map(with_micro_signs, sentences)]
+    published = [f"Published: {'; '.join(source)}."] if source and PUBLISHED in entries(figure) else []
+    sentences = [*completeness(dataset), *found] if is_study else []
+    parts = [_title(figure, dataset), *signs_in_words(figure, dataset), *published, *map(with_micro_signs, sentences)]
     return " ".join(filter(None, parts))
 
 
 def description(figure: Figure, dataset: xr.Dataset) -> str:
     """Return what is seen: the panels, what each draws against what, and the range of values."""
-    panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>" and axes.axison]
-    seen = list(dict.fromkeys(_of_panel(axes) for axes in panels))
+    panels = [axes for axes in figure.axes if axes.get_label() != COLOUR_BAR and axes.axison and axes.get_visible()]
+    seen = first_of(list(dict.fromkeys(_of_panel(axes) for axes in panels)), MOST_PANELS, "; ")
     titles = [plain(axes.get_title()) for axes in panels if axes.get_title()]
     words = f"{len(panels)} panels, " if len(panels) > 1 else ""
     named = f" ({first_of(titles, MOST_PANELS, '; ')})" if titles else ""
-    ranges = [answer.sentences[0] for answer in answers(dataset)[:1]] if "status" in dataset else []
-    signs = [plain(entry) for entry in _entries(figure)]
+    bars = [plain(axes.get_ylabel()) for axes in figure.axes if axes.get_label() == COLOUR_BAR and axes.get_ylabel()]
+    colours = f", coloured by {' and '.join(bars)}" if bars else ""
+    signs = [plain(entry) for entry in entries(figure)]
     legend = [f"Legend: {', '.join(signs)}."] if len(signs) > 1 else []
-    whole = [f"{words}{' and '.join(seen)}{named}.", *legend, *map(with_micro_signs, ranges)]
-    return " ".join(whole)[:1].upper() + " ".join(whole)[1:]
+    ranges = map(with_micro_signs, _ranges(figure, dataset))
+    whole = " ".join([f"{words}{seen}{named}{colours}.", *legend, *ranges])
+    return whole[:1].upper() + whole[1:]
+
+
+def _title(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return the title of results as a sentence, or what the kind of a figure of a link shows, and of which tables."""
+    title = str(dataset.attrs.get("title", ""))
+    if dataset.attrs.get("result") in LINK:
+        shown = LINK[dataset.attrs["result"]].get(str(figure.get_label()))
+        tables = figure.get_suptitle().replace("\n", "; ")
+        title = ": ".join(filter(None, (shown.caption if shown else title, tables)))
+    return title if not title or title.endswith((".", "?", "!")) else f"{title}."
+
+
+def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
+    """Return a sentence about the values of each quantity that a figure draws."""
+    if "status" not in dataset:
+        return []
+    found = []
+    for name in drawn_variables(figure, dataset):
+        variables = with_chosen_component(dataset).data_vars.items()
+        alone = dataset.assign({n: variable.assign_attrs(headline=n == name) for n, variable in variables})
+        for answer in answers(alone):
+            meaning = f" ({answer.meaning})" if answer.meaning not in ("", answer.name) else ""
+            found += [f"{answer.name}{meaning}: {sentence}" for sentence in answer.sentences[:1]]
+    return found[:MOST_RANGES]
 
 
 def _of_panel(axes: Axes) -> str:
     what, over = _label(axes, "y"), _label(axes, "x")
-    return f"{what or 'values'} against {over}" if over else what or "a picture"
+    return f"{what} against {over}" if what and over else what or over or "a picture"
 
 
 def _label(axes: Axes, which: str) -> str:
@@ -63,19 +88,3 @@ def _label(axes: Axes, which: str) -> str:
     siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
     labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
     return plain(next(filter(None, labels), ""))
-
-
-def _entries(figure: Figure) -> list[str]:
-    return list(dict.fromkeys(text for axes in figure.axes for text in axes.get_legend_handles_labels()[1]))
-
-
-def plain(text: str) -> str:
-    """Return a text of a figure without mathematical markup.
-
-    Examples:
-        >>> plain(r"$\\sigma(\\omega)$ [mas/yr]"), plain(r"$V_\\mathrm{max}$")
-        ('sigma(omega) [mas/yr]', 'V_max')
-    """
-    text = re.sub(r"\\(?:mathrm|overline|bar)\{?([^{}$]*)\}?", r"\1", text)
-    text = re.sub(r"\\pm", "±", text)
-    return re.sub(r"[${}]|\\", "", text).replace("\n", " ")

@@ -12,7 +12,8 @@ from sweep.analysis.sensitivity import is_sensitivity
 from sweep.contract import SweepError, shown, suggest
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.plots.kinds import GRID, SCALING
-from sweep.plots.labels import value_text
+from sweep.plots.labels import value_text, with_chosen_component
+from sweep.plots.named_ticks import fit_names
 from sweep.plots.scatter import sampled
 from sweep.plots.sensitivity import sensitivity_figure
 from sweep.plots.standalone import is_scaling
@@ -66,7 +67,7 @@ def draw_figure(
         unfinished = unfinished_in_words(count_status(dataset["status"].values))
         why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
-    part = _without_single(dataset, over)
+    part = with_chosen_component(_without_single(dataset, over))
     possible = possible_kinds(part, names[0])
     chosen = kind or _suitable(part, names[0], over)
     if chosen not in possible:
@@ -84,6 +85,7 @@ def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
 def _drawn(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
     figure: Figure = GRID[kind].load().draw(part, variables, over)
     _title(figure, whole, part)
+    fit_names(figure)
     return figure
 
 

@@ -65,7 +65,7 @@ def _map(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figu
     if len(variables) > 1:
         raise SweepError(f"a map is drawn for one variable, not for {', '.join(variables)}")
     numeric = numeric_axes(dataset, variables[0])
-    chosen = list(over) or _two_axes(dataset, numeric)
+    chosen = list(over) or _two_axes(dataset, variables[0])
     for axis in chosen:
         require_axis(dataset, variables[0], axis)
     if len(chosen) != 2 or len({dataset[axis].dims[0] for axis in chosen}) != 2:
@@ -120,12 +120,14 @@ def _one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     return (numeric_axes(dataset, variable) or sorted(axes, key=lambda n: -dataset[n].size))[0]
 
 
-def _two_axes(dataset: xr.Dataset, numeric: Sequence[str]) -> list[str]:
-    """Return the two longest axes that do not share a dimension, in the order of the grid."""
+def _two_axes(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Return the two longest axes that do not share a dimension, in the order of the variable's dimensions: those of
+    the grid, then its own.
+    """
     found: dict[str, str] = {}
-    for axis in numeric:
+    for axis in numeric_axes(dataset, variable):
         found.setdefault(str(dataset[axis].dims[0]), axis)
-    order = [str(d) for d in dataset["status"].dims]
+    order = [str(d) for d in dataset[variable].dims]
     return sorted(list(found.values())[:2], key=lambda axis: order.index(str(dataset[axis].dims[0])))
 
 

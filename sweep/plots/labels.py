@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sweep.analysis.quantity import COVARIANCE_SUFFIX
 from sweep.attributes import units_of
 from sweep.readable import written
 
@@ -47,22 +48,34 @@ def axis_label(dataset: xr.Dataset, axis: str) -> str:
 
 
 def explained_label(array: xr.DataArray, name: str) -> str:
-    """Return the label of an axis with its name in words before the symbol that the experiment gives it."""
+    """Return the label of an axis with its name in words before the symbol that the experiment gives it, unless that
+    is the name.
+    """
     words, shown = name.replace("_", " "), label(array, name)
-    return f"{words} {shown}" if array.attrs.get("symbol", words) != words else shown
+    own = plain(str(array.attrs.get("symbol", "")))
+    return f"{words} {shown}" if own and own.lower() not in (words.lower(), name.lower()) else shown
 
 
 def quantity_label(dataset: xr.Dataset, variable: str) -> str:
     """Return the label of a variable, or of its one component that the dataset holds."""
-    array = dataset[variable]
-    unit = units_of(array.attrs)
+    return label(with_chosen_component(dataset)[variable], variable)
+
+
+def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset of one component in which what has a unit for each component has the symbol and the unit of
+    that one; afterwards it may be brought to another unit without losing its symbol.
+    """
     chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]
-    if "," not in unit or not chosen:
-        return label(array, variable)
-    units = [str(dataset[f"{n}_unit"].item()) for n in chosen]
+    if not chosen:
+        return dataset
     inside = ", ".join(symbol(str(dataset[n].item())) for n in chosen)
-    text = f"{symbol(variable, array.attrs)}({inside})"
-    return f"{text} [{written(units[0])}]" if len(units) == 1 and units[0] else text
+    unit = str(dataset[f"{chosen[0]}_unit"].item()) if len(chosen) == 1 else ""
+    changed = {}
+    for name, array in dataset.data_vars.items():
+        units, is_product = units_of(array.attrs), f"_{COVARIANCE_SUFFIX}_" in str(name)
+        if "," in units and "(" not in units and not is_product:  # nor that of a product of two components
+            changed[name] = array.assign_attrs(symbol=f"{symbol(str(name), array.attrs)}({inside})", units=unit)
+    return dataset.assign(changed)
 
 
 def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
@@ -73,3 +86,15 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
         return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
     unit = written(units_of(dataset[axis].attrs))
     return f"{symbol(axis, dataset[axis].attrs)} = {value:g}" + (f" {unit}" if unit else "")
+
+
+def plain(text: str) -> str:
+    """Return a text of a figure without mathematical markup.
+
+    Examples:
+        >>> plain(r"$\\sigma(\\omega)$ [mas/yr]"), plain(r"$V_\\mathrm{max}$")
+        ('sigma(omega) [mas/yr]', 'V_max')
+    """
+    text = re.sub(r"\\(?:mathrm|overline|bar)\{?([^{}$]*)\}?", r"\1", text)
+    text = re.sub(r"\\pm", "±", text)
+    return re.sub(r"[${}]|\\", "", text).replace("\n", " ")

@@ -13,6 +13,7 @@ from sweep.formatting import with_error
 from sweep.plots.labels import label, quantity_label, symbol, value_text
 from sweep.plots.legends import legend
 from sweep.plots.scales import logarithmic
+from sweep.plots.signs import COMPUTED, LAW_BAND, SIMULATED
 from sweep.plots.style import BAND, finish, series
 
 GUIDE: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
@@ -38,9 +39,12 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
         law, fine, expected = power_law(x, y, errors, found.samples), np.geomspace(x.min(), x.max(), 100), wanted[i]
         colour, curve, relative = style["color"], law(fine), law.relative_error(fine)
         fitted = _power(dataset, over, with_error(law.exponent, law.exponent_error).replace(" ± ", r" \pm "))
-        upper.errorbar(x, y, yerr=error, label=f"{words}: {fitted}" if words else "simulated", **style)
+        has_errors = bool(error.any())
+        text = f"{words}: {fitted}" if words else SIMULATED if has_errors else COMPUTED
+        upper.errorbar(x, y, yerr=error if has_errors else None, label=text, **style)
         upper.plot(fine, curve, color=colour, linewidth=1.0, label="" if words else f"fit {fitted}")
-        upper.fill_between(fine, curve - curve * relative, curve + curve * relative, color=colour, **BAND)
+        half = curve * relative
+        upper.fill_between(fine, curve - half, curve + half, color=colour, label=LAW_BAND, **BAND)
         drawn.append((style, x, y, error, fine, relative, expected, law))
         if np.isfinite(expected):
             text = f"guide {_power(dataset, over, format(expected, 'g'))}"
@@ -49,6 +53,7 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
             guides.add(text)
     logarithmic(upper, "x", dataset[over].values)  # also of the lower axes, which share x
     logarithmic(upper, "y", dataset[variable].values)
+    upper.set_label(variable)
     upper.set_ylabel(quantity_label(dataset, variable))
     finish(upper)
     legend(upper)

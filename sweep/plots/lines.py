@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.transforms import ScaledTranslation
 
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.analysis.selection import places_along
@@ -13,6 +14,8 @@ from sweep.attributes import units_of
 from sweep.plots.labels import axis_label, quantity_label, value_text
 from sweep.plots.legends import legend
 from sweep.plots.scales import fit_scale, is_wide
+from sweep.plots.signs import COMPUTED, ERROR_BAND, MOVED, PREDICTED, PREDICTION_BAND, SIMULATED
+from sweep.plots.signs import PUBLISHED as PUBLISHED_ENTRY
 from sweep.plots.style import BAND, COLOURS, finish, series
 from sweep.readable import with_micro_signs, with_unit
 
@@ -21,7 +24,9 @@ PUBLISHED: Mapping[str, Any] = NO_LINE | {"marker": "o", "markersize": 8.0, "fil
 DASH: Mapping[str, Any] = NO_LINE | {"marker": "_", "markersize": 14.0, "markeredgewidth": 1.2}
 """A prediction where the axis has names and no line can be drawn."""
 
-DODGE = 0.12
+STEP_PT, MOST_PT = 4.5, 4.5
+"""Series that are moved aside stand so many points apart, but each at most so many from its place."""
+
 COVERED, COVERED_SHARE = 0.015, 0.25
 """Points closer than this share of the axis cover each other; series are moved aside if more than this share do."""
 
@@ -43,15 +48,18 @@ def draw_lines(
     others = [str(d) for d in dataset[variable].dims if d != dimension]
     everything = [dataset.isel(place) for place in places_along(dataset, others)]
     seen = [one for one in everything if np.isfinite(one[variable].values).any()]  # the others are excluded
-    for one, offset in zip(seen, _dodges(seen, variable), strict=True):
+    offsets = _dodges(seen, variable)
+    if any(offsets):
+        axes.plot([], [], linestyle="none", label=MOVED)
+    for one, offset in zip(seen, offsets, strict=True):
         words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if dataset.sizes[d] > 1)
         _series(axes, one, variable, over, words, numbers.setdefault(words, len(numbers)), offset)
     colour = COLOURS[0] if len(numbers) == 1 else "0.35"
     if any(_has(one, prediction_name(one, variable)) for one in seen):
         line: Mapping[str, Any] = {"linewidth": 1.0} if _is_numeric(dataset[over]) else DASH
-        axes.plot([], [], color=colour, label="predicted", **line)
+        axes.plot([], [], color=colour, label=PREDICTED, **line)
     if any(_has(one, f"{variable}_published") for one in seen):
-        axes.plot([], [], color=colour, **PUBLISHED, label="published")
+        axes.plot([], [], color=colour, **PUBLISHED, label=PUBLISHED_ENTRY)
     x = _positions(dataset[over])
     if not _is_numeric(dataset[over]):
         axes.set_xticks(x, list(map(str, dataset[over].values.tolist())))
@@ -72,8 +80,8 @@ def _positions(axis: xr.DataArray) -> np.ndarray[Any, Any]:
 
 
 def _dodges(seen: list[xr.Dataset], variable: str) -> list[float]:
-    """Return by what share of the distance between points each series is moved aside: 0 unless points of two
-    series cover each other in many places.
+    """Return by how many points of print each series is moved aside: 0 unless points of two series cover each other
+    in many places.
     """
     if len(seen) < 2:
         return [0.0] * len(seen)
@@ -83,21 +91,15 @@ def _dodges(seen: list[xr.Dataset], variable: str) -> list[float]:
     whole = np.nanmax(values) - np.nanmin(values)
     gaps = np.diff(np.sort(values, axis=0), axis=0)
     known = gaps[np.isfinite(gaps)]
-    if not known.size or (known < COVERED * whole).mean() <= COVERED_SHARE:
+    if not known.size or (known <= COVERED * whole).mean() <= COVERED_SHARE:
         return [0.0] * len(seen)
-    return [DODGE * (2.0 * number / (len(seen) - 1) - 1.0) for number in range(len(seen))]
-
-
-def _moved(x: np.ndarray[Any, Any], share: float, logarithm: bool) -> np.ndarray[Any, Any]:
-    """Return places moved by a share of the smallest distance between two of them, on the scale of the axis."""
-    if share == 0.0 or len(x) < 2:
-        return x
-    scale = np.log(x) if logarithm else x
-    moved = scale + share * float(np.min(np.diff(scale)))
-    return np.exp(moved) if logarithm else moved
+    outermost = min(STEP_PT * (len(seen) - 1) / 2.0, MOST_PT)
+    return [outermost * (2.0 * number / (len(seen) - 1) - 1.0) for number in range(len(seen))]
 
 
 def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, number: int, offset: float) -> None:
+    """Draw one series; all of it is moved aside together, so that its points stay on its line."""
+    before = set(axes.get_children())
     mark = series(number)
     colour, x = mark["color"], _positions(one[over])
     order = np.argsort(x, kind="stable")
@@ -105,26 +107,30 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
     y, error = one[variable].values.astype(float), standard_error(one, variable)
     sigma = None if error is None else error.values
     style: dict[str, Any] = {**mark, "markersize": 3.5, "linestyle": "none"}
-    aside = _moved(x, offset, _is_numeric(one[over]) and is_wide(x, units_of(one[over].attrs)))
-    axes.errorbar(aside, y, yerr=sigma, elinewidth=0.8, label=name or "simulated", zorder=3, **style)
+    label = name or (COMPUTED if sigma is None else SIMULATED)
+    axes.errorbar(x, y, yerr=sigma, elinewidth=0.8, label=label, zorder=3, **style)
     predicted, published = prediction_name(one, variable), f"{variable}_published"
     if _is_numeric(one[over]) and _has(one, predicted):
         curve, spread = one[predicted].values, one.get(f"{variable}_catalogue_error")
         axes.plot(x, curve, color=colour, linewidth=1.0, zorder=2)
         if spread is not None:
             half = np.nan_to_num(spread.values)
-            axes.fill_between(x, curve - half, curve + half, color=colour, **BAND)
+            axes.fill_between(x, curve - half, curve + half, color=colour, label=PREDICTION_BAND, **BAND)
     elif _has(one, predicted):
-        axes.plot(aside, one[predicted].values, color=colour, zorder=2, **DASH)
+        axes.plot(x, one[predicted].values, color=colour, zorder=2, **DASH)
     elif _is_numeric(one[over]) and len(x) > 1:
         axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.6, zorder=2)
         if sigma is not None:
-            axes.fill_between(x, y - sigma, y + sigma, color=colour, **BAND)
+            axes.fill_between(x, y - sigma, y + sigma, color=colour, label=ERROR_BAND, **BAND)
     if _has(one, published):
         rounding = one.get(f"{published}_rounding")
         half = None if rounding is None else rounding.values
-        style = {**PUBLISHED, **mark, "elinewidth": 0.6, "zorder": 2}
-        axes.errorbar(aside, one[published].values, yerr=half, **style)
+        style = {**PUBLISHED, **mark, "elinewidth": 0.6, "zorder": 2, "label": f"_{PUBLISHED_ENTRY}"}
+        axes.errorbar(x, one[published].values, yerr=half, **style)
+    if offset:
+        aside = ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
+        for artist in set(axes.get_children()) - before:
+            artist.set_transform(artist.get_transform() + aside)
 
 
 def _has(one: xr.Dataset, name: str) -> bool:
@@ -143,19 +149,19 @@ def draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
     known = standard_error(dataset, variable)
     rounding = f"{variable}_published_rounding"
     rows = {
-        "simulated": (variable, 0.0 if known is None else float(known.item())),
-        "predicted": (prediction_name(dataset, variable), 0.0),
-        "published": (f"{variable}_published", float(dataset[rounding].item()) if rounding in dataset else 0.0),
+        COMPUTED if known is None else SIMULATED: (variable, 0.0 if known is None else float(known.item())),
+        PREDICTED: (prediction_name(dataset, variable), 0.0),
+        PUBLISHED_ENTRY: (f"{variable}_published", float(dataset[rounding].item()) if rounding in dataset else 0.0),
     }
     shown = {word: row for word, row in rows.items() if row[0] in dataset and bool(dataset[row[0]].notnull().all())}
     unit = units_of(dataset[variable].attrs)
     for number, (word, (name, error)) in enumerate(shown.items()):
         value = float(dataset[name].item())
         style: dict[str, Any] = {"color": COLOURS[number], "marker": "osD"[number], "linestyle": "none"}
-        if word == "published":
+        if word == PUBLISHED_ENTRY:
             style["fillstyle"] = "none"
         axes.errorbar(value, -number, xerr=error or None, elinewidth=1.2, markersize=5.0, label=word, **style)
-        text = with_micro_signs(with_unit(value, error if word == "simulated" else 0.0, unit))
+        text = with_micro_signs(with_unit(value, error if word == SIMULATED else 0.0, unit))
         axes.annotate(text, (value, -number), xytext=(0, 7), textcoords="offset points", ha="center")
     axes.set_yticks([-number for number in range(len(shown))], list(shown))
     axes.set_ylim(0.6 - len(shown), 0.7)

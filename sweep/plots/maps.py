@@ -14,14 +14,15 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.attributes import units_of
 from sweep.plots.labels import explained_label, quantity_label
-from sweep.plots.scales import edges, is_wide, logarithmic
+from sweep.plots.scales import edges, is_wide, logarithmic, logarithmic_ticks, number_text
 
 LEVELS = 8
 DECADES = 30.0
 
 
 def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: Normalize) -> Axes:
-    """Draw a variable over two axes: colours at the points of the grid, solid contours, dashed ones of the prediction.
+    """Draw a variable over two axes: colours at the points of the grid, solid contours, dashed ones of the prediction;
+    truth values have no contours.
 
     ``limits`` are those of the colours, which all panels of a figure share.  Points without a value are left white.
     """
@@ -36,12 +37,12 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     logarithm = isinstance(limits, LogNorm)
     levels = LogLocator(subs=(1.0, 2.0, 5.0)) if logarithm else MaxNLocator(LEVELS, steps=[1, 2, 2.5, 5, 10])
     inside = [level for level in levels.tick_values(low, high) if low < level < high]
-    options: dict[str, Any] = {"levels": inside, "linewidths": 0.8}
-    if np.isfinite(values).all() and min(values.shape) > 1 and inside:
+    options: dict[str, Any] = {"levels": inside, "linewidths": 0.8, "linestyles": "solid"}  # also of negative numbers
+    if np.isfinite(values).all() and min(values.shape) > 1 and inside and not _is_truth(dataset[variable]):
         dark: list[AbstractPathEffect] = [withStroke(linewidth=2.2, foreground="0.15")]
         lines = axes.contour(across, up, values, colors="white", **options)
         lines.set_path_effects(dark)
-        for text in axes.clabel(lines, fmt="%.3g", fontsize="small"):
+        for text in axes.clabel(lines, fmt=number_text, fontsize="small"):
             text.set_path_effects(dark)
         if (name := prediction_name(dataset, variable)) in dataset:
             predicted = dataset[name].transpose(*part.dims).values
@@ -72,7 +73,15 @@ def colour_limits(dataset: xr.Dataset, variable: str) -> Normalize:
 def add_bar(figure: Figure, dataset: xr.Dataset, variable: str) -> None:
     """Add the one colour bar that all maps of a figure share."""
     meshes = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
-    figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
+    bar = figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
+    if isinstance(bar.norm, LogNorm):
+        logarithmic_ticks(bar.ax.yaxis, [bar.norm.vmin, bar.norm.vmax])
+    elif _is_truth(dataset[variable]):
+        bar.set_ticks([0.0, 1.0], labels=["no", "yes"])
+
+
+def _is_truth(array: xr.DataArray) -> bool:
+    return array.dtype.kind == "b"
 
 
 def accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:

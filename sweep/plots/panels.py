@@ -80,6 +80,7 @@ def draw_panels(
         axes = figure.add_subplot(grid[row, column], sharex=next(iter(first.values()), None), sharey=shared)
         first.setdefault(panel.shares, axes)
         draw(axes, panel.part, panel.name)
+        axes.set_label(panel.name)  # for the caption
         drawn[row, column] = axes, panel
         left = drawn.get((row, column - 1))
         if left is not None and left[1].shares == panel.shares:

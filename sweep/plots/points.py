@@ -19,12 +19,16 @@ from sweep.attributes import units_of
 from sweep.contract import SweepError, shown, suggest
 from sweep.plots.labels import label, quantity_label, value_text
 from sweep.plots.legends import legend
-from sweep.plots.scales import fit_scale, is_wide
-from sweep.plots.style import COLOURS, finish, series
+from sweep.plots.scales import fit_scale, is_wide, logarithmic_ticks
+from sweep.plots.style import COLOURS, figure_size, finish, in_lines, most_columns, series
 from sweep.studies.study import POINT
 
 MOST_PARAMETERS = 12
 MOST_PAIRED = 8
+NAME_INCHES = 1.1
+"""The most room for a name at the left of a panel; a longer one is broken into lines."""
+
+MOST_ACROSS = 4
 
 FEW_POINTS = 300
 """More points than this are drawn small and without errors."""
@@ -49,10 +53,10 @@ def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
     Raises SweepError for a variable whose dimensions give too many series, and for unknown or too many parameters.
     """
     parameters = _parameters(dataset, over, MOST_PARAMETERS)
-    across = len(parameters) if len(variables) > 1 else min(len(parameters), 4)
+    across = len(parameters) if len(variables) > 1 else min(len(parameters), most_columns(MOST_ACROSS))
     down = len(variables) if len(variables) > 1 else math.ceil(len(parameters) / across)
     size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=figure_size(*size), layout="constrained")
     grid = figure.subplots(down, across, sharey="row" if len(variables) > 1 else True, squeeze=False)
     for number, axes in enumerate(grid.flat):
         if number >= len(variables) * len(parameters):
@@ -70,7 +74,8 @@ def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
 
 
 def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    """Return a figure of parameters in pairs, coloured by a variable; the diagonal has the variable over each one.
+    """Return a figure of parameters in pairs, coloured by a variable; the diagonal has the variable over each one,
+    with its axis at the right.
 
     Raises SweepError for several variables, for one, unknown or too many parameters, and for a variable with further
     dimensions.
@@ -83,7 +88,7 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
     if further := [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]:
         raise SweepError(f"pairs are of one value a point; fix {', '.join(further)} with --at AXIS=VALUE")
     n = len(parameters)
-    figure = Figure(figsize=(1.8 + 1.7 * n, 1.2 + 1.6 * n), layout="constrained")
+    figure = Figure(figsize=(2.4 + 1.7 * n, 1.2 + 1.6 * n), layout="constrained")
     grid = figure.subplots(n, n, sharex="col", squeeze=False)
     values = dataset[variable].squeeze().values.astype(float)
     known = np.isfinite(values)
@@ -100,15 +105,23 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
             fit_scale(axes, "y", values, few_ticks=True)
         else:
             y = _places(axes, dataset, parameters[row], "y", few_ticks=True)
+            if column > 0:
+                axes.sharey(grid[row, 0])
         shades: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": norm, "linewidths": 0.0}
         size = 10.0 if len(x) <= FEW_POINTS else 4.0
         drawn = axes.scatter(x[order], y[order], s=size, rasterized=len(x) > MOST_VECTORS, **shades)
         axes.set_xlabel(label(dataset[parameters[column]], parameters[column]) if row == n - 1 else "")
-        name = quantity_label(dataset, variable) if row == 0 else label(dataset[parameters[row]], parameters[row])
-        axes.set_ylabel(name if column == 0 else "")
         finish(axes)
-        axes.tick_params(labelleft=column == 0, labelbottom=row == n - 1)
-    figure.colorbar(drawn, ax=grid[:, -1], label=quantity_label(dataset, variable), shrink=0.7)
+        axes.tick_params(labelleft=column == 0 < row, labelright=row == column, labelbottom=row == n - 1)
+        if row == column:  # the variable, unlike the rest of the row: at the right, where no other panel is
+            axes.yaxis.set_label_position("right")
+            axes.set_ylabel(quantity_label(dataset, variable))
+        elif column == 0:
+            axes.set_ylabel(label(dataset[parameters[row]], parameters[row]))
+        axes.set_label(variable)  # for the caption
+    bar = figure.colorbar(drawn, ax=grid[:, -1], label=quantity_label(dataset, variable), shrink=0.7)
+    if isinstance(norm, LogNorm):
+        logarithmic_ticks(bar.ax.yaxis, values)
     return figure
 
 
@@ -159,6 +172,7 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
         else:
             axes.plot(x, y, **style)
     fit_scale(axes, "y", array.values)
+    axes.set_label(variable)  # for the caption
     axes.set_xlabel(label(dataset[parameter], parameter))
     finish(axes)
 
@@ -191,7 +205,10 @@ def _places(
         fit_scale(axes, which, x, units_of(array.attrs), few_ticks)
         return x
     names = sorted(set(map(str, array.values.tolist())))
-    (axes.set_xticks if which == "x" else axes.set_yticks)(range(len(names)), names)
+    if which == "x":
+        axes.set_xticks(range(len(names)), names)
+    else:
+        axes.set_yticks(range(len(names)), [in_lines(name, NAME_INCHES, 1) for name in names])
     (axes.set_xlim if which == "x" else axes.set_ylim)(-0.5, len(names) - 0.5)
     place = {name: float(k) for k, name in enumerate(names)}
     spread = SPREAD * (np.arange(array.size) * GOLDEN % 1.0 - 0.5)

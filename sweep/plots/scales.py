@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
@@ -29,23 +30,30 @@ def fit_scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bo
     """Make an axis logarithmic where its numbers need it; ``few_ticks`` is for small panels."""
     if not is_wide(values, unit):
         return
-    logarithmic(axes, which, values)
-    if few_ticks and np.nanmax(values) > 10.0 * np.nanmin(values):
-        axis = axes.xaxis if which == "x" else axes.yaxis
-        axis.set_major_locator(LogLocator(numticks=5))
-        axis.set_minor_locator(NullLocator())
+    logarithmic(axes, which, values, few_ticks)
 
 
-def logarithmic(axes: Axes, which: str, values: Any) -> None:
-    """Make an axis logarithmic; if it spans less than two decades, all its ticks, such as 1, 2 and 5, have numbers."""
+def logarithmic(axes: Axes, which: str, values: Any, few_ticks: bool = False) -> None:
+    """Make an axis logarithmic, with ticks as `logarithmic_ticks` sets them."""
     (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+    logarithmic_ticks(axes.xaxis if which == "x" else axes.yaxis, values, few_ticks)
+
+
+def logarithmic_ticks(axis: Axis, values: Any, few_ticks: bool = False) -> None:
+    """Set the ticks of a logarithmic axis: if it spans less than two decades, all of them, such as 1, 2 and 5, have
+    numbers; with ``few_ticks`` there are at most four of these, and no more than five decades.
+    """
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known) & (known > 0.0)]
-    if known.size and known.max() < 100.0 * known.min():
-        axis = axes.xaxis if which == "x" else axes.yaxis
-        subs = (1.0, 2.0, 5.0) if known.max() > FEW_TICKS * known.min() else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-        axis.set_major_locator(LogLocator(subs=subs))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: _tick(value)))
+    span = known.max() / known.min() if known.size else 0.0
+    if few_ticks and span >= 100.0:
+        axis.set_major_locator(LogLocator(numticks=5))
+        axis.set_minor_locator(NullLocator())
+    elif 0.0 < span < 100.0:
+        many: tuple[float, ...] = (1.0, 2.0, 5.0) if span > FEW_TICKS else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+        few = (1.0, 3.0) if span > 10.0 else (1.0, 2.0, 5.0)
+        axis.set_major_locator(LogLocator(subs=few if few_ticks else many))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
         axis.set_minor_formatter(NullFormatter())
 
 
@@ -60,12 +68,15 @@ def edges(places: NDArray[np.float64], logarithm: bool) -> NDArray[np.float64]:
     return np.exp(whole) if logarithm else whole
 
 
-def _tick(value: float) -> str:
-    """Return a number of one digit as a tick shows it."""
-    if not value > 0.0:
-        return ""
-    power = int(np.floor(np.log10(value) + 1e-9))
+def number_text(value: float) -> str:
+    """Return a number of few digits as ticks and contours show it.
+
+    Examples:
+        >>> number_text(1000.0), number_text(-0.25), number_text(2e6)
+        ('1000', '-0.25', '$2\\\\times10^{6}$')
+    """
+    power = int(np.floor(np.log10(abs(value)) + 1e-9)) if value else 0
     if -4 <= power <= 4:
         return f"{value:g}"
-    digit = value / 10.0**power
-    return rf"$10^{{{power}}}$" if round(digit) == 1 else rf"${digit:.0f}\times10^{{{power}}}$"
+    digits = f"{value / 10.0**power:.3g}"
+    return rf"$10^{{{power}}}$" if digits == "1" else rf"${digits}\times10^{{{power}}}$"

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
@@ -16,6 +17,7 @@ from sweep.plots.style import COLOURS, finish
 from sweep.readable import prefixed, written
 
 CONFIDENCES = (0.683, 0.954)
+CROSS_PT = 9.0
 
 
 def sampled(dataset: xr.Dataset) -> str | None:
@@ -59,7 +61,7 @@ def draw_scatter(
     axes.errorbar(mean[0], mean[1], xerr=error[0], yerr=error[1], label="mean", **point)
     if "bias" in dataset and dimension in dataset["bias"].dims:
         truth = mean - [factor * dataset["bias"].sel({dimension: name}).item() for name in components]
-        axes.plot(*truth, "x", markersize=9.0, markeredgewidth=1.4, color="black", label="truth")
+        axes.plot(*truth, "x", markersize=CROSS_PT, markeredgewidth=1.4, color="black", label="truth")
     axes.set_xlabel(label(dataset[variable], components[0], units[0]))
     axes.set_ylabel(label(dataset[variable], components[1], units[1]))
     if units[0] == units[1]:
@@ -72,6 +74,8 @@ def draw_scatter(
     correlation = rf"correlation ${covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]):+.2f}$"
     title, at = "\n".join([*sigmas, correlation]), (-0.3, -0.2) if below else (1.0, 1.0)
     legend(axes, title=title, loc="upper left", bbox_to_anchor=at, alignment="left", markerscale=1.5)
+    for handle in axes.findobj(lambda artist: isinstance(artist, Line2D) and artist.get_label() == "truth"):
+        handle.set(markersize=CROSS_PT)  # in the legend too: larger, it would not fit in its line
     return axes
 
 

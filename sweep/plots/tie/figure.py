@@ -24,17 +24,23 @@ def draw_link(dataset: xr.Dataset, kind: str | None = None) -> Figure:
         kind = next(iter(kinds))  # whose SweepError says what is missing
     if kind not in kinds:
         raise SweepError(f"no kind {shown(kind)} of a {dataset.attrs['result']}{suggest(kind, list(kinds))}")
-    return _titled(kinds[kind].load()(dataset), dataset)
+    return _titled(_drawn(dataset, kind), dataset)
 
 
 def link_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
     """Return all figures that a link or a forecast can have, by kind."""
     found = {}
-    for name, kind in LINK[dataset.attrs["result"]].items():
+    for name in LINK[dataset.attrs["result"]]:
         with suppress(SweepError):  # says what the dataset lacks
-            figure: Figure = kind.load()(dataset)
+            figure = _drawn(dataset, name)
             found[name] = _titled(figure, dataset) if titled else figure
     return found
+
+
+def _drawn(dataset: xr.Dataset, kind: str) -> Figure:
+    figure: Figure = LINK[dataset.attrs["result"]][kind].load()(dataset)
+    figure.set_label(kind)  # for the caption
+    return figure
 
 
 def _titled(figure: Figure, dataset: xr.Dataset) -> Figure:

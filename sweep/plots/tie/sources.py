@@ -83,10 +83,10 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         size = 14.0 if len(names) < 300 else 4.0
         some = kept & (own > 0.0)
         dots = {"s": size, "color": COLOURS[0], "alpha": 0.6, "linewidths": 0.0}
-        axes.scatter(own[some], ratio[some], label=f"{some.sum()} kept", **dots)
+        axes.scatter(own[some], ratio[some], label="kept", **dots)
         if np.any(gone):
             crosses = {"s": 16.0, "color": COLOURS[1], "marker": "x", "linewidths": 0.8}
-            axes.scatter(np.full(gone.sum(), left), ratio[gone], label=f"{gone.sum()} dropped, of no weight", **crosses)
+            axes.scatter(np.full(gone.sum(), left), ratio[gone], label="dropped, of no weight", **crosses)
         axes.axhline(1.0, color="black", linewidth=0.8, zorder=1)
         axes.axvline(LARGE_SHARE, zorder=1, **MARK)
         axes.set_xscale("log")
@@ -94,7 +94,8 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         axes.set_xlabel(f"share of the weight in {str(name).replace('_', ' ')}")
         finish(axes)
         axes.margins(0.08)
-        legend(axes, loc="lower left")
+        axes.set_title(f"{some.sum()} kept" + (f", {gone.sum()} dropped" if np.any(gone) else ""))
+    legend_below(figure)  # each panel is full of points
     grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
     surprise = chdtrc(np.maximum(dataset["n_observations"].values, 1.0), dataset["discrepancy"].values)
     figure.draw_without_rendering()

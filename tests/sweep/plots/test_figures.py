@@ -1,5 +1,7 @@
 """Pictures of small real stores: what stands on their axes, and what is refused."""
 
+import re
+
 import matplotlib as mpl
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from astropy import units
 from astropy.coordinates import SkyCoord
 from click.testing import CliRunner
 from matplotlib.container import ErrorbarContainer
+from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -19,6 +22,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.plots import scales, style
+from sweep.plots.caption import caption, description
 from sweep.plots.figure import draw_figure, possible_kinds
 from sweep.plots.labels import explained_label, symbol
 from sweep.plots.layout import arrange
@@ -164,6 +168,12 @@ def test_components_have_their_own_symbol_and_unit(dataset_of):
     one = dataset_of("sqrt-n").sel(component="omega_x")
     axes = draw_lines(Figure().add_subplot(), one, "sigma", "n_obj")
     assert axes.get_ylabel() == r"$\sigma$($\omega_{x}$) [mas/yr]"
+
+
+def test_a_component_keeps_its_symbol_where_a_panel_has_a_unit_of_its_own(dataset_of):
+    one = select(dataset_of("quasars"), {"component": "omega_x"})
+    labels = [axes.get_ylabel() for axes in axes_of(draw_figure(one, variables=["sigma"]))]
+    assert labels == [r"$\sigma$($\omega_{x}$) [mas/yr]", r"$\sigma$($\omega_{x}$) [µas/yr]"]
 
 
 def test_components_in_different_units_are_refused(dataset_of):
@@ -468,6 +478,7 @@ def test_symbols(name, shown):
         ("theta", {"units": "deg"}, r"$\theta$ [deg]"),
         ("mission_length", {"symbol": "$T$", "units": "yr"}, "mission length $T$ [yr]"),
         ("share", {"symbol": "share"}, "share"),
+        ("n_obj", {"symbol": r"$N_\mathrm{obj}$"}, r"$N_\mathrm{obj}$"),
     ],
 )
 def test_only_a_symbol_of_its_own_is_explained(name, attributes, shown):
@@ -481,6 +492,26 @@ def test_a_map_over_whole_numbers_has_ticks_at_them():
     axes = draw_map(Figure().add_subplot(), values, "end", "rate", "n", colour_limits(values, "end"))
     assert all(tick == round(tick) for tick in axes.get_yticks())
     assert not all(tick == round(tick) for tick in axes.get_xticks())
+
+
+def test_contours_of_negative_numbers_are_solid_and_have_plain_numbers():
+    numbers = np.linspace(-4000.0, 4000.0, 25).reshape(5, 5)
+    values = xr.Dataset({"z": (("x", "y"), numbers)}, coords={"x": np.arange(5.0), "y": np.arange(5.0)})
+    axes = draw_map(Figure().add_subplot(), values, "z", "x", "y", colour_limits(values, "z"))
+    lines = next(one for one in axes.collections if isinstance(one, ContourSet))
+    assert min(lines.levels) < 0.0
+    assert {style for _, style in lines.get_linestyle()} == {None}
+    assert "-2000" in [text.get_text() for text in lines.labelTexts]
+
+
+def test_a_map_of_truth_values_has_no_contours():
+    coords = {"x": np.arange(5.0), "y": np.arange(5.0)}
+    values = xr.Dataset({"z": (("x", "y"), np.tri(5, dtype=bool))}, coords=coords)
+    figure = Figure()
+    axes = draw_map(figure.add_subplot(), values, "z", "x", "y", colour_limits(values, "z"))
+    add_bar(figure, values, "z")
+    assert not any(isinstance(one, ContourSet) for one in axes.collections)
+    assert [text.get_text() for text in figure.axes[1].get_yticklabels()] == ["no", "yes"]
 
 
 def test_ticks_below_two_decades_all_have_numbers():
@@ -629,9 +660,75 @@ def test_axes_that_walk_together_are_both_named(dataset_of):
 def test_a_caption_says_what_is_drawn_and_what_follows(store_of, tmp_path, sweep):
     code, _, err = sweep("plot", store_of("sqrt-n"), "--width", "88mm", "--caption", "-o", tmp_path / "a.svg")
     assert code == 0, err
-    caption, alternative = (tmp_path / "a.txt").read_text().strip().split("\n\n")
-    assert caption.startswith("The law 1/sqrt(N). Points are simulated, with one-sigma errors. The error falls as N")
+    words, alternative = (tmp_path / "a.txt").read_text().strip().split("\n\n")
+    assert words.startswith(
+        "The law 1/sqrt(N). Points are simulated, with one-sigma errors. "
+        "Bands are the one-sigma errors of the fitted laws. The error falls as N"
+    )
     assert alternative.startswith("Alternative text: 2 panels, sigma(omega) [µas/yr] against N_obj")
+
+
+@pytest.mark.parametrize(
+    ("name", "chosen", "signs"),
+    [
+        ("quasars", {"model": "gaia"}, "Lines are predicted in closed form. Open symbols are published. "),
+        ("galaxies", {}, "The prediction is in closed form. Open symbols are published. "),
+    ],
+)
+def test_a_caption_explains_the_signs_that_are_there(dataset_of, name, chosen, signs):
+    dataset = dataset_of(name).sel(chosen)
+    text = caption(draw_figure(dataset), dataset)
+    assert f"Points are simulated, with one-sigma errors. {signs}" in text
+    assert ("Bands are the one-sigma errors of the predictions." in text) == (name == "quasars")
+
+
+def test_a_caption_explains_points_and_bands_of_several_series(dataset_of):
+    dataset = dataset_of("sqrt-n").drop_vars(["sigma_rms_predicted", "sigma_predicted"])
+    part = dataset.sel(component=["omega_x", "omega_y", "omega_z"])
+    text = caption(draw_figure(part, "lines", variables=["sigma"]), part)
+    assert "Points are simulated, with one-sigma errors. Bands join the errors of the points." in text
+
+
+def test_a_title_that_asks_ends_with_its_question_mark(dataset_of):
+    dataset = dataset_of("sqrt-n").assign_attrs(title="How many quasars does GAIA need?")
+    assert caption(draw_figure(dataset), dataset).startswith("How many quasars does GAIA need? Points are")
+
+
+def test_a_description_gives_the_range_of_what_is_drawn(dataset_of):
+    dataset = dataset_of("quasars")
+    text = description(draw_figure(dataset, variables=["sigma_orientation"]), dataset)
+    assert "sigma_orientation (RMS error of the orientation, over its three components): Over 26 points" in text
+    assert "sigma_spin" not in text
+    one = select(dataset, {"component": "omega_x"})
+    text = description(draw_figure(one, variables=["sigma"]), one)
+    assert re.search(r"sigma \(.*\): Over 26 points it goes from [\d.]+ ± [\d.]+ µas/yr, at", text)
+
+
+def test_series_that_cover_each_other_are_moved_with_their_lines(dataset_of):
+    dataset = dataset_of("quasars").sel(model="gaia").expand_dims(draw=[1.0, 2.0])
+    figure = draw_figure(dataset, "lines")
+    assert "Series that cover each other are drawn a little to the left or right" in caption(figure, dataset)
+    figure.draw_without_rendering()
+    [axes] = axes_of(figure)
+    places = []
+    for container in axes.containers[::2]:  # without what is published
+        points = container.lines[0]
+        assert np.array_equal(points.get_xdata(), dataset["v_max"].values)
+        [line] = [
+            line for line in axes.lines if line.get_color() == points.get_color() and line.get_linestyle() == "-"
+        ][:1]
+        pixels = [one.get_transform().transform((16.0, 1.0)) for one in (points, line, container.lines[2][0])]
+        assert np.allclose(pixels, pixels[0])
+        places.append(pixels[0][0])
+    assert (places[1] - places[0]) / figure.dpi * 72.0 == pytest.approx(4.5)
+
+
+def test_series_of_one_constant_are_moved_apart():
+    values = xr.Dataset({"y": (("kind", "x"), np.ones((2, 3)))}, coords={"kind": ["one", "two"], "x": [1.0, 2.0, 3.0]})
+    axes = draw_lines(Figure().add_subplot(), values, "y", "x")
+    one, two = (container.lines[0].get_transform().transform((2.0, 1.0)) for container in axes.containers)
+    assert one[0] < two[0]
+    assert one[1] == two[1]
 
 
 @pytest.mark.parametrize("width", ["wide", "2mm", "1e9", "nan"])

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from sweep.plots import style
+from sweep.plots.figure import draw_figure
 from sweep.plots.layout import Layout
 from sweep.plots.lines import draw_lines
 from sweep.plots.panels import draw_panels
@@ -63,3 +64,12 @@ def test_a_legend_takes_no_height_from_its_panel(dataset_of):
     assert panel.get_legend() is None
     height = panel.get_window_extent().height / figure.dpi
     assert height > 0.5 * style.least_height()
+
+
+def test_no_sign_of_the_legend_of_a_scatter_is_cut(dataset_of):
+    with style.settings(WIDTH):
+        figure = draw_figure(dataset_of("scatter"))
+        renderer = drawn(figure)
+    signs = figure.axes[0].get_legend().get_lines()
+    assert signs
+    assert min(sign.get_window_extent(renderer).y0 for sign in signs) > 0.0

@@ -5,6 +5,9 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
+from sweep.plots import style
+from sweep.plots.caption import description
+from sweep.plots.figure import draw_figure
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +55,45 @@ def test_pairs_have_a_panel_for_every_two_parameters(points):
     assert not lines_in(figure)
     offsets = panels[0].collections[0].get_offsets()
     assert sorted(offsets[:, 1].tolist()) == sorted(points.y.values[:, 1].tolist())
+
+
+def test_the_diagonal_of_pairs_has_an_axis_of_its_own(tmp_path):
+    def flow(x: float = 1.0, y: float = 1.0):
+        return 14.0 * x * y
+
+    design = {"design": "sobol", "n": 16, "ranges": {"x": [1.0, 3.5], "y": [1.0, 3.5]}}
+    ds = linksweep.run(flow, tmp_path / "s.zarr", points=design, pool="serial")
+    figure = linksweep.plot(ds, kind="pairs")
+    figure.draw_without_rendering()
+    panels = [axes for axes in figure.axes if axes.get_visible()]
+    assert drawn(figure)[:-1] == [("", "flow"), ("$x$", "$y$"), ("$y$", "flow")]
+    assert [axes.yaxis.get_label_position() for axes in panels] == ["right", "left", "right", "right"]
+    for axes in (panels[0], panels[2], panels[3]):
+        low, high = axes.get_ylim()
+        ticks = zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)
+        names = {tick: text.get_text() for tick, text in ticks if low < tick < high}
+        assert len(names) >= 2
+        assert all(name == f"{tick:g}" for tick, name in names.items())
+    assert description(figure, ds).startswith(
+        "3 panels, flow against x; y against x; flow against y, coloured by flow. flow: Over"
+    )
+
+
+def test_a_long_name_at_the_left_is_broken(tmp_path):
+    def cost(length: float = 1.0, kind: str = "steel"):
+        return length * len(kind)
+
+    table = {"length": [1.0, 2.0, 3.0], "kind": ["steel", "carbon fibre composite", "steel"]}
+    ds = linksweep.run(cost, tmp_path / "s.zarr", points=table, pool="serial")
+    panel = [axes for axes in linksweep.plot(ds, kind="pairs").axes if axes.get_visible()][1]
+    assert [text.get_text() for text in panel.get_yticklabels()] == ["carbon fibre\ncomposite", "steel"]
+
+
+def test_points_take_the_width_that_is_asked_for(points):
+    with style.settings(88.0):
+        figure = draw_figure(points.isel(scale=0))
+    assert figure.get_figwidth() == pytest.approx(88.0 / 25.4)
+    assert len({axes.get_position().y0 for axes in figure.axes if axes.get_visible()}) == 2
 
 
 @pytest.mark.parametrize(

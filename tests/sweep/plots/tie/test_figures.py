@@ -6,6 +6,7 @@ import pytest
 import linksweep
 from sweep.contract import SweepError
 from sweep.plots import kinds
+from sweep.plots.caption import caption
 from sweep.plots.tie.figure import draw_link, link_figures
 from sweep.plots.tie.names import readable, unknown_symbol
 from sweep.plots.tie.residuals import BANDS, _angles, _averaged
@@ -39,6 +40,21 @@ def test_a_link_has_the_figures_that_its_content_allows(link):
         linksweep.plot(link, "lines")
     with pytest.raises(SweepError, match="no variables"):
         linksweep.plot(link, variables=["estimate"])
+
+
+def test_the_caption_of_a_link_says_what_its_kind_shows(link):
+    words = caption(linksweep.plot(link, "weight"), link)
+    assert words.startswith("Discrepancy of each source per observation, against its share of the weight: ")
+    assert "reference" in words
+
+
+def test_the_legend_of_weights_covers_no_points(link):
+    figure = linksweep.plot(link, "weight")
+    figure.draw_without_rendering()
+    [legend] = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["kept", "dropped, of no weight", "10 %"]
+    assert not any(legend.get_window_extent().overlaps(axes.get_window_extent()) for axes in figure.axes)
+    assert figure.axes[0].get_title() == "8 kept, 1 dropped"
 
 
 @pytest.mark.slow

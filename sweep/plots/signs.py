@@ -1,0 +1,65 @@
+"""What the signs of a figure mean, in words: from the entries of its legend, and from labels that no legend shows."""
+
+from typing import Any
+
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+SIMULATED, COMPUTED, PREDICTED, PUBLISHED = "simulated", "computed", "predicted", "published"
+"""Entries of legends.  Values are simulated if they have errors."""
+
+HIDDEN = {
+    "_error band": "Bands join the errors of the points.",
+    "_prediction band": "Bands are the one-sigma errors of the predictions.",
+    "_law band": "Bands are the one-sigma errors of the fitted laws.",
+    "_moved": "Series that cover each other are drawn a little to the left or right of their places.",
+}
+"""Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends."""
+
+ERROR_BAND, PREDICTION_BAND, LAW_BAND, MOVED = HIDDEN
+
+
+def signs_in_words(figure: Figure, dataset: xr.Dataset) -> list[str]:
+    """Return a sentence for each kind of sign in a figure that its labels do not explain."""
+    handles = _handles(figure)
+    labels = {artist.get_label() for axes in figure.axes for artist in axes.get_children()}
+    found = []
+    if any(_has_error_bars(axes) for axes in figure.axes if axes.get_label() in dataset):
+        found.append("Points are simulated, with one-sigma errors.")
+    if PREDICTED in handles:
+        found.append(f"{_of_prediction(handles[PREDICTED])} in closed form.")
+    if PUBLISHED in handles:
+        found.append("Open symbols are published.")
+    return found + [words for label, words in HIDDEN.items() if label in labels]
+
+
+def entries(figure: Figure) -> list[str]:
+    """Return the entries of the legends of a figure."""
+    return list(_handles(figure))
+
+
+def drawn_variables(figure: Figure, dataset: xr.Dataset) -> list[str]:
+    """Return the variables of a dataset that a figure shows: the labels of its axes."""
+    return list(dict.fromkeys(str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset))
+
+
+def _handles(figure: Figure) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for axes in figure.axes:
+        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(text, handle)
+    return found
+
+
+def _has_error_bars(axes: Axes) -> bool:
+    bars = [one for one in axes.containers if isinstance(one, ErrorbarContainer) and (one.has_xerr or one.has_yerr)]
+    return any(str(one.get_label()).lstrip("_") != PUBLISHED for one in bars)
+
+
+def _of_prediction(handle: Any) -> str:
+    if not isinstance(handle, Line2D):
+        return "The prediction is"
+    return "Dashes are predicted" if handle.get_linestyle() == "None" else "Lines are predicted"
