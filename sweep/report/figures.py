@@ -14,6 +14,8 @@ from matplotlib.artist import Artist
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import Normal
+from matplotlib.text import Text
 
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.analysis.sentences import ERRORS_ALLOWED
@@ -146,6 +148,8 @@ def _svg(figure: Figure) -> str:
     """Return the ``svg`` element of a figure; nothing in it affects the rest of the page."""
     for artist in figure.findobj(_is_cloud):
         artist.set_rasterized(True)
+    for artist in figure.findobj(_has_root):
+        artist.set_path_effects([*artist.get_path_effects(), Normal()])  # a text with any effect is saved as paths
     out = io.StringIO()
     figure.savefig(out, format="svg", dpi=200, transparent=True, metadata={"Date": None, "Creator": None})
     whole = out.getvalue()
@@ -157,6 +161,11 @@ def _svg(figure: Figure) -> str:
     svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
     svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
     return _STYLE.sub(lambda style: _COLOUR.sub(_themed, style[0]), svg)
+
+
+def _has_root(artist: Artist) -> bool:
+    """Return whether a text has a square root: its sign fits its bar in matplotlib's own fonts only."""
+    return isinstance(artist, Text) and r"\sqrt" in artist.get_text()
 
 
 def _is_cloud(artist: Artist) -> bool:

@@ -21,7 +21,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.report.explorer import explorer
-from sweep.report.figures import pictures
+from sweep.report.figures import drawn, pictures
 from sweep.report.page import MARK, check_output, citations, report_of, report_page, write_report
 from sweep.report.section import MOST_ROWS, SEVERITY, section
 from sweep.running.run import run_study
@@ -173,6 +173,16 @@ def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
 def test_letters_that_the_fonts_here_have_not_stay_text():
     dataset = grid(VALUES).assign_coords(kind=["\u661f\u7cfb", "two"])
     assert "\u661f\u7cfb" in pictures(dataset, ["share"], 0)[0].svg
+
+
+def test_a_square_root_is_drawn_and_other_text_stays_text():
+    def label(figure):
+        figure.axes[0].set_ylabel(r"$\sqrt{P}$ of it")
+
+    svg = drawn(grid(VALUES), "share", "0", ["share"], add=label).svg
+    texts = ["".join(e.itertext()).strip() for e in ET.fromstring(svg).iter() if e.tag.endswith("}text")]
+    assert any("size" in text for text in texts)
+    assert not any("\u221a" in text or "of it" in text for text in texts)
 
 
 @pytest.mark.slow

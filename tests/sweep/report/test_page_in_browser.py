@@ -255,6 +255,17 @@ def test_the_button_changes_the_theme_of_page_figures_and_view(show, store_of):
     assert driver.execute_script(colours) == light
 
 
+def test_a_shape_without_a_colour_of_its_own_has_that_of_the_text(show, store_of):
+    """Matplotlib leaves out the fill of what is black, such as a letter with a halo."""
+    driver = show([store_of("quasars")], theme="dark")
+    fills = driver.execute_script("""
+      const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+      document.querySelector("figure svg").append(path);
+      return [getComputedStyle(path).fill, getComputedStyle(document.body).color];
+    """)
+    assert fills[0] == fills[1]
+
+
 def test_a_heading_sorts_by_value(show, store_of):
     driver = show([store_of("quasars")])
     driver.execute_script("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
