@@ -125,7 +125,10 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         verdicts=summary_line(comparisons) if comparisons else "",
         pictures=[
             *pictures(dataset, names, number),
-            *(drawn(one, f"sensitivity of {name}", f"{number}-s{i}") for i, (name, one) in enumerate(indices.items())),
+            *(
+                drawn(one.assign_attrs(title=""), f"sensitivity of {name}", f"{number}-s{i}")
+                for i, (name, one) in enumerate(indices.items())
+            ),
         ],
         explorer=explored | {"title": title},
         not_explored=left_out,
