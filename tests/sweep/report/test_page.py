@@ -83,6 +83,29 @@ def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_p
     assert "up to 20 %" in text
 
 
+def test_a_factor_counts_values_of_many_sizes_but_not_a_few_that_are_almost_zero():
+    tiny = sentences(grid([[1e-9, 4.0, 2.0], [80.0, 20.0, 10.0]]))  # 20 / 4 = 5 across kinds
+    assert "kind by a factor of up to 5.00, all else being equal (1 value at or close to zero left out)." in tiny
+    many = sentences(grid([[1e-9, 1e-6, 1e-3], [1e-8, 1e-4, 1.0]]))
+    assert "size by a factor of up to 1.0e+08, kind by a factor of up to 1,000, all else being equal." in many
+    assert "left out" in sentences(grid([[0.0, 4.0, 2.0], [80.0, 20.0, 10.0]]))
+
+
+def test_shares_are_written_in_digits():
+    values = np.array(VALUES)
+    text = sentences(grid(values, mc_error=2.1 * values, predicted=values / 150.0))
+    assert "Its one-sigma error, from Monte Carlo, is 210 % of it." in text
+    assert "or up to 15,000 %" in text
+
+
+def test_a_difference_that_is_rounding_is_no_percentage():
+    values = np.array(VALUES)
+    text = sentences(grid(values, mc_error=0.05 * values, predicted=values * (1.0 + 2e-16)))
+    assert "It equals its prediction at all 6 points, except for rounding." in text
+    near = sentences(grid(values, mc_error=0.05 * values, predicted=values * (1.0 + 1e-4)))
+    assert "the largest difference is less than 0.1 errors, or up to 0.01 %" in near
+
+
 def test_an_axis_that_does_not_matter_is_not_said_to():
     text = sentences(grid([[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]))
     assert "What changes it: size by a factor of up to 3.00" in text
