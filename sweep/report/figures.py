@@ -40,6 +40,9 @@ the same size, to be read on a phone; others are scrolled sideways there.
 MOST_MARKS = 2000
 """More points than this are drawn as one image: in SVG each of them takes some 100 bytes."""
 
+SAMPLES = "kept samples of two components; the ellipses hold 68 and 95 % of a normal distribution"
+"""The name of the figure of single estimates, which is also its caption."""
+
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _STYLE = re.compile(r'style="[^"]*"')
 
@@ -63,7 +66,7 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     untitled = dataset.assign_attrs(title="")
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
     if sampled(dataset) is not None and dataset["status"].size == 1:
-        wanted = [("kept samples", ()), *wanted]
+        wanted = [(SAMPLES, ()), *wanted]
     found = []
     for i, (name, chosen) in enumerate(wanted):
         found.append(drawn(untitled, name, f"{number}-{i}", chosen))
