@@ -21,7 +21,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.report.explorer import explorer
-from sweep.report.figures import drawn, pictures
+from sweep.report.figures import SAMPLES, drawn, pictures
 from sweep.report.page import MARK, check_output, citations, report_of, report_page, write_report
 from sweep.report.section import MOST_ROWS, SEVERITY, section
 from sweep.running.run import run_study
@@ -211,7 +211,7 @@ def test_a_square_root_is_drawn_and_other_text_stays_text():
 @pytest.mark.slow
 def test_kept_samples_are_one_image_and_not_thousands_of_marks(store_of):
     samples, *_ = pictures(open_dataset(store_of("scatter")), ["sigma_spin"], 0)
-    assert samples.name == "kept samples"
+    assert samples.caption == f"{SAMPLES}."
     assert len(samples.svg) < 200_000
 
 
@@ -396,6 +396,31 @@ def test_the_answer_heads_the_page_and_the_worst_comes_first(dataset_of):
     verdicts = [row[2][0] for row in found.comparison.rows]
     assert verdicts == sorted(verdicts, key=SEVERITY.index)
     assert len(set(found.results.headings)) == len(found.results.headings)
+
+
+def test_notes_are_about_what_the_section_has(dataset_of):
+    quasars = section("quasars.zarr", dataset_of("quasars"), 1, 10**6)
+    assert quasars.notes
+    assert not any("power" in note for note in quasars.notes)  # the table has no such column
+    page = report_page([("odd.zarr", grid(VALUES).assign_attrs(study_overrides="--set x=1"))])
+    assert "the study was changed" not in page  # said at its top
+    assert "Computed against published" not in page
+    warned = report_page([("odd.zarr", grid(VALUES).assign_attrs(warnings='["a warning"]'))])
+    assert "<h2>Notes</h2>" in warned
+    assert "a warning" in warned
+
+
+def test_the_library_of_the_view_is_only_where_there_is_a_view():
+    empty = report_page([("odd.zarr", grid(np.full((2, 3), np.nan)))])
+    assert "Bokeh" not in empty
+    assert "drawn by BokehJS" in report_page([("odd.zarr", grid(VALUES))])
+
+
+def test_a_study_and_its_figures_have_the_same_names():
+    study = load_study("scatter")
+    components = {claim.value.component for claim in study.claims}
+    words = " ".join([*(claim.text for claim in study.claims), *study.conclusion.sentences])
+    assert set(re.findall(r"omega_\w", words)) == components == {"omega_x", "omega_y"}
 
 
 @pytest.mark.slow
