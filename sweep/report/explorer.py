@@ -74,6 +74,8 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         chosen = [prefixed(dataset[name].isel({dimension: i}).values, str(unit)) for i, unit in enumerate(units)]
         factors = xr.DataArray([one.factor for one in chosen], dims=dimension)
         unit, components = "", {"unit_dim": dimension, "units": [written(one.unit) for one in chosen]}
+    elif "," in unit:  # of each element of a matrix
+        unit = ", ".join(dict.fromkeys(part.strip(" ()") for part in unit.split(",")))
     return {
         "name": name,
         "unit": written(unit),
