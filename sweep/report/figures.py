@@ -61,17 +61,21 @@ class Picture:
 
 def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list[Picture]:
     """Return the figures of variables that vary, each of the kind that suits it; that of the kept samples of a single
-    point comes first.  ``number`` makes the identifiers in them differ from those of other datasets.
+    point comes first.  Of a single point without samples those are drawn that have a prediction or a published number.
+    ``number`` makes the identifiers in them differ from those of other datasets.
     """
     untitled = dataset.assign_attrs(title="")
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
-    if sampled(dataset) is not None and dataset["status"].size == 1:
-        wanted = [(SAMPLES, ()), *wanted]
+    if dataset["status"].size == 1:
+        if sampled(dataset) is not None:
+            wanted = [(SAMPLES, ()), *wanted]
+        else:
+            wanted = wanted or [(name, (name,)) for name in variables if _has_another(dataset, name)]
     found = []
     for i, (name, chosen) in enumerate(wanted):
         found.append(drawn(untitled, name, f"{number}-{i}", chosen))
         ordered = POINT not in dataset["status"].dims
-        if ordered and len(chosen) == 1 and (residual := differences(untitled, name)) is not None:
+        if ordered and chosen and _varies(dataset[name]) and (residual := differences(untitled, name)) is not None:
             words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
             found.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", _add_band))
     return found
@@ -119,6 +123,12 @@ def _inside_a_page(salt: str) -> Iterator[None]:
 def _varies(array: xr.DataArray) -> bool:
     finite = array.values[np.isfinite(array.values)]
     return bool(finite.size and finite.min() < finite.max())
+
+
+def _has_another(dataset: xr.Dataset, variable: str) -> bool:
+    """Return whether a prediction or a published number is known beside a variable."""
+    others = (dataset.get(prediction_name(dataset, variable)), dataset.get(f"{variable}_published"))
+    return any(bool(np.nan_to_num(other.values).any()) for other in others if other is not None)
 
 
 def drawn(

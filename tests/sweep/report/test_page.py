@@ -169,6 +169,21 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):
     assert used == sum(len(q[part]) for q in found["quantities"] for part in parts if part in q)
 
 
+def test_a_unit_of_a_matrix_is_the_few_that_its_elements_have(dataset_of):
+    found, *_ = explorer(dataset_of("quasars"), ["covariance"], 10**6)
+    assert found["quantities"][0]["name"] == "covariance"
+    assert found["quantities"][0]["unit"] == "mas2, mas2 yr-1, mas2 yr-2"
+
+
+def test_a_single_point_is_drawn_beside_what_is_predicted_or_published(dataset_of):
+    one = dataset_of("quasars").isel(model=[0], v_max=[0])
+    picture, _ = pictures(one, ["sigma_spin", "n_obj"], 0)
+    assert picture.name == "sigma_spin"
+    assert "predicted" in picture.svg
+    alone = one.drop_vars([str(name) for name in one.data_vars if "predicted" in str(name) or "publ" in str(name)])
+    assert pictures(alone, ["sigma_spin", "n_obj"], 0) == []
+
+
 def test_a_view_without_room_says_what_it_leaves_out():
     dataset = grid(VALUES).assign(other=(("kind", "size"), np.array(VALUES)))
     found, used, left_out = explorer(dataset, ["share"], 6)
