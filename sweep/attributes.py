@@ -48,6 +48,17 @@ def units_of(attributes: Mapping[Any, Any]) -> str:
     return str(attributes.get("units", ""))
 
 
+def meaning_beside(name: str, attributes: Mapping[Any, Any]) -> str:
+    """Return the whole meaning of a variable for a place that has its name, '' where it says no more than the name.
+
+    Examples:
+        >>> meaning_beside("flow", {"long_name": "flow"}), meaning_beside("flow", {"long_name": "flow of water"})
+        ('', 'flow of water')
+    """
+    meaning = meaning_of(attributes)
+    return "" if meaning.replace("_", " ") == name.replace("_", " ") else meaning
+
+
 def meaning_of(attributes: Mapping[Any, Any]) -> str:
     """Return the whole meaning of a variable from its attributes, '' where they say none."""
     return str(attributes.get(DESCRIPTION, attributes.get("long_name", "")))

@@ -17,20 +17,21 @@ BLOCK = re.compile(r"```(\w+|\{picture\})(?: (\S+))?\n(.*?)```", re.DOTALL)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The folder in which the tutorial was done, and what its scripts printed."""
+    """The folder in which the tutorial was done, what its scripts printed, and what the first `sweep fit` printed."""
     path = tmp_path_factory.mktemp("tutorial")
-    printed = []
+    printed, fits = [], []
     for language, file, text in BLOCK.findall(TUTORIAL.read_text()):
         if file:
             (path / file).write_text(text)
         elif language in ("sh", "{picture}"):
             for words in filter(None, (shlex.split(line, comments=True) for line in text.splitlines())):
                 assert words[0] == "sweep"
-                run(path, "-m", "sweep", *words[1:])
+                out = run(path, "-m", "sweep", *words[1:])
+                fits += [out] if words[1] == "fit" else []
         elif language == "python":
             (path / "script.py").write_text(text)
             printed.append(run(path, "script.py"))
-    return path, printed
+    return path, printed, fits[0]
 
 
 def run(folder, *arguments):
@@ -40,7 +41,7 @@ def run(folder, *arguments):
 
 
 def test_every_file_and_figure_is_there(folder):
-    path, _ = folder
+    path, _, _ = folder
     assert {p.name for p in (path / "results").glob("*.zarr")} == {
         *("first.zarr", "precise.zarr", "mission.zarr", "pi.zarr", "elsewhere.zarr"),
     }
@@ -48,7 +49,7 @@ def test_every_file_and_figure_is_there(folder):
 
 
 def test_the_numbers_are_what_the_text_says(folder):
-    path, printed = folder
+    path, printed, _ = folder
     exponents = [float(x) for x in re.findall(r"-0\.\d+", printed[-1])]
     assert len(exponents) == 2, printed
     assert exponents[1] == pytest.approx(-0.5, abs=0.05)
@@ -58,3 +59,13 @@ def test_the_numbers_are_what_the_text_says(folder):
     assert ratio.values == pytest.approx(0.5, rel=0.1)
     share = xr.open_zarr(path / "results" / "pi.zarr")["share"].load()
     assert share.sel(side=1.0).item() == pytest.approx(3.14159 / 4, abs=4 * 0.41 / 20000**0.5)
+
+
+def test_the_text_has_the_exponents_and_the_verdict_of_its_own_fit(folder):
+    *_, fit = folder
+    text = TUTORIAL.read_text().partition("sweep fit")[2]
+    amex, gaia = (re.search(rf"{model} .*?(-0\.\d+) ±", fit)[1] for model in ("amex", "gaia"))
+    assert f"is {float(gaia):.2f} for\nGAIA" in text
+    assert f"{float(amex):.2f} for AMEX" in text
+    assert "2 of 2 lines: the law does not hold" in fit
+    assert "neither is a law within the errors" in text

@@ -15,7 +15,7 @@ from sweep.analysis.measured_claims import Measured, OutsideGridError, in_words,
 from sweep.analysis.quantity import headlines
 from sweep.analysis.selection import place_in_words, places_along
 from sweep.analysis.sentences import sentences
-from sweep.attributes import meaning_of, units_of
+from sweep.attributes import meaning_beside, units_of
 from sweep.contract import SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
 from sweep.readable import in_short, with_unit
@@ -55,7 +55,7 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
     """Return what the results say about each headline quantity, or about each of its components if it has any."""
     found = []
     for variable in headlines(dataset):
-        meaning, own = meaning_of(dataset[variable].attrs), own_dimensions(dataset, variable)
+        meaning, own = meaning_beside(variable, dataset[variable].attrs), own_dimensions(dataset, variable)
         if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
             found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue

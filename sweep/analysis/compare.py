@@ -164,10 +164,15 @@ def compare(dataset: xr.Dataset) -> list[Comparison]:
 
 
 def remarks(dataset: xr.Dataset) -> list[str]:
+    """Return sentences about what was changed in the study, and those of `caveats`."""
+    overrides = dataset.attrs.get("study_overrides")
+    changed = [f"the study was changed on the command line: {overrides}"] if overrides else []
+    return [*changed, *caveats(dataset)]
+
+
+def caveats(dataset: xr.Dataset) -> list[str]:
     """Return sentences about what a comparison of this dataset leaves out, and about what affects its meaning."""
     sentences = []
-    if overrides := dataset.attrs.get("study_overrides"):
-        sentences.append(f"the study was changed on the command line: {overrides}")
     if has_old_errors(dataset):
         sentences.append(OLD_ERRORS)
     compared = [str(name).removesuffix("_published") for name in dataset.data_vars if str(name).endswith("_published")]

@@ -14,10 +14,10 @@ POWER = f"power: the deviation from the published number that the verdict finds 
 
 
 def notes(comparisons: Sequence[Comparison]) -> list[str]:
-    """Return the lines below the table: where each number was published, and the reasons for verdicts."""
+    """Return the lines below a table: where each number was published, and the reasons for verdicts."""
     sources = dict.fromkeys(f"{c.study}: {c.what}: {c.source}" for c in comparisons)
     reasons = dict.fromkeys(f"{c.study}: {c.what}: {c.verdict}: {c.reason}" for c in comparisons if c.reason)
-    return [*sources, *reasons, *([POWER] if comparisons else [])]
+    return [*sources, *reasons]
 
 
 def summary_line(comparisons: Sequence[Comparison]) -> str:

@@ -140,7 +140,8 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     if design == "saltelli":
         words, indices = "SALib, of a saltelli design", INDICES
         estimate = partial(saltelli_indices, parameters=len(parameters), seed=seed)
-        notes = ["Monte-Carlo errors of the points count as interactions: they are in the total indices"]
+        noise = "Monte-Carlo errors of the points count as interactions: they are in the total indices"
+        notes = [noise] if "seed" in dataset.attrs else []  # a function without random numbers has no seed
     elif design == "morris":
         words, indices = "SALib, of a morris design", EFFECTS
         estimate = partial(morris_effects, places=np.stack(places, axis=1), seed=seed)

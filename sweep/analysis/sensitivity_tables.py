@@ -11,6 +11,9 @@ from sweep.analysis.sensitivity import METHOD
 from sweep.attributes import units_of
 from sweep.formatting import plain, reading_table, to_csv, to_json, with_error
 
+ROUNDING = 1e-12
+"""Indices below this share of the largest one are rounding errors of a parameter without any effect."""
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -35,15 +38,25 @@ def columns_of(result: xr.Dataset) -> list[Column]:
     """Return the columns for reading, their units in their names: places, parameters, and indices with their errors."""
     everything = rows(result)
     columns = []
+    scale = max((float(abs(part).max()) for part in result.data_vars.values()), default=0.0)
     for name in everything[0]:
         if name.endswith("_error"):
             continue
         unit = units_of(result[name].attrs) if name in result else ""
         values = [row[name] for row in everything]
         errors = [row.get(f"{name}_error", 0.0) for row in everything]
-        cells = list(map(with_error, values, errors)) if name in result.data_vars else list(map(plain, values))
+        if name in result.data_vars:
+            cells = [with_error(*_without_rounding(v, e, scale)) for v, e in zip(values, errors, strict=True)]
+        else:
+            cells = list(map(plain, values))
         columns.append(Column(f"{name} [{unit}]" if unit else name, "", cells, values))
     return columns
+
+
+def _without_rounding(value: float, error: float, scale: float) -> tuple[float, float]:
+    """Return an index and its error, or 0 where both are rounding errors beside the largest index."""
+    least = ROUNDING * scale
+    return (0.0, 0.0) if abs(value) < least and not error > least else (value, error)
 
 
 def as_csv(result: xr.Dataset) -> str:

@@ -25,10 +25,13 @@ ERROR_WORDS = {"mc_error": "Monte Carlo", "catalogue_error": "the choice of cata
 VISIBLE_FACTOR = 1.005
 """An axis that changes a quantity by a smaller factor is not mentioned."""
 
-NEGLIGIBLE = 1e-4
-"""Values that are a smaller share of the largest one do not count for the factor by which an axis changes a quantity: a
-corner of the grid without errors would make the factor uselessly large.
+NEGLIGIBLE = 1e-5
+"""Where at most a quarter of the values are smaller than all others by this factor, as in a corner of the grid without
+errors, these do not count for the factor by which an axis changes a quantity: it would be uselessly large.
 """
+
+ROUNDING = 1e-12
+"""Values that differ by a smaller share are equal except for rounding."""
 
 
 def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
@@ -91,7 +94,9 @@ def _what_changes_it(dims: list[str], values: Array) -> str:
     """Return by what factor a positive quantity changes at most along each axis, all else being equal."""
     if values.ndim == 0 or np.nanmin(values) < 0.0 or np.nanmax(values) == np.nanmin(values):
         return ""
-    values = np.where(values >= NEGLIGIBLE * np.nanmax(values), values, np.nan)
+    kept = values >= _least(values)
+    left_out = int(np.isfinite(values).sum() - kept.sum())
+    values = np.where(kept, values, np.nan)
     factors = {}
     for axis, dim in enumerate(dims):
         if dim == POINT:
@@ -104,11 +109,25 @@ def _what_changes_it(dims: list[str], values: Array) -> str:
     if not order:
         return ""
     words = [f"{dim} by a factor of up to {_factor(factors[dim])}" for dim in order]
-    return f"What changes it: {', '.join(words)}{', all else being equal' if len(dims) > 1 else ''}."
+    equal = ", all else being equal" if len(dims) > 1 else ""
+    rest = f" ({counted(left_out, 'value')} at or close to zero left out)" if left_out else ""
+    return f"What changes it: {', '.join(words)}{equal}{rest}."
+
+
+def _least(values: Array) -> float:
+    """Return the least of the values that are not `NEGLIGIBLE` beside the others."""
+    known = np.sort(values[values > 0.0])
+    low = known[: known.size // 4 + 1]
+    jumps = np.flatnonzero(low[:-1] < NEGLIGIBLE * low[1:])
+    return float(low[jumps[-1] + 1] if jumps.size else low[0])
 
 
 def _factor(factor: float) -> str:
     return f"{factor:.2f}" if factor < 10.0 else f"{float(f'{factor:.3g}'):,g}" if factor < 1e6 else f"{factor:.1e}"
+
+
+def _in_two_digits(number: float) -> str:
+    return f"{number:.2g}" if number < 99.5 else f"{float(f'{number:.2g}'):,.0f}"
 
 
 def _accuracy(values: Array, errors: Array, origin: str) -> str:
@@ -116,7 +135,7 @@ def _accuracy(values: Array, errors: Array, origin: str) -> str:
     if not use.any():
         return ""
     relative = 100.0 * errors[use] / np.abs(values[use])
-    low, high = f"{relative.min():.2g}", f"{relative.max():.2g}"
+    low, high = _in_two_digits(relative.min()), _in_two_digits(relative.max())
     share = low if low == high else f"{low} to {high}"
     return f"Its one-sigma error, from {origin}, is {share} % of it."
 
@@ -127,13 +146,17 @@ def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) ->
     if not count:
         return ""
     farthest = float(np.max(np.abs(values[both] / predicted[both] - 1.0)))
-    text = f"{100.0 * farthest:.2g} %"
+    if farthest < ROUNDING:
+        everywhere = "" if count == 1 else f" at {_all(count, 'point')}"
+        return f"It equals its prediction{left_out}{everywhere}, except for rounding."
+    text = f"{_in_two_digits(100.0 * farthest)} %"
     if not (errors[both] > 0.0).all():
         return f"It differs from its prediction{left_out} by {'' if count == 1 else 'at most '}{text}."
     deviations = np.abs(values[both] - predicted[both]) / errors[both]
     within = int(np.sum(deviations <= ERRORS_ALLOWED))
     largest = math.floor(10.0 * float(deviations.max()) + 0.5) / 10.0
-    apart = f"{largest:g} {'error' if largest == 1.0 else 'errors'}"
+    apart = f"{largest:,.1f}".removesuffix(".0") if largest else "less than 0.1"
+    apart += " error" if largest == 1.0 else " errors"
     if count == 1:
         return f"It is {apart}, or {text}, from its prediction{left_out}."
     share = f"{_all(count, 'value')} are" if within == count else f"{within} of {count:,} values are"

@@ -8,7 +8,7 @@ import xarray as xr
 from bokeh.resources import Resources
 
 from sweep.analysis.quantity import prediction_name, quantities, standard_error
-from sweep.attributes import LOGARITHMIC_UNITS, meaning_of, units_of
+from sweep.attributes import LOGARITHMIC_UNITS, meaning_beside, units_of
 from sweep.readable import prefixed, written
 from sweep.studies.study import POINT
 
@@ -74,11 +74,13 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         chosen = [prefixed(dataset[name].isel({dimension: i}).values, str(unit)) for i, unit in enumerate(units)]
         factors = xr.DataArray([one.factor for one in chosen], dims=dimension)
         unit, components = "", {"unit_dim": dimension, "units": [written(one.unit) for one in chosen]}
+    elif "," in unit:  # of each element of a matrix
+        unit = ", ".join(dict.fromkeys(part.strip(" ()") for part in unit.split(",")))
     return {
         "name": name,
         "unit": written(unit),
         **components,
-        "meaning": meaning_of(attributes),
+        "meaning": meaning_beside(name, attributes),
         "dims": list(map(str, dataset[name].dims)),
         **{suffix: _numbers((part * factors).transpose(*part.dims).values) for suffix, part in parts.items()},
     }

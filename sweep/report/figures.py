@@ -14,6 +14,8 @@ from matplotlib.artist import Artist
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import Normal
+from matplotlib.text import Text
 
 from sweep.analysis.quantity import prediction_name, standard_error
 from sweep.analysis.sentences import ERRORS_ALLOWED
@@ -38,6 +40,9 @@ the same size, to be read on a phone; others are scrolled sideways there.
 MOST_MARKS = 2000
 """More points than this are drawn as one image: in SVG each of them takes some 100 bytes."""
 
+SAMPLES = "kept samples of two components; the ellipses hold 68 and 95 % of a normal distribution"
+"""The name of the figure of single estimates, which is also its caption."""
+
 _COLOUR = re.compile(r"#[0-9a-f]{6}\b")
 _STYLE = re.compile(r'style="[^"]*"')
 
@@ -56,17 +61,21 @@ class Picture:
 
 def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list[Picture]:
     """Return the figures of variables that vary, each of the kind that suits it; that of the kept samples of a single
-    point comes first.  ``number`` makes the identifiers in them differ from those of other datasets.
+    point comes first.  Of a single point without samples those are drawn that have a prediction or a published number.
+    ``number`` makes the identifiers in them differ from those of other datasets.
     """
     untitled = dataset.assign_attrs(title="")
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
-    if sampled(dataset) is not None and dataset["status"].size == 1:
-        wanted = [("kept samples", ()), *wanted]
+    if dataset["status"].size == 1:
+        if sampled(dataset) is not None:
+            wanted = [(SAMPLES, ()), *wanted]
+        else:
+            wanted = wanted or [(name, (name,)) for name in variables if _has_another(dataset, name)]
     found = []
     for i, (name, chosen) in enumerate(wanted):
         found.append(drawn(untitled, name, f"{number}-{i}", chosen))
         ordered = POINT not in dataset["status"].dims
-        if ordered and len(chosen) == 1 and (residual := differences(untitled, name)) is not None:
+        if ordered and chosen and _varies(dataset[name]) and (residual := differences(untitled, name)) is not None:
             words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
             found.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", _add_band))
     return found
@@ -116,6 +125,12 @@ def _varies(array: xr.DataArray) -> bool:
     return bool(finite.size and finite.min() < finite.max())
 
 
+def _has_another(dataset: xr.Dataset, variable: str) -> bool:
+    """Return whether a prediction or a published number is known beside a variable."""
+    others = (dataset.get(prediction_name(dataset, variable)), dataset.get(f"{variable}_published"))
+    return any(bool(np.nan_to_num(other.values).any()) for other in others if other is not None)
+
+
 def drawn(
     dataset: xr.Dataset,
     name: str,
@@ -146,6 +161,8 @@ def _svg(figure: Figure) -> str:
     """Return the ``svg`` element of a figure; nothing in it affects the rest of the page."""
     for artist in figure.findobj(_is_cloud):
         artist.set_rasterized(True)
+    for artist in figure.findobj(_has_root):
+        artist.set_path_effects([*artist.get_path_effects(), Normal()])  # a text with any effect is saved as paths
     out = io.StringIO()
     figure.savefig(out, format="svg", dpi=200, transparent=True, metadata={"Date": None, "Creator": None})
     whole = out.getvalue()
@@ -157,6 +174,11 @@ def _svg(figure: Figure) -> str:
     svg = re.sub(r'<svg ([^>]*?)width="[^"]*"', r"<svg \1", svg, count=1)
     svg = re.sub(r'<svg ([^>]*?)height="[^"]*"', r"<svg \1", svg, count=1)
     return _STYLE.sub(lambda style: _COLOUR.sub(_themed, style[0]), svg)
+
+
+def _has_root(artist: Artist) -> bool:
+    """Return whether a text has a square root: its sign fits its bar in matplotlib's own fonts only."""
+    return isinstance(artist, Text) and r"\sqrt" in artist.get_text()
 
 
 def _is_cloud(artist: Artist) -> bool:

@@ -56,7 +56,8 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
             raise SweepError(error.problems, error.where or name) from error
         sections.append(one)
         room -= one.numbers
-    scripts = [library(), _file("page.js"), _file("explorer.js")]
+    explored = any(one.explorer["quantities"] for one in sections)
+    scripts = [library(), _file("page.js"), _file("explorer.js")] if explored else [_file("page.js")]
     pages = PackageLoader("sweep.report", TEMPLATES)
     environment = Environment(
         loader=pages, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -64,6 +65,7 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     versions = list(dict.fromkeys(one.version for one in sections))
     body = environment.get_template("page.html.j2").render(
         sections=sections,
+        explored=explored,
         totals=_totals(sections),
         policy=_policy(scripts),
         style=Markup(_file("page.css")),

@@ -13,7 +13,7 @@ import xarray as xr
 from sweep.analysis import sensitivity_tables as tables
 from sweep.analysis.answer import Answer, answer_in_short, answers, completeness
 from sweep.analysis.columns import Column
-from sweep.analysis.compare import Comparison, compare, in_readable_unit, remarks
+from sweep.analysis.compare import Comparison, caveats, compare, in_readable_unit
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
 from sweep.analysis.headline_table import headline_columns, rows_left_out, warnings_of
@@ -125,7 +125,10 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         verdicts=summary_line(comparisons) if comparisons else "",
         pictures=[
             *pictures(dataset, names, number),
-            *(drawn(one, f"sensitivity of {name}", f"{number}-s{i}") for i, (name, one) in enumerate(indices.items())),
+            *(
+                drawn(one.assign_attrs(title=""), f"sensitivity of {name}", f"{number}-s{i}")
+                for i, (name, one) in enumerate(indices.items())
+            ),
         ],
         explorer=explored | {"title": title},
         not_explored=left_out,
@@ -140,8 +143,8 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         notes=[
             *warnings_of(dataset),
             *filter(None, [condition_warning(dataset)]),
-            *(notes(comparisons) if comparisons else []),
-            *remarks(dataset),
+            *notes(comparisons),
+            *caveats(dataset),
         ],
         failures=failures,
         failures_not_named=count_status(dataset["status"].values)[Status.FAILED] - len(failures),

@@ -78,7 +78,7 @@ def measure_scaling(
     dataset = _dataset(np.array(workers), timed)
     return dataset.assign_attrs(
         provenance(study),
-        title=f"Scaling of: {study.title}",
+        title=f"Scaling of “{study.title}”",
         finished=now(),
         pool=pool,
         weak_scaling_grows=grown,

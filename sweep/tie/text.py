@@ -69,11 +69,12 @@ def _forecast_lines(plan: "xr.Dataset") -> Iterator[str]:
     yield ""
     width = 26
     labels = [str(label) for label in plan.unknown.values]
-    yield f"{'':{width}} " + " ".join(f"{label:>12}" for label in labels)
-    yield f"{'':{width}} " + " ".join(f"{unit:>12}" for unit in plan.unit.values)
+    column = max(9, *map(len, labels))
+    yield f"{'':{width}} " + " ".join(f"{label:>{column}}" for label in labels)
+    yield f"{'':{width}} " + " ".join(f"{unit:>{column}}" for unit in plan.unit.values)
 
     def row(name: str, values: Any) -> str:
-        return f"{name[:width]:{width}} " + " ".join(f"{value:12.5f}" for value in values)
+        return f"{name[:width]:{width}} " + " ".join(f"{value:{column}.5f}" for value in values)
 
     for stage, values in zip(plan.stage.values, plan.error.values, strict=True):
         yield row(str(stage), values)

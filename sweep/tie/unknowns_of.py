@@ -26,7 +26,7 @@ def unknowns_of(
         of_reference = np.arange(len(rows)) if rows.frame is None else np.flatnonzero(rows.frame == 0)
         text = _determined(own, rows.taken(of_reference), source[of_reference], epoch)
         if text != "orientation,spin":
-            notes.append(f"the tables determine only the {text}")
+            notes.append(f"of orientation and spin the tables determine only the {text}")
     if options.degree is not None:
         text = _with_harmonics(text, options.degree)
     text = ",".join([text, *of_missions])

@@ -4,6 +4,7 @@
   const MOST_SERIES = 14;
   const COLOURS = 7;
   const MARKERS = ["circle", "square", "diamond", "triangle", "inverted_triangle", "star", "x"];
+  const NEGLIGIBLE = 1e-5; // as in the sentences about what changes a quantity
   const WIDE = 5; // positive numbers that span more than this factor are drawn on a logarithmic axis
 
   // For a text with these signs BokehJS would load a library for formulae from the network.
@@ -41,10 +42,21 @@
     return finite.length > 1 && Math.min(...finite) > 0 && Math.max(...finite) > WIDE * Math.min(...finite);
   };
 
-  // Values of about one size, except for a few close to zero: a logarithmic axis would show mainly these few.
+  // At most a quarter of the values are far below all others: a logarithmic axis would show mainly these few.
   const isExtreme = (values) => {
     const known = values.filter((value) => value > 0).sort((a, b) => a - b);
-    return known.length > 4 && known[0] < 1e-4 * known[Math.floor(known.length / 4)];
+    const low = known.slice(0, Math.floor(known.length / 4) + 1);
+    return low.some((value, i) => i > 0 && low[i - 1] < NEGLIGIBLE * value);
+  };
+
+  // Over less than two decades BokehJS labels a logarithmic axis as a linear one: 5, 10, 15, 20.
+  const labelShort = (axis, grid, values) => {
+    const known = values.filter((value) => value > 0);
+    const [low, high] = [Math.min(...known), Math.max(...known)].map(Math.log10);
+    if (!(high - low < 2)) return;
+    const powers = Array.from({ length: 4 }, (_, i) => Math.floor(low) - 1 + i);
+    const ticks = (digits) => powers.flatMap((power) => digits.map((digit) => Number(`${digit}e${power}`)));
+    axis.ticker = grid.ticker = new Bokeh.FixedTicker({ ticks: ticks([1, 2, 5]), minor_ticks: ticks([3, 4, 6, 7, 8, 9]) });
   };
 
   class Explorer {
@@ -230,6 +242,8 @@
       });
       figure.toolbar.logo = null;
       figure.toolbar.active_scroll = null;
+      if (logX) labelShort([...figure.xaxis][0], [...figure.xgrid][0], x.values);
+      if (logY) labelShort([...figure.yaxis][0], [...figure.ygrid][0], flat.map((row) => row.value));
       this.dress(figure, ink, line);
       const legend = [];
       const values = [];
@@ -244,7 +258,7 @@
       });
       for (const [part, text] of [["predicted", "predicted"], ["published", "published"], ["error", "one-sigma error"]]) {
         const renderers = everything.flatMap((_, number) => this.drawn[number]?.[part] ?? []);
-        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: text, renderers }));
+        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: text, renderers: [this.sign(figure, part, renderers, ink, x, factors)] }));
       }
       this.hover(figure, values, x);
       if (legend.length > 1 || quantity.predicted || quantity.published) {
@@ -356,6 +370,20 @@
         }
       }
       return { renderers, values, kinds };
+    }
+
+    // One sign in the legend for what all series have: theirs would be drawn over one another.  It is drawn nowhere else.
+    sign(figure, part, renderers, ink, axis, factors) {
+      const place = [axis && axis.numeric ? axis.values.find((value) => value !== null && value > 0) ?? 0 : factors[0]];
+      const dash = renderers[0].glyph.type === "Scatter";
+      const styles = {
+        predicted: { marker: "dash", size: 22, line_width: dash ? 2 : 1.4 },
+        published: { marker: "circle", size: 14, fill_alpha: 0, line_width: 1.5 },
+        error: { marker: "cross", size: 14, line_width: 1.5 },
+      };
+      const one = figure.scatter(place, [NaN], { line_color: ink, ...styles[part] });
+      one.properties.visible.change.connect(() => { for (const other of renderers) other.visible = one.visible; });
+      return one;
     }
 
     hover(figure, renderers, x) {

@@ -53,6 +53,13 @@ def test_the_least_of_several(dataset_of):
     assert concluding(dataset, "{a} to {b}", a=least, b=most) == ["28 to 15,533"]
 
 
+def test_a_meaning_that_only_repeats_the_name_is_not_said(dataset_of):
+    dataset = dataset_of("quasars").drop_attrs(deep=False)
+    dataset["sigma_spin"].attrs = {"headline": 1, "long_name": "sigma spin"}
+    assert answer_in_short(dataset)[0].startswith("sigma_spin: ")
+    assert answers(dataset)[0].meaning == ""
+
+
 @pytest.mark.parametrize(
     ("bounds", "met"),
     [

@@ -10,6 +10,7 @@ import xarray as xr
 import linksweep
 from linksweep import SweepError, experiment, sensitivity
 from sweep.analysis.sensitivity_indices import first_order, indices_of_grid, saltelli_indices, weights_of_order
+from sweep.analysis.sensitivity_tables import columns_of
 from sweep.studies.designs import DESIGNS
 from tests.tiers import slow
 
@@ -129,6 +130,7 @@ def test_saltelli_designs_of_both_functions(borehole_indices, tmp_path):
     assert agrees(found, "first", ALONE)[0]
     assert agrees(found, "total", TOTAL)[0]
     assert float(found.total_error.max()) < 0.08
+    assert "Monte-Carlo" not in found.attrs["notes"]  # the function draws no random numbers
     [axes] = linksweep.plot(found).axes
     low, high = axes.get_xlim()
     assert low < float((found["first"] - found.first_error).min())
@@ -328,6 +330,23 @@ def test_a_result_that_does_not_vary_is_said_to(design, said, tmp_path):
     found = sensitivity(linksweep.run(flat, tmp_path / "flat.zarr", pool="serial", **run))
     assert ("flat does not vary" in found.attrs["notes"]) == said
     assert np.isnan(next(iter(found.data_vars.values()))).all() == said  # effects of morris are known to be 0
+
+
+def only_one(x: float, y: float):
+    return 2.0 * x
+
+
+def test_indices_that_are_rounding_are_shown_as_zero(tmp_path):
+    axes = {"x": [0.1, 0.7, 1.3], "y": [0.3, 1.1]}
+    found = sensitivity(linksweep.run(only_one, tmp_path / "one.zarr", pool="serial", axes=axes))
+    found["first"].values[:] = [1.0, 5.06e-33]
+    found["first_error"].values[:] = [1e-3, 5e-33]
+    found["total"].values[:] = [1.0, -2e-16]
+    cells = {column.name: column.cells for column in columns_of(found)}
+    assert cells["first"] == ["1.0000 ± 0.0010", "0"]
+    assert cells["total"][1].startswith("0")
+    found["first_error"].values[1] = 0.01  # a known error of 0 stays
+    assert columns_of(found)[1].cells[1] == "0.000 ± 0.010"
 
 
 def flat(x: float, y: float):

@@ -64,6 +64,7 @@ def test_a_forecast_is_printed():
     assert found.exit_code == 0, found.output
     assert "chosen for spin" in found.output
     assert "all observed at 2030" in found.output
+    assert max(map(len, found.output.splitlines())) <= 88  # a page of the documentation has room for it
 
 
 def two_missions(tmp_path):

@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 import linksweep
 from sweep.cli import main
+from sweep.report.link_section import link_section
 
 
 def run(*arguments):
@@ -108,6 +109,14 @@ def test_the_report_has_the_table_the_sign_and_the_figures(stored):
         "More than 10 %",
     ):
         assert text in page, text
+    assert "Bokeh" not in page  # nothing here is drawn by it
     assert "One more position of each source" in page
     assert page.count("<figure>") == 7 + 2
     assert "undefined" not in page.partition("<script>")[0]
+
+
+def test_a_report_without_a_clip_says_so(tmp_path):
+    made = run("tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "-o", tmp_path / "tie.zarr")
+    assert made.exit_code == 0, made.output
+    (answer, *_) = link_section("tie", linksweep.open(tmp_path / "tie.zarr"), 0).answers
+    assert any("matched by name; there was no clip." in sentence for sentence in answer.sentences)

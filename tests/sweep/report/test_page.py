@@ -21,7 +21,7 @@ from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.planning.point_status import Status
 from sweep.report.explorer import explorer
-from sweep.report.figures import pictures
+from sweep.report.figures import SAMPLES, drawn, pictures
 from sweep.report.page import MARK, check_output, citations, report_of, report_page, write_report
 from sweep.report.section import MOST_ROWS, SEVERITY, section
 from sweep.running.run import run_study
@@ -81,6 +81,29 @@ def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_p
     # in errors of 5 %: 0.1 / 0.05 = 2.0 and 0.25 / 0.05 = 5.0
     assert "5 of 6 values are within 3 of their errors of the prediction; the largest difference is 5 errors" in text
     assert "up to 20 %" in text
+
+
+def test_a_factor_counts_values_of_many_sizes_but_not_a_few_that_are_almost_zero():
+    tiny = sentences(grid([[1e-9, 4.0, 2.0], [80.0, 20.0, 10.0]]))  # 20 / 4 = 5 across kinds
+    assert "kind by a factor of up to 5.00, all else being equal (1 value at or close to zero left out)." in tiny
+    many = sentences(grid([[1e-9, 1e-6, 1e-3], [1e-8, 1e-4, 1.0]]))
+    assert "size by a factor of up to 1.0e+08, kind by a factor of up to 1,000, all else being equal." in many
+    assert "left out" in sentences(grid([[0.0, 4.0, 2.0], [80.0, 20.0, 10.0]]))
+
+
+def test_shares_are_written_in_digits():
+    values = np.array(VALUES)
+    text = sentences(grid(values, mc_error=2.1 * values, predicted=values / 150.0))
+    assert "Its one-sigma error, from Monte Carlo, is 210 % of it." in text
+    assert "or up to 15,000 %" in text
+
+
+def test_a_difference_that_is_rounding_is_no_percentage():
+    values = np.array(VALUES)
+    text = sentences(grid(values, mc_error=0.05 * values, predicted=values * (1.0 + 2e-16)))
+    assert "It equals its prediction at all 6 points, except for rounding." in text
+    near = sentences(grid(values, mc_error=0.05 * values, predicted=values * (1.0 + 1e-4)))
+    assert "the largest difference is less than 0.1 errors, or up to 0.01 %" in near
 
 
 def test_an_axis_that_does_not_matter_is_not_said_to():
@@ -146,6 +169,21 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):
     assert used == sum(len(q[part]) for q in found["quantities"] for part in parts if part in q)
 
 
+def test_a_unit_of_a_matrix_is_the_few_that_its_elements_have(dataset_of):
+    found, *_ = explorer(dataset_of("quasars"), ["covariance"], 10**6)
+    assert found["quantities"][0]["name"] == "covariance"
+    assert found["quantities"][0]["unit"] == "mas2, mas2 yr-1, mas2 yr-2"
+
+
+def test_a_single_point_is_drawn_beside_what_is_predicted_or_published(dataset_of):
+    one = dataset_of("quasars").isel(model=[0], v_max=[0])
+    picture, _ = pictures(one, ["sigma_spin", "n_obj"], 0)
+    assert picture.name == "sigma_spin"
+    assert "predicted" in picture.svg
+    alone = one.drop_vars([str(name) for name in one.data_vars if "predicted" in str(name) or "publ" in str(name)])
+    assert pictures(alone, ["sigma_spin", "n_obj"], 0) == []
+
+
 def test_a_view_without_room_says_what_it_leaves_out():
     dataset = grid(VALUES).assign(other=(("kind", "size"), np.array(VALUES)))
     found, used, left_out = explorer(dataset, ["share"], 6)
@@ -175,10 +213,20 @@ def test_letters_that_the_fonts_here_have_not_stay_text():
     assert "\u661f\u7cfb" in pictures(dataset, ["share"], 0)[0].svg
 
 
+def test_a_square_root_is_drawn_and_other_text_stays_text():
+    def label(figure):
+        figure.axes[0].set_ylabel(r"$\sqrt{P}$ of it")
+
+    svg = drawn(grid(VALUES), "share", "0", ["share"], add=label).svg
+    texts = ["".join(e.itertext()).strip() for e in ET.fromstring(svg).iter() if e.tag.endswith("}text")]
+    assert any("size" in text for text in texts)
+    assert not any("\u221a" in text or "of it" in text for text in texts)
+
+
 @pytest.mark.slow
 def test_kept_samples_are_one_image_and_not_thousands_of_marks(store_of):
     samples, *_ = pictures(open_dataset(store_of("scatter")), ["sigma_spin"], 0)
-    assert samples.name == "kept samples"
+    assert samples.caption == f"{SAMPLES}."
     assert len(samples.svg) < 200_000
 
 
@@ -363,6 +411,31 @@ def test_the_answer_heads_the_page_and_the_worst_comes_first(dataset_of):
     verdicts = [row[2][0] for row in found.comparison.rows]
     assert verdicts == sorted(verdicts, key=SEVERITY.index)
     assert len(set(found.results.headings)) == len(found.results.headings)
+
+
+def test_notes_are_about_what_the_section_has(dataset_of):
+    quasars = section("quasars.zarr", dataset_of("quasars"), 1, 10**6)
+    assert quasars.notes
+    assert not any("power" in note for note in quasars.notes)  # the table has no such column
+    page = report_page([("odd.zarr", grid(VALUES).assign_attrs(study_overrides="--set x=1"))])
+    assert "the study was changed" not in page  # said at its top
+    assert "Computed against published" not in page
+    warned = report_page([("odd.zarr", grid(VALUES).assign_attrs(warnings='["a warning"]'))])
+    assert "<h2>Notes</h2>" in warned
+    assert "a warning" in warned
+
+
+def test_the_library_of_the_view_is_only_where_there_is_a_view():
+    empty = report_page([("odd.zarr", grid(np.full((2, 3), np.nan)))])
+    assert "Bokeh" not in empty
+    assert "drawn by BokehJS" in report_page([("odd.zarr", grid(VALUES))])
+
+
+def test_a_study_and_its_figures_have_the_same_names():
+    study = load_study("scatter")
+    components = {claim.value.component for claim in study.claims}
+    words = " ".join([*(claim.text for claim in study.claims), *study.conclusion.sentences])
+    assert set(re.findall(r"omega_\w", words)) == components == {"omega_x", "omega_y"}
 
 
 @pytest.mark.slow

@@ -211,6 +211,39 @@ def test_nothing_of_an_earlier_layout_is_seen(show, store_of, theme):
     assert len(colours) == 1
 
 
+@pytest.mark.parametrize(("name", "scale"), [("algorithm", "LogScale"), ("error-surface", "LinearScale")])
+def test_many_decades_are_logarithmic_unless_a_few_values_are_almost_zero(show, store_of, name, scale):
+    assert drawn(show([store_of(name)]))["scale"] == scale
+
+
+def test_less_than_two_decades_are_labelled_at_1_2_and_5(show, store_of):
+    driver = show([store_of("sqrt-n")])
+    plot = "[...Bokeh.index.roots].find((v) => v.model.type === 'Figure').model"
+    [low, high, ticks] = driver.execute_script(f"""
+      const plot = {plot};
+      const axis = plot.below.find((part) => part.type === "LogAxis");
+      return [plot.x_range.start, plot.x_range.end, axis.ticker.ticks];
+    """)
+    assert [tick for tick in ticks if low <= tick <= high] == [50, 100, 200, 500, 1000, 2000]
+
+
+def test_what_all_series_have_is_one_sign_in_the_legend_that_hides_them(show, store_of):
+    driver = show([store_of("quasars")])
+    hidden = driver.execute_script("""
+      const plot = [...Bokeh.index.roots].find((v) => v.model.type === "Figure").model;
+      const legend = plot.below.find((part) => part.type === "Legend");
+      const seen = () => plot.renderers.filter((r) => r.visible).length;
+      return legend.items.slice(2).map((item) => {
+        const before = seen();
+        item.renderers[0].visible = false;
+        const gone = before - seen();
+        item.renderers[0].visible = true;
+        return [item.renderers.length, item.renderers[0].glyph.marker.value, gone];
+      });
+    """)
+    assert hidden == [[1, "dash", 3], [1, "circle", 3], [1, "cross", 3]]  # the sign, and one of each of two series
+
+
 def test_hover_reads_values(show, store_of):
     from selenium.webdriver import ActionChains
 
@@ -253,6 +286,17 @@ def test_the_button_changes_the_theme_of_page_figures_and_view(show, store_of):
     driver.find_element("id", "theme").click()
     wait_for_turn(driver, 3)
     assert driver.execute_script(colours) == light
+
+
+def test_a_shape_without_a_colour_of_its_own_has_that_of_the_text(show, store_of):
+    """Matplotlib leaves out the fill of what is black, such as a letter with a halo."""
+    driver = show([store_of("quasars")], theme="dark")
+    fills = driver.execute_script("""
+      const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+      document.querySelector("figure svg").append(path);
+      return [getComputedStyle(path).fill, getComputedStyle(document.body).color];
+    """)
+    assert fills[0] == fills[1]
 
 
 def test_a_heading_sorts_by_value(show, store_of):
@@ -300,7 +344,10 @@ def test_missing_points_are_not_drawn(show, evil_store):
 def test_paper_has_everything_unfolded_and_no_controls(show, store_of):
     driver = show([store_of("quasars")])
     driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    hint = "return document.querySelector('details table caption').innerText"
+    assert driver.execute_script(hint) == "Click a heading to sort"
     driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    assert driver.execute_script(hint) == ""
     shown = "return [...document.querySelectorAll(arguments[0])].some((e) => e.checkVisibility())"
     assert not driver.execute_script(shown, "header button, .controls, select")
     assert driver.execute_script(shown, "dl.provenance dd")

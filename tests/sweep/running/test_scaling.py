@@ -39,6 +39,7 @@ def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, slow_clock):
     assert (found["start_seconds"] == 10.0).all()
     assert (found["efficiency_error"] == 0.0).all()
     assert found.attrs["weak_scaling_grows"] == "n_cat"
+    assert found.attrs["title"] == "Scaling of “Coins”"
     assert max(work for work, _, _ in slow_clock) == 1600
 
 

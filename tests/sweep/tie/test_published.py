@@ -20,6 +20,7 @@ def test_icrf2_against_icrf3():
     np.testing.assert_array_equal(np.round(uas[:6]), [11, 14, -1, 22, 63, 89])
     np.testing.assert_array_equal(np.round(1000.0 * link.error.values[:6]), [4, 4, 3, 4, 4, 4])
     assert link.attrs["sign"] == "reference-satellite"
+    assert list(link.attrs["notes"]) == ["of orientation and spin the tables determine only the orientation"]
 
 
 def test_timing_on_de200_against_vlbi():
