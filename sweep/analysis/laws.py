@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.fits import PowerLaw, p_value, power_law
+from sweep.analysis.gaps import with_nan
 from sweep.analysis.levelling import Levelling, levelling
 from sweep.analysis.lines import Lines, lines, require_done
 from sweep.analysis.measured_claims import claims_of
@@ -148,6 +149,7 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         [405, 485, 585, 731]
     """
     require_quantity(dataset, variable)
+    dataset = with_nan(dataset)
     above_at, below_at = (_one_place(dataset, axis, value) for value in (of, to))
     parts = [dataset.isel(place) for place in (above_at, below_at)]
     for part in parts:
