@@ -54,11 +54,13 @@ def print_plan(report: dict[str, Any]) -> None:
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     from sweep.running.eta import in_words
+    from sweep.running.run_summary import failed_before
 
+    failed = failed_before(report["points_failed"])
     words = {
         "study": report["title"],
         "grid": report["grid"],
-        "points": f"{report['points']:,}, {report['points_done']:,} of them done",
+        "points": f"{report['points']:,}, {report['points_done']:,} of them done{failed}",
     }
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]

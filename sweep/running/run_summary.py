@@ -42,6 +42,11 @@ def failed_points(failures: Mapping[str, str]) -> str:
     return f"{counted(len(failures), 'point')} failed: {'; '.join(reasons)}"
 
 
+def failed_before(points: int) -> str:
+    """Return how many points an earlier run could not compute, to follow how many are done; '' for none."""
+    return f", {points:,} failed (`sweep retry` tries them again)" if points else ""
+
+
 def _short(message: str) -> str:
     line = message.strip().partition("\n")[0]
     more = len(line) - LONGEST_REASON

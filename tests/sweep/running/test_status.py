@@ -239,3 +239,18 @@ def test_all_failed_points_are_counted_and_a_terminal_names_the_first(sweep, tmp
     assert lines.index("  a=21: ValueError: odd") - lines.index("  a=2: ValueError: even") == 19
     assert "  1,480 more points: `sweep status STORE --json` has all of them" in lines
     assert len(open_dataset(tmp_path / "s.zarr").attrs["failures"]) < 40_000
+
+
+def test_points_that_failed_are_not_counted_as_done_in_a_plan(sweep, tmp_path):
+    (tmp_path / "f.py").write_text("def f(a: int):\n    return 1 / (a % 2)\n")
+    here = ("f.py:f", "-o", "s.zarr")
+    study = (*here, "--axis", "a=1:10:1")
+    sweep("run", *study, "-q", "--pool", "serial", cwd=tmp_path)
+    failed = "5 failed (`sweep retry` tries them again)"
+    _, out, _ = sweep("plan", *study, cwd=tmp_path)
+    assert f"10, 5 of them done, {failed}" in " ".join(out.split())
+    _, out, _ = sweep("plan", *here, "--axis", "a=1:12:1", "--json", cwd=tmp_path)
+    report = json.loads(out)
+    assert [report[key] for key in ("points", "points_done", "points_failed", "blocks_pending")] == [12, 5, 5, 2]
+    _, _, err = sweep("run", *study, "--pool", "serial", cwd=tmp_path)
+    assert f"10 points, 5 of them in the store already, {failed}; 0 points to do" in " ".join(err.split())
