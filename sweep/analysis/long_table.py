@@ -86,10 +86,13 @@ def as_ecsv(dataset: xr.Dataset) -> str:
 
     table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
     for name, (unit, values) in long_table(dataset).items():
-        mask = [is_missing(v) for v in values]
-        known = next((v for v in values if not is_missing(v)), math.nan)  # a NaN would make floats of integers
-        filled = [known if masked else v for masked, v in zip(mask, values, strict=True)]
-        table[name] = MaskedColumn(filled, mask=mask if any(mask) else False, unit=unit or None)
+        cells = np.array(values, dtype=object)
+        missing = np.array([is_missing(cell) for cell in cells.reshape(-1)], dtype=bool).reshape(cells.shape)
+        known = next(iter(cells[~missing]), math.nan)
+        masked = missing.any() and (cells.ndim == 1 or isinstance(known, int))  # arrays of floats can hold NaN
+        if masked:
+            cells[missing] = known  # a NaN would make floats of integers
+        table[name] = MaskedColumn(cells.tolist(), mask=missing if masked else False, unit=unit or None)
     out = io.StringIO()
     table.write(out, format="ascii.ecsv")
     return out.getvalue()

@@ -47,6 +47,7 @@ def test_tables_have_gaps_and_exact_integers(store):
     assert csv == ["" if k is None else str(k) for k in EXPECTED]
     ecsv = Table.read(shown("show", store, "--format", "ecsv"), format="ascii.ecsv")
     assert ecsv["k"].tolist() == EXPECTED
+    assert ecsv["line"][1:3].tolist() == [[LARGE + 2, LARGE + 3], [None, None]]
 
 
 def test_answers_pages_and_captions_have_the_exact_range(store, tmp_path):
