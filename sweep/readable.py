@@ -180,7 +180,8 @@ def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:
         ('0.5411 ± 0.0038 uas/yr', '100')
     """
     chosen = prefixed(value, unit)
-    value, error = value * chosen.factor, error * chosen.factor
+    if chosen.factor != 1.0:  # an integer stays one
+        value, error = value * chosen.factor, error * chosen.factor
     if 0.0 < abs(value) < SMALL and 0.0 < error < inf:
         power = 10.0 ** floor(log10(abs(value)))
         text = f"({with_error(value / power, error / power)})e{floor(log10(abs(value))):+03d}"

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
+from sweep.analysis.gaps import ends_of, numbers_of
 from sweep.analysis.long_table import own_dimensions
 from sweep.analysis.measured_claims import Measured, OutsideGridError, in_words, measure, unit_of
 from sweep.analysis.quantity import headlines
@@ -59,7 +60,7 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
         if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
             found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue
-        values = dataset[variable].values
+        values = numbers_of(dataset, variable)
         finite = values[np.isfinite(values)]
         if found and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
@@ -84,15 +85,16 @@ def completeness(dataset: xr.Dataset) -> list[str]:
 
 def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     array = dataset[variable]
-    values = array.values.astype(float)
-    if not np.isfinite(values).any():
+    finite = np.isfinite(numbers_of(dataset, variable))
+    if not finite.any():
         return "No point has a value yet."
     unit = units_of(array.attrs)
     ends = []
-    for flat in (np.nanargmin(values), np.nanargmax(values)):
-        index = dict(zip(map(str, array.dims), map(int, np.unravel_index(flat, values.shape)), strict=True))
+    values = array.values if array.dtype.kind == "i" else array.values.astype(float)
+    for end in ends_of(values, finite):
+        index = dict(zip(map(str, array.dims), end, strict=True))
         place = {d: dataset[d].values[i].item() for d, i in index.items() if d in dataset.coords}
-        ends.append(f"{with_unit(float(values.reshape(-1)[flat]), 0.0, unit)}, at {place_in_words(place)}")
+        ends.append(f"{with_unit(values[end].item(), 0.0, unit)}, at {place_in_words(place)}")
     along = " and ".join(f"{dataset.sizes[d]} values along {d}" for d in own)
     return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
 

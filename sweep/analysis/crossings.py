@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.conditions import Limit, parse_limit
+from sweep.analysis.gaps import numbers_of
 from sweep.analysis.lines import Lines, lines, require_done
 from sweep.analysis.quantity import require_quantity
 from sweep.attributes import LOGARITHMIC_UNITS, described, units_of
@@ -84,7 +85,7 @@ def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
         raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
     require_done(dataset)
     threshold = limit.number_in(units_of(array.attrs))
-    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})
+    return dataset.isel({POINT: np.flatnonzero(limit.is_met(numbers_of(dataset, limit.variable), threshold))})
 
 
 def interpolate(

@@ -136,7 +136,10 @@ def _span(values: Any) -> str:
     if flat.dtype.kind not in "biuf":
         return first_of(flat.tolist(), 1)
     known = flat[np.isfinite(flat)]
-    return f"{rounded(float(known.min()))} to {rounded(float(known.max()))}" if known.size else ""
+    if not known.size:
+        return ""
+    exact = known if known.dtype.kind in "iu" else known.astype(float)
+    return f"{rounded(exact.min().item())} to {rounded(exact.max().item())}"
 
 
 def _parts(long: Long, name: str, errors: list[float]) -> list[Column]:

@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.fits import PowerLaw, p_value, power_law
+from sweep.analysis.gaps import with_nan
 from sweep.analysis.levelling import Levelling, levelling
 from sweep.analysis.lines import Lines, lines, require_done
 from sweep.analysis.measured_claims import claims_of
@@ -136,7 +137,8 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         ratio is NaN if one of the points is excluded or the denominator is 0.
 
     Raises:
-        SweepError: for an unknown variable, values that are not in the grid, and points that are not done.
+        SweepError: for an unknown variable, values that are not in the grid or at several points of a table, and points
+            that are not done.
 
     Example:
         >>> import linksweep
@@ -147,7 +149,8 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         [405, 485, 585, 731]
     """
     require_quantity(dataset, variable)
-    above_at, below_at = (indices(dataset, {axis: value}) for value in (of, to))
+    dataset = with_nan(dataset)
+    above_at, below_at = (_one_place(dataset, axis, value) for value in (of, to))
     parts = [dataset.isel(place) for place in (above_at, below_at)]
     for part in parts:
         require_done(part)
@@ -161,6 +164,14 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     if error is not None:
         result["ratio_error"] = error.drop_attrs(deep=False).assign_attrs(described("", "one-sigma error of ratio"))
     return result
+
+
+def _one_place(dataset: xr.Dataset, axis: str, value: Any) -> dict[str, int]:
+    """Return the index along the dimension of an axis at which it has a value; raises SweepError where several have."""
+    ((dimension, found),) = indices(dataset, {axis: value}).items()
+    if len(found) > 1:
+        raise SweepError(f"{axis} = {value} is at {len(found):,} points along {dimension}, and a ratio is of two")
+    return {dimension: found[0]}
 
 
 def _fitted(

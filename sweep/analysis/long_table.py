@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 from textwrap import indent
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from sweep.analysis.gaps import gaps_of
 from sweep.formatting import is_missing, to_csv, to_json
 from sweep.planning.point_status import Status
 from sweep.studies.provenance import FUNCTION
@@ -28,7 +30,10 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> L
     columns: Long = {}
     template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
     for name in [*axis_coordinates(dataset, dimensions), *flat, *array_outputs(dataset)]:
-        variable = dataset[name].broadcast_like(template).transpose(*dimensions, ...)
+        variable = dataset[name]
+        if (gaps := gaps_of(dataset, name)) is not None:  # Python's own integers, as NaN is beside them
+            variable = variable.copy(data=np.where(gaps, np.nan, variable.values.astype(object)))
+        variable = variable.broadcast_like(template).transpose(*dimensions, ...)
         values = variable.values.reshape(-1, *variable.shape[len(dimensions) :])[rows]
         columns[name] = (dataset[name].attrs.get("units", ""), _listed(values))
     status = columns["status"][1]
@@ -81,8 +86,13 @@ def as_ecsv(dataset: xr.Dataset) -> str:
 
     table = Table(meta={"title": dataset.attrs.get("title", ""), "study_digest": dataset.attrs.get("study_digest", "")})
     for name, (unit, values) in long_table(dataset).items():
-        mask = [is_missing(v) for v in values]
-        table[name] = MaskedColumn(values, mask=mask if any(mask) else False, unit=unit or None)
+        cells = np.array(values, dtype=object)
+        missing = np.array([is_missing(cell) for cell in cells.reshape(-1)], dtype=bool).reshape(cells.shape)
+        known = next(iter(cells[~missing]), math.nan)
+        masked = missing.any() and (cells.ndim == 1 or isinstance(known, int))  # arrays of floats can hold NaN
+        if masked:
+            cells[missing] = known  # a NaN would make floats of integers
+        table[name] = MaskedColumn(cells.tolist(), mask=missing if masked else False, unit=unit or None)
     out = io.StringIO()
     table.write(out, format="ascii.ecsv")
     return out.getvalue()

@@ -13,13 +13,20 @@ from sweep.formatting import first_of
 def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
     """Return the part of a dataset at values of axes; these become coordinates without a dimension.
 
+    Where several points have the values, as rows of a table may, all of them are returned and keep their dimension.
     A value may be given as text, as on a command line.  Raises SweepError like `indices`.
     """
-    return dataset.isel(indices(dataset, places))
+    part: dict[str, Any] = {}
+    for dimension, found in indices(dataset, places).items():
+        if len(found) == 1:
+            part[dimension] = found[0]
+        else:
+            part |= dict.fromkeys(_both(dataset, dimension), found)
+    return dataset.isel(part)
 
 
-def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:
-    """Return the index along each dimension that values of axes stand for.
+def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[int]]:
+    """Return the indices along each dimension that values of axes stand for.
 
     Raises SweepError that lists every name that is not an axis, every value that is not in the grid, and values of axes
     along one dimension that are not those of one point.
@@ -42,7 +49,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, int]:
             found[dimension] &= hits
     if problems:
         raise SweepError(problems)
-    return {dimension: min(hits) for dimension, hits in found.items()}
+    return {dimension: sorted(hits) for dimension, hits in found.items()}
 
 
 def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Dataset:
@@ -54,8 +61,7 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
             f"{axis} has no value from {low:g} to {high:g}; it goes from {values.min():g} to {values.max():g}"
         )
     dimension = str(dataset[axis].dims[0])
-    both = [d for d in (dimension, f"{dimension}_other") if d in dataset.dims]
-    return dataset.isel({d: np.flatnonzero(inside) for d in both})
+    return dataset.isel(dict.fromkeys(_both(dataset, dimension), np.flatnonzero(inside)))
 
 
 def places_along(dataset: xr.Dataset | xr.DataArray, dimensions: Iterable[Hashable]) -> Iterator[dict[str, int]]:
@@ -74,6 +80,11 @@ def coordinates_along(dataset: xr.Dataset, dimension: str) -> list[str]:
 def place_in_words(where: Mapping[str, Any]) -> str:
     """Return a place on the axes as ``model=gaia, v_max=16``."""
     return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in where.items())
+
+
+def _both(dataset: xr.Dataset, dimension: str) -> list[str]:
+    """Return a dimension, and the second one that covariances along it have."""
+    return [d for d in (dimension, f"{dimension}_other") if d in dataset.dims]
 
 
 def _is_meant(value: object, wanted: object) -> bool:

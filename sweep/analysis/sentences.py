@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
+from sweep.analysis.gaps import ends_of, numbers_of
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
 from sweep.analysis.selection import coordinates_along, place_in_words
 from sweep.contract import Array
@@ -37,7 +39,8 @@ ROUNDING = 1e-12
 def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     """Yield sentences about a variable with one value per point, in a unit; '' for a sentence with nothing to say."""
     dims = [str(d) for d in part["status"].dims]
-    values = part[variable].transpose(*dims).values.astype(float)
+    part = part.transpose(*dims, ...)
+    values = numbers_of(part, variable)
     known = standard_error(part, variable)
     errors = np.zeros(values.shape) if known is None else known.transpose(*dims).values.astype(float)
     finite = np.isfinite(values)
@@ -48,7 +51,7 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
     known_ones = [words for words, error in of.items() if error is not None and bool(error.notnull().any())]
     origin = " and ".join(known_ones).replace("catalogue", outer_draw_of(part.attrs))
-    yield _range(part, values, errors, unit)
+    yield _range(part, variable, finite, errors, unit)
     yield _what_changes_it(dims, values)
     yield _accuracy(values[finite], errors[finite], origin)
     for whole in unknown_parts(part, variable):
@@ -65,13 +68,15 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         yield f"At {points} done it is not a finite number."
 
 
-def _range(part: xr.Dataset, values: Array, errors: Array, unit: str) -> str:
-    def number(index: tuple[Any, ...]) -> str:
-        return with_unit(float(values[index]), float(errors[index]), unit)
+def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: Array, unit: str) -> str:
+    values = part[variable].values
+    values = values if values.dtype.kind == "i" else values.astype(float)  # integers are told to the last digit
 
-    low = np.unravel_index(np.nanargmin(values), values.shape)
-    high = np.unravel_index(np.nanargmax(values), values.shape)
-    count = int(np.isfinite(values).sum())
+    def number(index: tuple[Any, ...]) -> str:
+        return with_unit(values[index].item(), float(errors[index]), unit)
+
+    low, high = ends_of(values, finite)
+    count = int(finite.sum())
     if values.size == 1:
         return f"It is {number(low)}."
     if count == 1:

@@ -3,6 +3,7 @@
 import shutil
 import sys
 from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 import click
@@ -10,6 +11,9 @@ import click
 from sweep.formatting import WIDTH, counted, to_json
 
 SEGMENT_COUNTS = ("points", "done", "failed", "excluded", "realisations_done", "realisations")
+
+MOST_FAILURES = 20
+"""Most failed points that `sweep status` names in a terminal."""
 
 
 def print_sentences(sentences: Iterable[str]) -> None:
@@ -50,11 +54,13 @@ def print_plan(report: dict[str, Any]) -> None:
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     from sweep.running.eta import in_words
+    from sweep.running.run_summary import failed_before
 
+    failed = failed_before(report["points_failed"])
     words = {
         "study": report["title"],
         "grid": report["grid"],
-        "points": f"{report['points']:,}, {report['points_done']:,} of them done",
+        "points": f"{report['points']:,}, {report['points_done']:,} of them done{failed}",
     }
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]
@@ -134,12 +140,27 @@ def print_status(report: dict[str, Any]) -> None:
             click.echo("\n".join(["", *lines, ""]) if lines else "", nl=bool(lines))
         elif key == "units":
             continue
+        elif key == "failures":
+            _print_failures(value, report["points"]["failed"])
         elif isinstance(value, dict):
             click.echo(f"{key}:")
             for name, text in value.items():
                 click.echo(click.wrap_text(f"{name}: {text}", WIDTH, "  ", "    "))
         else:
             click.echo(click.wrap_text(f"{key}: {value}", WIDTH, "", "  "))
+
+
+def _print_failures(failures: dict[str, str], points: int) -> None:
+    """Print why points failed: each of a few, else the reasons with their counts, and the first points."""
+    from sweep.running.run_summary import failed_points
+
+    click.echo("failures:")
+    if len(failures) > MOST_FAILURES:
+        click.echo(click.wrap_text(failed_points(failures), WIDTH, "  ", "    "))
+    for place, message in islice(failures.items(), MOST_FAILURES):
+        click.echo(click.wrap_text(f"{place}: {message}", WIDTH, "  ", "    "))
+    if len(failures) > MOST_FAILURES:
+        click.echo(f"  {points - MOST_FAILURES:,} more points: `sweep status STORE --json` has all of them")
 
 
 def status_as_json(report: dict[str, Any]) -> str:

@@ -24,6 +24,9 @@ SLOTS: dict[Type, int] = {"float": 1, "int": 1, "bool": 1, "datetime": 1, "text"
 EXACT_INT = 2**53
 """Up to here a float holds every integer exactly."""
 
+MISSING_INT = int(np.iinfo(np.int64).min)
+"""Stands for a missing integer where some integer of the array is too large for a float to hold exactly."""
+
 
 @dataclass(frozen=True)
 class Coordinate:

@@ -62,7 +62,7 @@ class Accumulator:
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self._rounds: dict[int, _Round] = {}
         self._whole = self._only_block()
-        self.survey = self._survey(sums)
+        self.survey = replace(self._survey(sums), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
     def _survey(self, sums: Array) -> Survey:
         total = all_held = pending = PlanSize(0, 0, 0, 0.0)
@@ -128,7 +128,8 @@ class Accumulator:
             if self._only is not None:
                 missing &= _among(digests, self._only)
             pending += int(np.count_nonzero(missing))
-        return Survey(*(self.plan.size(1.0, count) for count in (len(indices), held, pending)))
+        total, all_held, left = (self.plan.size(1.0, count) for count in (len(indices), held, pending))
+        return Survey(total, all_held, left)
 
     def _resume(self, point: GridPoint, sums: Array) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""

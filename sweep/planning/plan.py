@@ -72,11 +72,12 @@ class PlanSize:
 
 @dataclass(frozen=True)
 class Survey:
-    """The size of a plan as far as it is known: in total, held by the ledger, and pending; the rest has failed."""
+    """The size of a plan as far as it is known: in total, held by the ledger, and pending; how many points failed."""
 
     total: PlanSize
     held: PlanSize
     pending: PlanSize
+    failed: int = 0
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from sweep.analysis.gaps import with_nan
 from sweep.analysis.measured_claims import claims_of
 from sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
 from sweep.analysis.sensitivity import is_sensitivity
@@ -54,6 +55,7 @@ def draw_figure(
             raise SweepError(f"no {kind} of this; possible is {' or '.join(SCALING)}")
         figure: Figure = SCALING[kind or next(iter(SCALING))].load()(dataset)
         return figure
+    dataset = with_nan(dataset)
     only_samples = dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
     if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
         return _drawn(dataset, dataset.squeeze(_single(dataset)), "scatter", list(variables), over)

@@ -16,6 +16,7 @@ from sweep.analysis.columns import Column
 from sweep.analysis.compare import Comparison, caveats, compare, in_readable_unit
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
+from sweep.analysis.gaps import with_nan
 from sweep.analysis.headline_table import headline_columns, rows_left_out, warnings_of
 from sweep.analysis.quantity import headlines, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
@@ -102,7 +103,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
     """
     names = headlines(dataset)
     comparisons = compare(dataset)
-    explored, numbers, left_out = explorer(in_readable_units(dataset), names, room)
+    explored, numbers, left_out = explorer(in_readable_units(with_nan(dataset)), names, room)
     indices = _indices(dataset, names)
     attributes = dataset.attrs
     failures = json.loads(attributes.get("failures", "{}"))

@@ -16,7 +16,7 @@ from sweep.interrupt import how_ended
 from sweep.planning.grid import describe
 from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
-from sweep.running.run_summary import RunSummary, failed_points
+from sweep.running.run_summary import RunSummary, failed_before, failed_points
 from sweep.running.writer import Taken
 from sweep.studies.study import Study
 
@@ -56,7 +56,9 @@ class TerminalProgress:
         total, pending = survey.total, survey.pending
         self._points, self._all_points = total.points - pending.points, total.points
         self._work = pending.cost
-        held = f", {self._points:,} of them in the store already" if self._points else ""
+        done = self._points - survey.failed
+        held = f", {done:,} of them in the store already" if done else ""
+        held += failed_before(survey.failed)
         begun = total.points == pending.points and total.blocks > pending.blocks
         partly = ", part of the realisations too" if begun else ""
         number, noun = (pending.points, "point") if self._once else (pending.realisations, "realisation")

@@ -12,7 +12,7 @@ from sweep.attributes import described, short_meaning
 from sweep.contract import Array, Output, Parameter
 from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.layout import EXACT_INT
+from sweep.functions.layout import EXACT_INT, MISSING_INT
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.block import ledger_key
 from sweep.planning.grid import Grid
@@ -22,10 +22,6 @@ from sweep.studies.form import printed_rounding
 from sweep.studies.study import POINT
 
 dask_arrays_only_where_imported()  # before the first dataset is made here; `snapshot.decode` does so before one is read
-
-
-MISSING_INT = np.iinfo(np.int64).min
-"""Stands for a missing integer where some integer of the array is too large for a float to hold exactly."""
 
 
 def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:

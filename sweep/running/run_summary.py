@@ -32,14 +32,19 @@ def failed_points(failures: Mapping[str, str]) -> str:
     counts = Counter(failures.values())
     first = {message: place for place, message in reversed(list(failures.items()))}
     reasons = [
-        f"{n} x {_short(message)}, for example at {first[message]}"
+        f"{n:,} x {_short(message)}, for example at {first[message]}"
         if n > 1
         else f"{_short(message)}, at {first[message]}"
         for message, n in counts.most_common(NAMED)
     ]
     if len(counts) > NAMED:
-        reasons.append(f"{len(counts) - NAMED} other reasons")
+        reasons.append(f"{len(counts) - NAMED:,} other reasons")
     return f"{counted(len(failures), 'point')} failed: {'; '.join(reasons)}"
+
+
+def failed_before(points: int) -> str:
+    """Return how many points an earlier run could not compute, to follow how many are done; '' for none."""
+    return f", {points:,} failed (`sweep retry` tries them again)" if points else ""
 
 
 def _short(message: str) -> str:

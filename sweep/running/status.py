@@ -18,6 +18,7 @@ from sweep.planning.plan import TARGET, Plan
 from sweep.planning.point_status import Status, count_status
 from sweep.running.axis_progress import by_axis
 from sweep.running.run import plan_study
+from sweep.running.writer import MAX_FAILURES_NAMED, failures_by_place
 from sweep.stores.location import Where
 from sweep.stores.lock import holder
 from sweep.stores.opened import UNFINISHED, OpenLedger, OpenStore
@@ -45,11 +46,14 @@ def status_report(store: Where) -> dict[str, Any]:
     dataset = None if is_new(opened.root) else opened.dataset()
     note: dict[str, str] = {} if dataset is not None else {"note": UNFINISHED}
     try:
-        axes, units, status, realisations = _of_ledger(opened, ledger, dataset if whole else None)
+        axes, units, status, realisations, failures = _of_ledger(opened, ledger, dataset if whole else None)
     except SweepError as error:
         if dataset is None:
             raise SweepError(f"{UNFINISHED} ({'; '.join(error.problems)})", str(opened.location)) from error
         axes, units, status, realisations = _of_dataset(dataset)
+        failures = json.loads(attributes.get("failures", "{}"))
+        if len(failures) >= MAX_FAILURES_NAMED:  # there may be more, which the records beside the ledger have
+            failures = {record["place"]: record["message"] for record in ledger.failures.values()}
         note = {"note": f"as of the last writing: {'; '.join(error.problems)}"}
     random = "n_sim" in attributes
     wanted = int(attributes["n_sim"]) * int(attributes["n_cat"]) if random else 1
@@ -64,7 +68,7 @@ def status_report(store: Where) -> dict[str, Any]:
         **({"realisations done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),
         "units": units,
-        "failures": json.loads(attributes.get("failures", "{}")),
+        "failures": failures,
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")},
     }
 
@@ -73,8 +77,9 @@ Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int
 """The values along each dimension, the units of the axes, and the status and the realisations of each point."""
 
 
-def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -> Progress:
-    """Return the progress by the ledger, or by a dataset that says the ``same``, which takes less time.
+def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -> tuple[*Progress, dict[str, str]]:
+    """Return the progress by the ledger, or by a dataset that says the ``same``, which takes less time, and the points
+    that failed by their place.
 
     Raises SweepError where the store has not recorded what that needs.
     """
@@ -86,7 +91,7 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -
     }
     units = {name: study.experiment.parameter(name).unit for name in study.axes}
     if same is not None:
-        return axes, units, *_points_of(same.transpose(*grid.dimensions, ...))
+        return axes, units, *_points_of(same.transpose(*grid.dimensions, ...)), {}  # it is complete
     if study.sampling.precision is not None:
         raise SweepError("only the experiment can say how many realisations reach a precision")
     try:
@@ -94,7 +99,8 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -
     except (KeyError, TypeError, ValueError) as error:
         raise SweepError(f"the record of its experiment does not fit its points ({error})") from error
     status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
-    return axes, units, status.reshape(grid.shape), realisations.reshape(grid.shape)
+    failures = failures_by_place(grid, accumulator.status, ledger.failures)
+    return axes, units, status.reshape(grid.shape), realisations.reshape(grid.shape), failures
 
 
 def _points_of(dataset: xr.Dataset) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
@@ -134,7 +140,8 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
         "points": survey.total.points,
-        "points_done": survey.total.points - survey.pending.points,
+        "points_done": survey.total.points - survey.pending.points - survey.failed,
+        "points_failed": survey.failed,
         **({} if study.experiment.deterministic else realisations),
         "blocks_pending": survey.pending.blocks,
         "tasks_about": tasks,

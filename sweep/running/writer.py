@@ -10,19 +10,21 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.executing.uncollected import uncollected
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.block import Block, ledger_key
 from sweep.planning.failing import failing
-from sweep.planning.grid import AT_ONCE, GridPoint, describe
+from sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
 from sweep.planning.plan import PlanSize, Work
 from sweep.planning.point_status import Status
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
 from sweep.stores.code import codes_of_points, records_of
+from sweep.stores.failures import Record
 from sweep.stores.store import Store
 from sweep.studies.provenance import host, now, provenance
 from sweep.studies.record import RECORD, recorded
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MAX_FAILURES_NAMED = 1000
+"""Most failed points that a dataset names in its attributes; its status counts all."""
 
 KEPT = ("merged", "started")
 """Attributes of a store that every later run keeps."""
@@ -156,7 +159,7 @@ class Writer:
             "points": points,
             "points_done": done,
             "complete": int(points == done),
-            "failures": json.dumps(self.failures()),
+            "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
             "warnings": json.dumps(self.plan.grid.warnings),
         }
         tuning = self._tuning
@@ -196,11 +199,9 @@ class Writer:
                         self._problem = error
                         return
 
-    def failures(self) -> dict[str, str]:
-        """Return the points of this study that failed, by their place on the axes, and why."""
-        grid, records = self.plan.grid, self.store.failures
-        failed = np.flatnonzero(self.accumulator.status == Status.FAILED)[:MAX_FAILURES_NAMED]
-        return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
+    def failures(self, most: int | None = None) -> dict[str, str]:
+        """Return the points of this study that failed, or the first of them, by their place on the axes, and why."""
+        return failures_by_place(self.plan.grid, self.accumulator.status, self.store.failures, most)
 
     def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
         """Record those finished points as failed whose results are not what the experiment declares; return why."""
@@ -214,6 +215,16 @@ class Writer:
         self.accumulator.fail(point.index)
         place = describe(self.plan.grid.study, point.parameters)
         self.store.fail(point.digest, {"place": place, **vars(failure), "host": host(), "when": now()})
+
+
+def failures_by_place(
+    grid: Grid, status: NDArray[np.int8], records: Mapping[bytes, Record], most: int | None = None
+) -> dict[str, str]:
+    """Return the points that failed by a ``status`` that is indexed like the grid, or the first of them, by their place
+    on the axes, and why, from the ``records`` of a store.
+    """
+    failed = np.flatnonzero(status == Status.FAILED)[:most]
+    return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
 
 def _size(works: Sequence[Work], points: int) -> PlanSize:

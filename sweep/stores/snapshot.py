@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import zarr
 from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
@@ -25,7 +24,11 @@ if TYPE_CHECKING:
 CHECKSUMS = "chunk_checksums"
 """The attribute of the root document with the checksums of the chunks that it refers to."""
 
-CHUNK_BYTES = 2**22
+CHUNK_VALUES = 2**20
+"""The most values of a chunk, 8 MB of floats.  Values are counted and not bytes, so that results on the same axes have
+the same chunks whatever their types, as Dask wants.
+"""
+
 TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
 """The encoding of times, to the last nanosecond."""
 
@@ -179,15 +182,13 @@ def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def chunk_shape(variable: "xr.Variable") -> tuple[int, ...]:
-    """Return a shape for chunks of at most `CHUNK_BYTES` that are whole in the last dimensions: a point's values stay
+    """Return a shape for chunks of at most `CHUNK_VALUES` that are whole in the last dimensions: a point's values stay
     together, and a coordinate is one chunk.
     """
-    if variable.dtype.kind == "O" or variable.ndim < 1:
-        return variable.shape
     shape = list(variable.shape)
     for axis in range(variable.ndim):
-        rest = math.prod(shape[axis + 1 :]) * np.dtype(variable.dtype).itemsize
-        shape[axis] = max(1, min(shape[axis], CHUNK_BYTES // max(1, rest)))
+        rest = math.prod(shape[axis + 1 :])
+        shape[axis] = max(1, min(shape[axis], CHUNK_VALUES // max(1, rest)))
         if shape[axis] > 1:
             break
     return tuple(shape)

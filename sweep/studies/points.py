@@ -1,6 +1,7 @@
 """The table [points] of a study: many parameters at once, from a file, a design, or columns of values."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from sweep.tables.columns import rows_listed
 from sweep.tables.reader import read_table
 
 MOST_ROWS = 1_000_000
+
+_DECIMAL_COMMA = str.maketrans(",.", ".,")
 
 Columns = Mapping[str, list[Any]]
 
@@ -78,8 +81,34 @@ def _of_file(form: PointsForm, experiment: Experiment, folder: Path, problems: P
     with problems.at(("points", "file"), f"{shown(form.file)}: "):
         table = read_table(folder / str(form.file))
         columns, units = columns_of({name: table[name] for name in table.colnames})
+        columns = {name: _read_where_possible(values, experiment, name) for name, values in columns.items()}
         return _in_units(columns, units | form.units, experiment, ("points", "file"), problems)
     return {}
+
+
+def _read_where_possible(values: list[Any], experiment: Experiment, name: str) -> list[Any]:
+    """Return a column of a file that is text because of some cells, with the others as what the parameter takes: only
+    those that are wrong are then refused.  A column in which no cell is wrong is text on purpose, and stays so.
+    """
+    kind = next((p.kind for p in experiment.parameters if p.name == name), "any")
+    if kind not in ("float", "int", "bool") or not any(isinstance(value, str) for value in values):
+        return values
+    marks: list[Mapping[int, int]] = [{}, _DECIMAL_COMMA]
+    readings = [[_cell(value, kind, swapped) for value in values] for swapped in marks]
+    found = min(readings, key=lambda cells: sum(isinstance(cell, str) for cell in cells))
+    return found if any(isinstance(cell, str) for cell in found) else values
+
+
+def _cell(value: Any, kind: str, swapped: Mapping[int, int]) -> Any:
+    """Return a number, once characters are swapped, or a truth value that a cell holds, or the text as it is."""
+    if not isinstance(value, str) or "_" in value:  # which Python allows between digits
+        return value
+    if kind == "bool":
+        return {"true": True, "false": False}.get(value.lower(), value)
+    for number in (int, float):
+        with suppress(ValueError):
+            return number(value.translate(swapped))
+    return value
 
 
 def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:

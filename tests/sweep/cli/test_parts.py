@@ -1,5 +1,7 @@
 """Parts of a grid that ``--at`` names: those that the study excludes are not shown as if they were empty."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -77,3 +79,36 @@ def test_an_output_is_shown_where_a_place_along_its_own_dimension_is_chosen(tmp_
     lines = told.stdout.splitlines()
     assert next(line.split() for line in lines if "tot" in line) == ["a", "tot", "curve"]
     assert next(line.split()[-1] for line in lines if line.split()[:1] == ["2"]) == "0.7358"
+
+
+def wave(a: int, kind: str, b: float = 1.0):
+    return float(a) if kind == "sin" else -b
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["alone", "crossed"])
+def table(request, tmp_path_factory):
+    store = tmp_path_factory.mktemp("table") / "wave.zarr"
+    points = {"a": [1, 2, 3, 4], "kind": ["sin", "cos", "sin", "sin"]}
+    linksweep.run(wave, store, points=points, axes={"b": [1.0, 2.0]} if request.param else None, pool="serial")
+    return str(store), 2 if request.param else 1
+
+
+def test_all_points_of_a_table_that_have_a_value_are_shown(table, tmp_path):
+    store, each = table
+    told = CliRunner().invoke(main, ["show", store, "--at", "kind=sin", "--json"])
+    assert [row["a"] for row in json.loads(told.stdout)["rows"]] == sorted([1, 3, 4] * each)
+    told = CliRunner().invoke(main, ["show", store, "--at", "kind=sin,a=3", "--json"])
+    assert [row["wave"] for row in json.loads(told.stdout)["rows"]] == [3.0] * each
+    told = CliRunner().invoke(main, ["fit", store, "--at", "kind=sin", "--over", "a", "--json"])
+    assert [row["points"] for row in json.loads(told.stdout)["rows"]] == [3.0] * each
+    told = CliRunner().invoke(main, ["find", store, "--at", "kind=sin", "--where", "wave > 2", "--over", "a", "--json"])
+    assert [row["first"] for row in json.loads(told.stdout)["rows"]] == [pytest.approx(2.0)] * each
+    picture = tmp_path / "p.svg"
+    told = CliRunner().invoke(main, ["plot", store, "--at", "kind=sin", "-o", str(picture), "--caption"])
+    assert (told.exit_code, picture.exists()) == (0, True), told.stderr
+    assert f"Over {3 * each} points it goes from 1" in picture.with_suffix(".txt").read_text()
+
+
+def test_a_ratio_of_several_points_of_a_table_is_refused(table):
+    with pytest.raises(linksweep.SweepError, match="kind = sin is at 3 points along point, and a ratio is of two"):
+        linksweep.ratio(linksweep.open(table[0]), "wave", "kind", of="cos", to="sin")

@@ -216,3 +216,41 @@ def test_tasks_of_a_function_whose_time_is_not_known_are_not_counted(sweep, tmp_
     code, out, err = sweep("plan", "f.py:f", "--axis", "a=1,2,3", cwd=tmp_path)
     assert code == 0, err
     assert dict(line.split(maxsplit=1) for line in out.splitlines())["work"] == "3 blocks"
+
+
+def test_all_failed_points_are_counted_and_a_terminal_names_the_first(sweep, tmp_path):
+    (tmp_path / "f.py").write_text(
+        "def f(a: int):\n    if a > 1:\n        raise ValueError('even' if a % 2 == 0 else 'odd')\n    return a\n"
+    )
+    code, _, err = sweep(
+        "run", "f.py:f", "--axis", "a=1:1501:1", "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path
+    )
+    reasons = (
+        "1,500 points failed: 750 x ValueError: even, for example at a=2; 750 x ValueError: odd, for example at a=3"
+    )
+    assert code == 1
+    assert reasons in " ".join(err.split())
+    code, out, _ = sweep("status", "s.zarr", "--json", cwd=tmp_path)
+    failures = json.loads(out)["failures"]
+    assert list(failures) == [f"a={a}" for a in range(2, 1502)]
+    code, out, _ = sweep("status", "s.zarr", cwd=tmp_path)
+    lines = out.splitlines()
+    assert reasons in " ".join(out.split())
+    assert lines.index("  a=21: ValueError: odd") - lines.index("  a=2: ValueError: even") == 19
+    assert "  1,480 more points: `sweep status STORE --json` has all of them" in lines
+    assert len(open_dataset(tmp_path / "s.zarr").attrs["failures"]) < 40_000
+
+
+def test_points_that_failed_are_not_counted_as_done_in_a_plan(sweep, tmp_path):
+    (tmp_path / "f.py").write_text("def f(a: int):\n    return 1 / (a % 2)\n")
+    here = ("f.py:f", "-o", "s.zarr")
+    study = (*here, "--axis", "a=1:10:1")
+    sweep("run", *study, "-q", "--pool", "serial", cwd=tmp_path)
+    failed = "5 failed (`sweep retry` tries them again)"
+    _, out, _ = sweep("plan", *study, cwd=tmp_path)
+    assert f"10, 5 of them done, {failed}" in " ".join(out.split())
+    _, out, _ = sweep("plan", *here, "--axis", "a=1:12:1", "--json", cwd=tmp_path)
+    report = json.loads(out)
+    assert [report[key] for key in ("points", "points_done", "points_failed", "blocks_pending")] == [12, 5, 5, 2]
+    _, _, err = sweep("run", *study, "--pool", "serial", cwd=tmp_path)
+    assert f"10 points, 5 of them in the store already, {failed}; 0 points to do" in " ".join(err.split())

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import linksweep
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.running.run import run_study
+from sweep.stores import snapshot
 from sweep.stores.create import find_store
 from sweep.stores.opened import OpenStore
 from sweep.stores.store import open_dataset
@@ -174,6 +176,23 @@ def test_plain_xarray_opens_a_store_without_a_warning(tmp_path, study):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert xr.open_zarr(tmp_path / "s.zarr")["metal"].values.tolist() == ["gold", "tin"]
+
+
+def test_results_on_the_same_axes_have_the_same_chunks(tmp_path, monkeypatch):
+    monkeypatch.setattr(snapshot, "CHUNK_VALUES", 9)
+
+    def f(a: int, b: int):
+        return {"x": a / b, "n": a * b, "even": a % 2 == 0, "name": f"{a}-{b}"}
+
+    written = linksweep.run(f, tmp_path / "s.zarr", axes={"a": range(1, 6), "b": range(1, 5)}, pool="serial")
+    found = xr.open_zarr(tmp_path / "s.zarr")
+    assert dict(found.chunks) == {"a": (2, 2, 1), "b": (4,)}
+    assert found.load().equals(written)
+
+
+def test_a_million_points_are_one_chunk_of_each_result():
+    shapes = {snapshot.chunk_shape(xr.Variable(("a", "b"), np.empty((1000, 1000), kind))) for kind in ("f8", "i1")}
+    assert shapes == {(1000, 1000)}
 
 
 @pytest.mark.parametrize("name", ["blocks", "failures"])

@@ -103,6 +103,34 @@ def test_what_is_wrong_is_told_by_name_and_row(points, problem):
         read(points)
 
 
+@pytest.mark.parametrize(
+    ("bad", "problem"),
+    [
+        ({"beta": "oops"}, "points.file.beta: row 7: beta = 'oops': must be a finite number > 0"),
+        ({"beta": "-2"}, "points.file.beta: row 7: beta = -2.0: must be a finite number > 0"),
+        ({"beta": "1,200"}, "points.file.beta: row 7: beta = '1,200': must be a finite number > 0"),
+        ({"k": "1_0"}, "points.file.k: row 7: k = '1_0': must be an integer"),
+        ({"flag": "maybe"}, "points.file.flag: row 7: flag = 'maybe': must be true or false"),
+    ],
+)
+def test_of_a_column_of_a_file_only_the_wrong_cells_are_named(bad, problem, tmp_path):
+    def g(beta: Annotated[float, Declared("rate", above=0)], k: int, flag: bool):
+        return beta * k * flag
+
+    rows = [{"beta": "2.5", "k": "1", "flag": "True"} | (bad if row == 7 else {}) for row in range(1, 10)]
+    pd.DataFrame(rows).to_csv(tmp_path / "t.csv", index=False)
+    with pytest.raises(SweepError) as caught:
+        study_of_function(g, points=tmp_path / "t.csv")
+    assert caught.value.problems == [problem]
+
+
+def test_wrong_cells_are_named_beside_decimal_commas(tmp_path):
+    (tmp_path / "t.csv").write_text("beta;k\n2,5;1\nx;1\n1,5;1\n")
+    with pytest.raises(SweepError) as caught:
+        read(tmp_path / "t.csv")
+    assert caught.value.problems == ["points.file.beta: row 2: beta = 'x': must be a finite number > 0 [1/d]"]
+
+
 def far(distance: Annotated[float, Declared("distance", unit="m")], n: int = 1):
     return distance * n
 

@@ -1,0 +1,88 @@
+"""Large integers of points that are not done are missing wherever results are shown, and others are exact."""
+
+import json
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from click.testing import CliRunner
+
+import linksweep
+from sweep.analysis.conditions import parse_limit
+from sweep.analysis.crossings import points_where
+from sweep.analysis.gaps import with_nan
+from sweep.cli import main
+
+LARGE = 2**60
+
+
+def large(a: int, b: int = 1):
+    if a % 3 == 0:
+        raise ValueError("no")
+    return {"k": LARGE + a * b, "line": np.arange(2) + LARGE + a}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    place = tmp_path_factory.mktemp("gaps") / "large.zarr"
+    linksweep.run(large, place, axes={"a": range(1, 11)}, pool="serial")
+    return str(place)
+
+
+def shown(*arguments):
+    return CliRunner().invoke(main, [*arguments]).stdout
+
+
+EXPECTED = [None if a % 3 == 0 else LARGE + a for a in range(1, 11)]
+
+
+def test_tables_have_gaps_and_exact_integers(store):
+    text = shown("show", store)
+    assert str(np.iinfo(np.int64).min) not in text
+    assert ["3", "failed"] in [line.split() for line in text.splitlines()]
+    rows = json.loads(shown("show", store, "--json"))["rows"]
+    assert [row["k"] for row in rows] == EXPECTED
+    assert (rows[1]["line"], rows[2]["line"]) == ([LARGE + 2, LARGE + 3], [None, None])
+    csv = [line.split(",")[1] for line in shown("show", store, "--format", "csv").splitlines()[1:]]
+    assert csv == ["" if k is None else str(k) for k in EXPECTED]
+    ecsv = Table.read(shown("show", store, "--format", "ecsv"), format="ascii.ecsv")
+    assert ecsv["k"].tolist() == EXPECTED
+    assert ecsv["line"][1:3].tolist() == [[LARGE + 2, LARGE + 3], [None, None]]
+
+
+def test_answers_pages_and_captions_have_the_exact_range(store, tmp_path):
+    span = f"Over 7 points it goes from {LARGE + 1}, at a=1, to {LARGE + 10}, at a=10."
+    card = linksweep.answer(linksweep.open(store))
+    assert span in " ".join(card.sentences)
+    page, picture = tmp_path / "page.html", tmp_path / "p.svg"
+    CliRunner().invoke(main, ["report", store, "-o", str(page)])
+    assert str(LARGE + 10) in page.read_text()
+    assert str(np.iinfo(np.int64).min) not in page.read_text()
+    CliRunner().invoke(main, ["plot", store, "-o", str(picture), "--caption"])
+    assert span in picture.with_suffix(".txt").read_text()
+
+
+def test_a_figure_has_no_points_without_values(store):
+    figure = linksweep.plot(linksweep.open(store))
+    drawn = [y for axes in figure.axes for line in axes.lines for y in np.atleast_1d(line.get_ydata())]
+    assert drawn
+    assert all(y != y or y >= float(LARGE) for y in drawn)  # noqa: PLR0124 (NaN)
+
+
+def test_excluded_points_meet_no_condition_and_have_no_ratio(tmp_path):
+    def k(a: int, b: int):
+        return LARGE + a * b
+
+    points = {"a": [1, 2, 3], "b": [4, 5, 6]}
+    document = {"experiment": k, "points": {"columns": points}, "exclude": [{"a": 2}]}
+    dataset = linksweep.run(document, tmp_path / "p.zarr", pool="serial")
+    assert points_where(dataset, parse_limit("k < 1e30"))["a"].values.tolist() == [1, 3]
+    document = {"experiment": k, "axes": points, "exclude": [{"a": 2, "b": 5}]}
+    dataset = linksweep.run(document, tmp_path / "g.zarr", pool="serial")
+    assert dataset["k"].dtype == np.int64
+    assert np.isnan(linksweep.ratio(dataset, "k", "a", of=2, to=1)["ratio"].values).tolist() == [False, True, False]
+
+
+def test_what_has_no_gaps_is_the_same_dataset(store):
+    part = linksweep.open(store).isel(a=[0, 1])
+    assert with_nan(part) is part
