@@ -84,7 +84,7 @@ def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: A
     if values[low] == values[high]:
         return f"It is {number(low)} at {_all(count, 'point')}."
     return (
-        f"Over {count} points it goes from {number(low)}, at {_place(part, low)}, "
+        f"Over {count:,} points it goes from {number(low)}, at {_place(part, low)}, "
         f"to {number(high)}, at {_place(part, high)}."
     )
 

@@ -3,7 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from itertools import islice
 from threading import Event
@@ -74,9 +74,10 @@ def _result(client: Any, future: Any) -> Any:
     had_workers = time.monotonic()
     while not ended.wait(LOOK_EVERY_S):
         now = time.monotonic()
-        if client.status != "running" or client.nthreads():
-            had_workers = now
-        elif now - had_workers > WITHOUT_WORKERS_S:
+        with suppress(Exception):  # where the connection is lost, the future says so
+            if client.nthreads():
+                had_workers = now
+        if now - had_workers > WITHOUT_WORKERS_S:
             raise SweepError(f"the workers have gone, and there have been none for {WITHOUT_WORKERS_S:g} s")
     try:
         return future.result()
