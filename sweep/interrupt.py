@@ -33,8 +33,8 @@ class Interruptions:
 
     Python drops a KeyboardInterrupt that arrives in a finaliser or in a callback of its import system, and libraries
     drop some while they are imported.  So it is raised again until it gets through; a callback of the garbage collector
-    is let finish, since Dask's fails ever after if it was interrupted.  This does not work if the caller
-    runs everything inside an ``except`` block: there a dropped interrupt looks like one that is being handled.
+    is let finish, since Dask's fails ever after if it was interrupted.  This does not work if the caller runs
+    everything inside an ``except`` block: there a dropped interrupt looks like one that is being handled.
     """
 
     def __init__(self) -> None:
@@ -81,9 +81,11 @@ class Interruptions:
             signal.raise_signal(number)
             return
         self.received, self._lost, self._owed = number, False, self._holding
+        if self._holding:
+            return
         if _is_called_by_the_collector(frame):
             self._look_later()
-        elif not self._holding:
+        else:
             self._interrupt()
 
     def _interrupt(self) -> NoReturn:

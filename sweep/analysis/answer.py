@@ -78,7 +78,8 @@ def completeness(dataset: xr.Dataset) -> list[str]:
             f"Incomplete: {counts[Status.DONE]:,} of {wanted:,} points are done, {lacking}. "
             "What follows is about those that are done."
         ]
-    if not dataset.attrs.get("complete"):
+    of_all = wanted == dataset.attrs.get("points", wanted)  # those of a selection may all be done
+    if of_all and not dataset.attrs.get("complete"):
         return ["Incomplete: the store says that its run did not end."]
     return []
 
@@ -93,7 +94,7 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     values = array.values if array.dtype.kind == "i" else array.values.astype(float)
     for end in ends_of(values, finite):
         index = dict(zip(map(str, array.dims), end, strict=True))
-        place = {d: dataset[d].values[i].item() for d, i in index.items() if d in dataset.coords}
+        place = {d: dataset[d][i].item() for d, i in index.items() if d in dataset.coords}
         ends.append(f"{with_unit(values[end].item(), 0.0, unit)}, at {place_in_words(place)}")
     along = " and ".join(f"{dataset.sizes[d]} values along {d}" for d in own)
     return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."

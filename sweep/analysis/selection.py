@@ -1,6 +1,7 @@
 """Part of a dataset: at values of its axes, or where an axis is in a range."""
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
     """Return the indices along each dimension that values of axes stand for.
 
     Raises SweepError that lists every name that is not an axis, every value that is not in the grid, and values of axes
-    along one dimension that are not those of one point.
+    along one dimension that are not those of any point.
     """
     problems: list[str] = []
     found: dict[str, set[int]] = {}
@@ -93,7 +94,7 @@ def _is_meant(value: object, wanted: object) -> bool:
         return value == wanted
     if isinstance(value, bool):
         return wanted.lower() == str(value).lower()
-    try:
-        return value == float(wanted)
-    except ValueError:
-        return False
+    for number in (int, float):  # an integer beyond 2**53 is no float
+        with suppress(ValueError):
+            return value == number(wanted)
+    return False

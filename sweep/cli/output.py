@@ -141,7 +141,7 @@ def print_status(report: dict[str, Any]) -> None:
         elif key == "units":
             continue
         elif key == "failures":
-            _print_failures(value, report["points"]["failed"])
+            _print_failures(value)
         elif isinstance(value, dict):
             click.echo(f"{key}:")
             for name, text in value.items():
@@ -150,7 +150,7 @@ def print_status(report: dict[str, Any]) -> None:
             click.echo(click.wrap_text(f"{key}: {value}", WIDTH, "", "  "))
 
 
-def _print_failures(failures: dict[str, str], points: int) -> None:
+def _print_failures(failures: dict[str, str]) -> None:
     """Print why points failed: each of a few, else the reasons with their counts, and the first points."""
     from sweep.running.run_summary import failed_points
 
@@ -160,7 +160,7 @@ def _print_failures(failures: dict[str, str], points: int) -> None:
     for place, message in islice(failures.items(), MOST_FAILURES):
         click.echo(click.wrap_text(f"{place}: {message}", WIDTH, "  ", "    "))
     if len(failures) > MOST_FAILURES:
-        click.echo(f"  {points - MOST_FAILURES:,} more points: `sweep status STORE --json` has all of them")
+        click.echo(f"  {len(failures) - MOST_FAILURES:,} more points: `sweep status STORE --json` has all of them")
 
 
 def status_as_json(report: dict[str, Any]) -> str:

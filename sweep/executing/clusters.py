@@ -72,7 +72,7 @@ def dask_from_file(study: Study, path: Path, say: Say, limits: Limits = NO_LIMIT
                 cause = cause.__cause__
             raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(path)) from error
         executor = _executor(client, study, words, say, limits)
-        yield _place(client, words), executor
+        yield _place(client, words, executor.threads), executor
 
 
 @contextmanager
@@ -85,7 +85,7 @@ def dask_scheduler(
     with client_at(address, security) as client:
         words = f"the Dask scheduler at {address}"
         executor = _executor(client, study, words, say, limits)
-        yield _place(client, words), executor
+        yield _place(client, words, executor.threads), executor
 
 
 @contextmanager
@@ -104,7 +104,7 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
     with without_logs(), ExitStack() as stack:
         try:
             kind = LoopRunner().run_sync(_server_at, address, options)
-            if kind != "Scheduler":
+            if kind in ("Worker", "Nanny"):
                 raise SweepError(f"{address!r} is the address of a Dask {kind.lower()}, not of a scheduler")
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of other versions: `DaskWorkers` says it in words
@@ -117,7 +117,7 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
 
 
 async def _server_at(address: str, options: dict[str, Any]) -> str:
-    """Return what kind of Dask server answers; raises OSError, TimeoutError or ValueError.
+    """Return what kind of Dask server answers; raises OSError or TimeoutError.
 
     A client would wait for ever for the handshake of a server that says nothing, such as a scheduler that is stopped.
     """
@@ -130,7 +130,12 @@ async def _server_at(address: str, options: dict[str, Any]) -> str:
         finally:
             server.abort()
 
-    return await asyncio.wait_for(ask(), CONNECT_TIMEOUT_S)
+    try:
+        return await asyncio.wait_for(ask(), CONNECT_TIMEOUT_S)
+    except (OSError, TimeoutError):
+        raise
+    except Exception as error:  # whatever Dask makes of the words of another kind of server
+        raise OSError(f"what answers is no Dask server ({type(error).__name__}: {error})") from error
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:
@@ -145,13 +150,15 @@ def tls(ca: Path, cert: Path, key: Path) -> Security:
     return security
 
 
-def _executor(client: Client, study: Study, words: str, say: Say, limits: Limits, guarded: bool = False) -> Executor:
+def _executor(
+    client: Client, study: Study, words: str, say: Say, limits: Limits, guarded: bool = False
+) -> DaskExecutor:
     workers = DaskWorkers(client, words, study.experiment_reference, say)
     workers.prepare()
     return DaskExecutor(study, workers, say, limits, guarded)
 
 
-def _place(client: Client, words: str) -> Place:
+def _place(client: Client, words: str, threads: int) -> Place:
     """Return the place of a client whose workers are there, with the dashboard if the scheduler can show one: this
     needs bokeh.
     """
@@ -161,7 +168,7 @@ def _place(client: Client, words: str) -> Place:
         link = ""
     else:
         link = _dashboard(client)
-    return Place(words, dashboard=link, threads=sum(client.nthreads().values()))
+    return Place(words, dashboard=link, threads=threads)
 
 
 def _dashboard(client: Client) -> str:

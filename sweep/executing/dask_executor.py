@@ -65,6 +65,11 @@ class DaskExecutor:
         self._told: set[str] = set()
         self._succeeded = 0
 
+    @property
+    def threads(self) -> int:
+        """The threads of the workers when they were last counted, at least 1."""
+        return self._workers.threads
+
     def __call__(self, take: Take) -> Results:
         """Run everything that ``take`` gives; begin now, not when the first result is asked for."""
         self._send_what_is_new(take)

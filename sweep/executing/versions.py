@@ -38,7 +38,7 @@ def identity(reference: str, digest: str | None = None) -> Identity:
 
 @cache
 def _kernels() -> str:
-    """Return the processors that kernels of linear algebra are for, by library: sums are rounded as these add up."""
+    """Return for which processor each library of linear algebra computes, on which the rounding of sums depends."""
     found = {
         f"{info['internal_api']} for {info['architecture']}" for info in threadpool_info() if "architecture" in info
     }

@@ -59,7 +59,7 @@ class Pending:
     def add(self, works: Iterable[Work]) -> None:
         """Put work that results have shown to be needed before all other work.
 
-        Before anything is given out nothing needs to be put here: the accumulator misses it, as it does all other work.
+        Before the first `take` only its cost is counted: it is found then with all other work that is missing.
         """
         for work in works:
             if self._begun:

@@ -75,8 +75,9 @@ def number_text(value: float) -> str:
         >>> number_text(1000.0), number_text(-0.25), number_text(2e6)
         ('1000', '-0.25', '$2\\\\times10^{6}$')
     """
-    power = int(np.floor(np.log10(abs(value)) + 1e-9)) if value else 0
+    rounded = abs(float(f"{value:.3g}"))
+    power = int(np.floor(np.log10(rounded) + 1e-9)) if value else 0
     if -4 <= power <= 4:
         return f"{value:g}"
-    digits = f"{value / 10.0**power:.3g}"
-    return rf"$10^{{{power}}}$" if digits == "1" else rf"${digits}\times10^{{{power}}}$"
+    sign, digits = "-" if value < 0.0 else "", f"{rounded / 10.0**power:.3g}"
+    return rf"${sign}10^{{{power}}}$" if digits == "1" else rf"${sign}{digits}\times10^{{{power}}}$"

@@ -88,7 +88,8 @@ def _of_file(form: PointsForm, experiment: Experiment, folder: Path, problems: P
 
 def _read_where_possible(values: list[Any], experiment: Experiment, name: str) -> list[Any]:
     """Return a column of a file that is text because of some cells, with the others as what the parameter takes: only
-    those that are wrong are then refused.  A column in which no cell is wrong is text on purpose, and stays so.
+    those that are wrong are then refused.  A column in which no cell is wrong is text on purpose, and stays so, unless
+    it is text for an integer beyond 64 bits.
     """
     kind = next((p.kind for p in experiment.parameters if p.name == name), "any")
     if kind not in ("float", "int", "bool") or not any(isinstance(value, str) for value in values):
@@ -96,7 +97,11 @@ def _read_where_possible(values: list[Any], experiment: Experiment, name: str) -
     marks: list[Mapping[int, int]] = [{}, _DECIMAL_COMMA]
     readings = [[_cell(value, kind, swapped) for value in values] for swapped in marks]
     found = min(readings, key=lambda cells: sum(isinstance(cell, str) for cell in cells))
-    return found if any(isinstance(cell, str) for cell in found) else values
+    return found if any(isinstance(cell, str) or _is_beyond_64_bits(cell) for cell in found) else values
+
+
+def _is_beyond_64_bits(cell: Any) -> bool:
+    return isinstance(cell, int) and not -(2**63) <= cell < 2**63
 
 
 def _cell(value: Any, kind: str, swapped: Mapping[int, int]) -> Any:

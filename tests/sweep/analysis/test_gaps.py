@@ -8,6 +8,7 @@ from astropy.table import Table
 from click.testing import CliRunner
 
 import linksweep
+from sweep.analysis.answer import answers, completeness
 from sweep.analysis.conditions import parse_limit
 from sweep.analysis.crossings import points_where
 from sweep.analysis.gaps import with_nan
@@ -86,3 +87,27 @@ def test_excluded_points_meet_no_condition_and_have_no_ratio(tmp_path):
 def test_what_has_no_gaps_is_the_same_dataset(store):
     part = linksweep.open(store).isel(a=[0, 1])
     assert with_nan(part) is part
+
+
+def test_an_integer_beyond_those_of_floats_chooses_its_own_point(tmp_path):
+    def f(a: int):
+        return float(a % 10)
+
+    linksweep.run(f, tmp_path / "s.zarr", axes={"a": [2**53, 2**53 + 1]}, pool="serial")
+    (row,) = json.loads(shown("show", str(tmp_path / "s.zarr"), "--at", f"a={2**53 + 1}", "--json"))["rows"]
+    assert row["f"] == (2**53 + 1) % 10
+
+
+def test_a_list_at_each_name_is_told(tmp_path):
+    def curve(town: str):
+        return [1.0 * len(town), 2.5]
+
+    linksweep.run(curve, tmp_path / "s.zarr", axes={"town": ["a", "bb"]}, pool="serial")
+    (told,) = answers(linksweep.open(tmp_path / "s.zarr"))
+    assert "it goes from 1, at town=a" in told.sentences[0]
+
+
+def test_chosen_points_that_are_done_are_not_incomplete(store):
+    done = linksweep.open(store).sel(a=[1, 2])
+    assert completeness(done) == []
+    assert completeness(linksweep.open(store)) != []

@@ -1,7 +1,8 @@
 """Addresses at which no Dask scheduler answers are refused in time and by name."""
 
 import socket
-from contextlib import closing
+import threading
+from contextlib import closing, suppress
 
 import pytest
 
@@ -21,6 +22,19 @@ def test_a_port_that_says_nothing(monkeypatch):
             pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}' within 1 s$"),
             client_at(address),
         ):
+            pass
+
+
+def test_a_server_of_another_kind_that_speaks_first():
+    def speak(server):
+        with suppress(OSError), server.accept()[0] as connection:
+            connection.sendall(b"SSH-2.0-OpenSSH_9.2p1 Debian-2\r\n" * 10)
+            connection.recv(1)
+
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        address = "tcp://{}:{}".format(*server.getsockname())
+        threading.Thread(target=speak, args=(server,), daemon=True).start()
+        with pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}'"), client_at(address):
             pass
 
 

@@ -290,3 +290,11 @@ def test_without_salib_the_design_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "SALib", None)
     with pytest.raises(SweepError, match=r"saltelli: needs SALib.*linksweep\[sensitivity\]"):
         design("saltelli", 4)
+
+
+def test_an_integer_beyond_64_bits_blames_no_other_cell(tmp_path):
+    (tmp_path / "t.csv").write_text("beta,k\n0.1,1\n0.2,99999999999999999999\n")
+    with pytest.raises(SweepError) as refused:
+        study_of_function(f, points=tmp_path / "t.csv")
+    assert "row 2: k" in str(refused.value)
+    assert "row 1" not in str(refused.value)
