@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
-from sweep.analysis.gaps import ends_of, numbers_of
+from sweep.analysis.gaps import ends_of, exact, numbers_of
 from sweep.analysis.long_table import own_dimensions
 from sweep.analysis.measured_claims import Measured, OutsideGridError, in_words, measure, unit_of
 from sweep.analysis.quantity import headlines
@@ -91,7 +91,7 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
         return "No point has a value yet."
     unit = units_of(array.attrs)
     ends = []
-    values = array.values if array.dtype.kind == "i" else array.values.astype(float)
+    values = exact(array.values)
     for end in ends_of(values, finite):
         index = dict(zip(map(str, array.dims), end, strict=True))
         place = {d: dataset[d][i].item() for d, i in index.items() if d in dataset.coords}

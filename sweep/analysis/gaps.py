@@ -1,5 +1,7 @@
 """Integers that are missing, which a dataset marks by a number where one of them is too large for a float."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -37,6 +39,11 @@ def with_nan(dataset: xr.Dataset) -> xr.Dataset:
         if "status" in dataset and gaps_of(dataset, name) is not None
     }
     return dataset.assign(changed) if changed else dataset
+
+
+def exact(values: NDArray[Any]) -> NDArray[Any]:
+    """Return integers as they are, to be told to the last digit, and other values as floats."""
+    return values if values.dtype.kind in "iu" else values.astype(float)
 
 
 def ends_of(values: NDArray[np.generic], known: NDArray[np.bool_]) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.columns import Column, fitting
+from sweep.analysis.gaps import exact
 from sweep.analysis.long_table import Long, array_outputs, axes_of, axis_coordinates, long_table, own_dimensions
 from sweep.analysis.quantity import (
     PREDICTION_SUFFIXES,
@@ -138,8 +139,7 @@ def _span(values: Any) -> str:
     known = flat[np.isfinite(flat)]
     if not known.size:
         return ""
-    exact = known if known.dtype.kind in "iu" else known.astype(float)
-    return f"{rounded(exact.min().item())} to {rounded(exact.max().item())}"
+    return f"{rounded(exact(known).min().item())} to {rounded(exact(known).max().item())}"
 
 
 def _parts(long: Long, name: str, errors: list[float]) -> list[Column]:

@@ -11,11 +11,11 @@ from sweep.analysis.sensitivity import METHOD
 from sweep.attributes import units_of
 from sweep.formatting import plain, reading_table, to_csv, to_json, with_error
 
-ROUNDING = 1e-12
-"""Indices below this share of the largest one are rounding errors of a parameter without any effect."""
-
 if TYPE_CHECKING:
     from rich.table import Table
+
+ROUNDING = 1e-12
+"""Indices below this share of the largest one are rounding errors of a parameter without any effect."""
 
 
 def rows(result: xr.Dataset) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.gaps import ends_of, numbers_of
+from sweep.analysis.gaps import ends_of, exact, numbers_of
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
 from sweep.analysis.selection import coordinates_along, place_in_words
 from sweep.contract import Array
@@ -69,8 +69,7 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
 
 
 def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: Array, unit: str) -> str:
-    values = part[variable].values
-    values = values if values.dtype.kind == "i" else values.astype(float)  # integers are told to the last digit
+    values = exact(part[variable].values)
 
     def number(index: tuple[Any, ...]) -> str:
         return with_unit(values[index].item(), float(errors[index]), unit)

@@ -68,9 +68,8 @@ def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
     """Return a sentence about the values of each quantity that a figure draws."""
     if "status" not in dataset:
         return []
-    found = []
+    found, variables = [], with_chosen_component(dataset).data_vars.items()
     for name in drawn_variables(figure, dataset):
-        variables = with_chosen_component(dataset).data_vars.items()
         alone = dataset.assign({n: variable.assign_attrs(headline=n == name) for n, variable in variables})
         for answer in answers(alone):
             meaning = f" ({answer.meaning})" if answer.meaning not in ("", answer.name) else ""

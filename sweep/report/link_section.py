@@ -71,12 +71,12 @@ def _link_answer(link: xr.Dataset) -> Answer:
             name = str(block).replace("_", " ")
             vectors.append(f"{name[0].upper()}{name[1:]}: ({values}) {part['unit'].values[0]}, {main} errors.")
     ratio = float(link["chi2"] / link["chi2_expected"]) if float(link["chi2_expected"]) > 0.0 else np.nan
-    clip = str(link.attrs["clip"])
+    clip = "there was no clip" if link.attrs["clip"] == "none" else f"the clip is {link.attrs['clip']}"
     sentences = [
         f"The sign is {link.attrs['sign'].replace('-', ' − ')}; the orientation is that of {link.attrs['epoch']:.2f}.",
         *vectors,
         f"{int(link['n_sources'])} of {int(link['n_sources_matched'])} sources were used, matched by "
-        f"{link.attrs['matched_by']}; {'there was no clip' if clip == 'none' else f'the clip is {clip}'}.",
+        f"{link.attrs['matched_by']}; {clip}.",
         f"χ² is {float(link['chi2']):.6g} where {float(link['chi2_expected']):.6g} is expected ({ratio:.3g} times), "
         f"with {float(link['dof']):.0f} degrees of freedom.",
     ]
