@@ -19,22 +19,26 @@ Criterion = Literal["A", "D"]
 
 @dataclass(frozen=True)
 class Release:
-    """Reference epoch (Julian year) and the months of observations of a release."""
+    """Reference epoch (Julian year TCB) and the months of observations of a release."""
 
     epoch: float
     months: float
 
 
 RELEASES = {
+    "dr1": Release(2015.0, 14.0),
     "dr2": Release(2015.5, 22.0),
     "dr3": Release(2016.0, 34.0),
     "dr4": Release(2017.5, 66.0),
     "dr5": Release(2020.0, 126.0),
 }
-"""Sources: Gaia Collaboration 2018 (DR2, 2014.56 to 2016.39), 2021 (EDR3 to 2017.41); ESA's pages of the data releases
-for DR4 (66 months, J2017.5) and DR5 (to the end of observations in January 2025; its epoch is not announced, here the
-middle).
+"""Sources: Gaia Collaboration 2016 (DR1), 2018 (DR2, 2014.56 to 2016.39), 2021 (EDR3 to 2017.41); ESA's pages of the
+data releases for DR4 (66 months, J2017.5) and DR5 (to the end of observations in January 2025; its epoch is not
+announced, here the middle).
 """
+
+SAME_EPOCH = 0.01
+"""Epochs that differ by less (years) are the same: some are written as whole days."""
 
 
 def factors(old: str, new: str) -> tuple[float, float]:
@@ -50,15 +54,61 @@ def factors(old: str, new: str) -> tuple[float, float]:
     return ratio**0.5, ratio**1.5
 
 
-def released(satellite: Astrometry, old: str, new: str) -> Astrometry:
-    """Return the satellite's table as a later release may give it: errors scaled, correlations kept, at its epoch.
+def scaled_from(epochs: Array, new: str, named: str | None = None) -> str:
+    """Return the release from which a table's errors are scaled to ``new``: that of its epochs (N,), in Julian years.
+
+    ``named`` is a release for epochs that are those of none; with it, ``new`` may also be an earlier release.  Raises
+    ValueError where errors would be scaled twice or, without ``named``, backwards.
+    """
+    _ = factors(named or new, new)  # raises for an unknown release
+    known = np.unique(epochs[np.isfinite(epochs)])
+    near = {epoch: [name for name, one in RELEASES.items() if abs(one.epoch - epoch) < SAME_EPOCH] for epoch in known}
+    at = sorted({name for names in near.values() for name in names}) if all(near.values()) else []
+    if len(at) > 1:
+        raise ValueError(f"the satellite has epochs of {' and '.join(at)}; errors are scaled from one release")
+    if not at and named is None:
+        found = " to ".join(f"{epoch:.10g}" for epoch in known[[0, -1][: len(known)]]) or "none"
+        there = ", ".join(f"{name} {one.epoch:g}" for name, one in RELEASES.items())
+        raise ValueError(
+            f"the satellite's epochs ({found}) are those of no release ({there}): name the release of its errors, "
+            "from_release"
+        )
+    old = at[0] if at else str(named)
+    if named not in (None, old):
+        raise ValueError(
+            f"from_release {named}: the satellite's epoch {RELEASES[old].epoch:g} is that of {old}, whose errors would "
+            f"be scaled as if they were those of {named}; leave from_release out"
+        )
+    if old == new:
+        raise ValueError(f"release {new}: the satellite's errors are those of {new} already; leave release out")
+    if named is None and RELEASES[new].months < RELEASES[old].months:
+        raise ValueError(
+            f"release {new}: the satellite's epoch is that of {old}, which is later; to scale errors backwards, name "
+            f"from_release {old}"
+        )
+    return old
+
+
+def scaling_notes(old: str, new: str) -> list[str]:
+    """Return what was taken to scale errors from one release to another, and what is to be known about it."""
+    position, motion = factors(old, new)
+    first = f"errors scaled from {old} ({RELEASES[old].epoch:g}) to {new}: positions x {position:.3g}"
+    rest = "motions of dr1 rest on Hipparcos and Tycho-2 positions, so their errors do not scale as T^-3/2"
+    return [f"{first}, motions x {motion:.3g}", *([rest] if "dr1" in (old, new) else [])]
+
+
+def released(problem: Problem, old: str, new: str, epoch_moves: bool = True) -> Problem:
+    """Return the problem with the satellite's table as another release may give it: errors scaled, correlations kept,
+    at that release's epoch, to which the epoch of the unknowns ``moves`` with it.
 
     For forecasts: the values stay the same, so only errors are meaningful.
     """
     position, motion = factors(old, new)
     scale = np.array([position, position, position, motion, motion])[:, None]
     shift = RELEASES[new].epoch - RELEASES[old].epoch
-    return replace(satellite, errors=satellite.errors * scale, epoch=satellite.epoch + shift)
+    own = problem.satellite
+    satellite = replace(own, errors=own.errors * scale, epoch=own.epoch + shift)
+    return replace(problem, satellite=satellite, epoch=problem.epoch + shift if epoch_moves else problem.epoch)
 
 
 def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, apparent: bool = True) -> Problem:

@@ -105,8 +105,8 @@ def tie(
 @click.option("--unknowns", metavar="BLOCKS", help="Like orientation,spin.")
 @click.option("--add", metavar="YEARS", default="", help="Epochs of new positions, e.g. 2026,2030.")
 @option_with_default("--error", type=float, default=0.1, metavar="MAS", help="Error of each new coordinate.")
-@click.option("--release", help="Scale the satellite's errors to dr4 or dr5.")
-@option_with_default("--from-release", default="dr3", help="Release of the satellite's table.")
+@click.option("--release", help="Scale the satellite's errors to those of dr4 or dr5.")
+@click.option("--from-release", help="Release of the satellite's errors.  [default: the one that has its epoch]")
 @click.option("--choose", "number", type=click.IntRange(0), default=0, metavar="N", help="Choose the N best sources.")
 @click.option("--for", "goal", default="", metavar="BLOCKS", help="What to choose them for.  [default: all unknowns]")
 @option_with_default(

@@ -10,13 +10,13 @@ import numpy as np
 from core.arrays import Array, Indices
 from core.constants import MAS
 from core.tie.clips import Clip, parse_clip
-from core.tie.forecast import RELEASES, Goal, choose, released, with_new_rows
+from core.tie.forecast import Goal, choose, released, scaled_from, scaling_notes, with_new_rows
 from core.tie.normal_sums import source_sums
 from core.tie.problem import Problem
 from sweep.contract import Point, SweepError
 from sweep.tie.column_names import TableOptions
 from sweep.tie.options import Options, parse_bins
-from sweep.tie.parameters import PARAMETERS
+from sweep.tie.parameters import PARAMETERS, TABLE
 from sweep.tie.reference_rows import ALL
 from sweep.tie.setup import ZERO_MOTION, Setup, set_up
 from sweep.tie.solution import Link, solve_link
@@ -34,13 +34,14 @@ DECIDING = (
 @dataclass(frozen=True)
 class Design:
     """A point: its clip, the solution of the tables as they are (None without rows of a reference), and the problem
-    with the release and the new rows, whose sources all have rows.
+    with the release and the new rows, whose sources all have rows; ``notes`` are for the reader.
     """
 
     clip: Clip
     solved: Link | None
     matched: int
     problem: Problem
+    notes: tuple[str, ...]
 
     @property
     def truth(self) -> Array:
@@ -65,15 +66,17 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
         setup = replace(setup, problem=problem)
     matched = np.unique(problem.source)
     solved = solve_link(_taken(setup, matched), str(clip), ERRORS) if len(matched) else None
-    if point["release"] != "table":
-        shift = RELEASES[point["release"]].epoch - RELEASES[point["from_release"]].epoch
-        problem = replace(problem, satellite=released(problem.satellite, point["from_release"], point["release"]))
-        problem = problem if point["epoch"] is not None else replace(problem, epoch=problem.epoch + shift)
+    notes = [] if solved is None else [*solved.notes]
+    if (release := point["release"]) != TABLE:
+        named = None if point["from_release"] == TABLE else point["from_release"]
+        old = scaled_from(problem.satellite.epoch, release, named)
+        problem = released(problem, old, release, point["epoch"] is None)
+        notes += scaling_notes(old, release)
     if point["n_new"]:
         problem = _with_chosen(problem, point)
     if not len(problem.rows):
         raise SweepError("no rows: give a reference, or zero_motion = true, or n_new above 0")
-    return Design(clip, solved, len(matched), problem.only(np.unique(problem.source)))
+    return Design(clip, solved, len(matched), problem.only(np.unique(problem.source)), tuple(notes))
 
 
 def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -28,7 +28,7 @@ from sweep.tie.components import (
     powers,
 )
 from sweep.tie.design import Design, design_of
-from sweep.tie.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS
+from sweep.tie.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, TABLE
 from sweep.tie.summary import FACTS, summarise
 
 N = len(COMPONENTS)
@@ -167,9 +167,10 @@ def check(point: Point) -> str | None:
 
 
 def warn(point: Point) -> list[str]:
-    """Return what the solution of the tables notes: sources that hold much of the weight, clips that do not fit."""
-    solved = design_of(point).solved
-    return [] if solved is None else list(solved.notes)
+    """Return what the solution of the tables notes (sources that hold much of the weight, clips that do not fit), and
+    from which release errors are scaled.
+    """
+    return list(design_of(point).notes)
 
 
 def unused(point: Point) -> dict[str, str]:
@@ -184,7 +185,7 @@ def unused(point: Point) -> dict[str, str]:
     without(reference, "there is no reference", *of_reference)
     of_rows = ("truth", "position_jitter", "motion_jitter", "known_spin")
     without(reference or point["zero_motion"], "there are no rows of a reference", *of_rows)
-    without(point["release"] != "table", "it is for a release", "from_release")
+    without(point["release"] != TABLE, "it is for a release", "from_release")
     new = ("new_epoch", "new_error", "new_positions", "goal", "candidates")
     without(point["n_new"] > 0, "it is for n_new above 0", *new)
     limits = point["g_min"] is not None or point["g_max"] is not None
@@ -201,7 +202,7 @@ def cost(point: Point) -> float:
 
 tie = Experiment(
     name="tie",
-    version=1,
+    version=2,
     parameters=PARAMETERS,
     sums=SUMS,
     outputs=OUTPUTS,

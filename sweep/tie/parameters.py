@@ -4,6 +4,9 @@ from core.tie.forecast import RELEASES
 from sweep.contract import Output, Parameter
 from sweep.tie.components import HIGHEST_STORED, MOST_BINS
 
+TABLE = "table"
+"""Stands for what a table itself has: its errors, or the release whose epoch it has."""
+
 
 def _epoch(name: str, meaning: str) -> Parameter:
     return Parameter(name, "float", None, meaning, "yr", minimum=1800.0, maximum=2200.0)
@@ -25,8 +28,14 @@ PARAMETERS = (
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
     _epoch("epoch", "of the orientation; default the satellite's"),
-    Parameter("release", "str", "table", "errors of a later release, with its epoch", choices=("table", *RELEASES)),
-    Parameter("from_release", "str", "dr3", "release of the satellite's table", choices=tuple(RELEASES)),
+    Parameter("release", "str", TABLE, "errors of a later release, with its epoch", choices=(TABLE, *RELEASES)),
+    Parameter(
+        "from_release",
+        "str",
+        TABLE,
+        "of the satellite's errors, if no release has its epoch",
+        choices=(TABLE, *RELEASES),
+    ),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
     _epoch("new_epoch", "of new positions; default that of the source"),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),

@@ -1,7 +1,6 @@
 """`forecast`: what further observations would do to the link of two tables, and which sources to observe."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,7 @@ import numpy as np
 from core.arrays import Array
 from core.constants import MAS
 from core.link import LinkError
-from core.tie.forecast import RELEASES, Criterion, Goal, choose, released, with_new_rows
+from core.tie.forecast import Criterion, Goal, choose, released, scaled_from, scaling_notes, with_new_rows
 from core.tie.normal_sums import source_sums
 from core.tie.problem import Problem
 from core.tie.solution import inverted
@@ -33,7 +32,7 @@ def forecast(
     add: Sequence[float] = (),
     error: float = 0.1,
     release: str | None = None,
-    from_release: str = "dr3",
+    from_release: str | None = None,
     number: int = 0,
     goal: Sequence[str] = (),
     criterion: Criterion = "A",
@@ -49,7 +48,7 @@ def forecast(
         add: epochs (Julian years) at which a single-epoch position of each source is added.
         error: the error of each coordinate of the new positions (mas).
         release: "dr4" or "dr5", to which the satellite's errors are scaled; not scaled by default.
-        from_release: the release of the satellite's table.
+        from_release: the release of the satellite's errors, for a table whose epochs are those of none.
         number: the number of sources to choose, one after the other.
         goal: the blocks for which these are best; all by default.
         criterion: what to minimise of the covariance of those blocks, "A" for its trace, "D" for its determinant.
@@ -76,7 +75,10 @@ def forecast(
     goals = Goal(problem.unknowns, tuple(goal), criterion)
     try:
         _ = goals.parts  # raises for an unknown block
-        future = _future(problem, release, from_release, options.get("epoch") is None)
+        future, old = problem, ""
+        if release is not None:
+            old = scaled_from(problem.satellite.epoch, release, from_release)
+            future = released(problem, old, release, options.get("epoch") is None)
         variables, coordinates = _planned(setup, future, release, list(add), error * MAS, number, goals)
     except ValueError as problem_found:
         raise SweepError(str(problem_found)) from problem_found
@@ -85,7 +87,7 @@ def forecast(
         "epoch": problem.epoch,
         "epoch_of_forecast": future.epoch,
         "release": release or "",
-        "from_release": from_release if release else "",
+        "from_release": old,
         "new_error_mas": error,
         "goal": ", ".join(goal or problem.unknowns.names),
         "criterion": criterion,
@@ -93,7 +95,7 @@ def forecast(
         "satellite_sha256": setup.satellite.digest,
         "reference": setup.reference.path,
         "reference_sha256": setup.reference.digest,
-        "notes": list(setup.notes),
+        "notes": [*(scaling_notes(old, release) if release else []), *setup.notes],
     }
     import xarray as xr
 
@@ -113,15 +115,6 @@ def _check(add: Sequence[float], error: float, number: int, criterion: str, opti
         raise SweepError(f"criterion {criterion!r}: must be A or D")
     if "sign" in options:
         raise SweepError("a forecast has no sign: it is about errors")
-
-
-def _future(problem: Problem, release: str | None, from_release: str, epoch_moves: bool) -> Problem:
-    """Return the problem with the satellite's errors of a release, and its epoch unless another was asked for."""
-    if release is None:
-        return problem
-    satellite = released(problem.satellite, from_release, release)
-    moved = problem.epoch + RELEASES[release].epoch - RELEASES[from_release].epoch
-    return replace(problem, satellite=satellite, epoch=moved if epoch_moves else problem.epoch)
 
 
 def _planned(

@@ -64,8 +64,6 @@ def _forecast_lines(plan: "xr.Dataset") -> Iterator[str]:
     """Yield the errors of each stage, of each new epoch and of each choice."""
     attributes = plan.attrs
     yield f"formal errors, orientation at {attributes['epoch_of_forecast']:.2f}"
-    if attributes["release"]:
-        yield f"satellite errors scaled from {attributes['from_release']} to {attributes['release']}"
     yield ""
     width = 26
     labels = [str(label) for label in plan.unknown.values]

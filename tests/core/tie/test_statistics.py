@@ -12,7 +12,7 @@ from core.harmonics import terms
 from core.link import LinkError
 from core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
-from core.tie.forecast import Goal, choose, factors, released, with_new_rows
+from core.tie.forecast import Goal, choose, with_new_rows
 from core.tie.influence import influence, leave_one_out
 from core.tie.normal_sums import add_products, group_sums, source_sums
 from core.tie.problem import Problem
@@ -317,18 +317,6 @@ def test_new_rows_never_make_it_worse_and_add_what_solving_says():
     assert gain.min() > -1e-9 * gain.max()
     extended = solve(source_sums(with_new_rows(problem, [2020.0], 0.05 * MAS)))
     np.testing.assert_allclose(extended.normal, new.normal.sum(axis=0), rtol=1e-9)
-
-
-def test_releases_scale_errors_as_their_lengths():
-    position, motion = factors("dr3", "dr4")
-    assert position == pytest.approx(np.sqrt(34 / 66))
-    assert motion == pytest.approx(position**3)
-    satellite = stars(3)
-    later = released(satellite, "dr3", "dr4")
-    np.testing.assert_allclose(later.errors[4], motion * satellite.errors[4])
-    assert later.epoch[0] == 2017.5
-    with pytest.raises(ValueError, match="no release 'dr9'"):
-        factors("dr3", "dr9")
 
 
 def test_impossible_correlations_are_those_with_a_negative_eigenvalue():

@@ -59,7 +59,7 @@ def test_json_has_everything():
 def test_a_forecast_is_printed():
     found = run(
         *("forecast", "psrpi", "psrpi", "--unknowns", "orientation,spin", "--add", "2026,2030", "--choose", "2"),
-        *("--for", "spin", "--release", "dr4", "--error", "0.2"),
+        *("--for", "spin", "--release", "dr4", "--from-release", "dr3", "--error", "0.2"),
     )
     assert found.exit_code == 0, found.output
     assert "chosen for spin" in found.output

@@ -281,8 +281,6 @@ def test_a_forecast_of_two_tables(tmp_path):
     assert plan.sizes["step"] == 4
     assert np.all(np.diff(plan.step_criterion.values) < 0.0)
     assert list(plan.source.values[plan["rank"].values == 1]) == [plan.step_source.values[1]]
-    with pytest.raises(SweepError, match="no release 'dr9'"):
-        forecast(satellite, reference, release="dr9")
     with pytest.raises(SweepError, match="no unknowns 'spun'"):
         forecast(satellite, reference, add=[2026.0], number=1, goal=["spun"])
 

@@ -1,0 +1,127 @@
+"""From which release a forecast scales the errors of a table."""
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sweep.cli import main
+from sweep.contract import SweepError
+from sweep.studies.reader import load_study
+from sweep.tie.experiment import check, tie, warn
+from sweep.tie.planning import forecast
+from tests.core.tie.made import stars
+from tests.sweep.tie.test_tables import gaia
+
+EPOCH = {"dr1": 2015.0, "dr2": 2015.5, "dr3": 2016.0, "dr4": 2017.5, "dr5": 2020.0}
+MONTHS = {"dr1": 14, "dr2": 22, "dr3": 34, "dr4": 66, "dr5": 126}
+PAIRS = list(permutations(EPOCH, 2))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A reference of a later epoch, and the satellite's table at the epoch of each release and at others."""
+    made = tmp_path_factory.mktemp("releases")
+    gaia(made / "reference.ecsv", stars(12, 5, epoch=2008.0))
+    for name, epoch in EPOCH.items():
+        gaia(made / f"{name}.ecsv", stars(12, 5, epoch=epoch))
+    gaia(made / "other.ecsv", stars(12, 5, epoch=1991.25))
+    mixed = stars(12, 5)
+    gaia(made / "mixed.ecsv", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.5)))
+    gaia(made / "various.ecsv", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.3)))
+    return made
+
+
+def planned(folder, table, release, **options):
+    return forecast(folder / f"{table}.ecsv", folder / "reference.ecsv", "orientation,spin", release=release, **options)
+
+
+def errors_by_hand(folder, table, old, new):
+    """The formal errors with a table whose errors were multiplied and whose epoch was moved by hand."""
+    own = stars(12, 5, epoch=EPOCH.get(table, 1991.25))
+    ratio = MONTHS[old] / MONTHS[new]
+    errors = own.errors * np.array([ratio**0.5] * 3 + [ratio**1.5] * 2)[:, None]
+    scaled = replace(own, errors=errors, epoch=own.epoch + EPOCH[new] - EPOCH[old])
+    gaia(folder / "scaled.ecsv", scaled)
+    return forecast(folder / "scaled.ecsv", folder / "reference.ecsv", "orientation,spin").error.values[0]
+
+
+@settings(max_examples=10, deadline=None)
+@given(pair=st.sampled_from(PAIRS))
+def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
+    """A table of DR4 was scaled from DR3, which made its motions 2.7 times too good."""
+    old, new = pair
+    if MONTHS[new] < MONTHS[old]:
+        with pytest.raises(SweepError, match=f"epoch is that of {old}, which is later"):
+            planned(folder, old, new)
+        plan = planned(folder, old, new, from_release=old)
+    else:
+        plan = planned(folder, old, new)
+    np.testing.assert_allclose(plan.error.sel(stage=new), errors_by_hand(folder, old, old, new), rtol=1e-9)
+    assert plan.attrs["from_release"] == old
+    assert plan.attrs["epoch_of_forecast"] == EPOCH[new]
+    assert any(f"scaled from {old} ({EPOCH[old]:g}) to {new}" in note for note in plan.attrs["notes"])
+    assert any("Hipparcos" in note for note in plan.attrs["notes"]) == ("dr1" in pair)
+
+
+@pytest.mark.parametrize("named", [None, "dr3", "dr4"])
+def test_errors_are_not_scaled_twice(folder, named):
+    with pytest.raises(SweepError, match="of dr4 already" if named != "dr3" else "2017.5 is that of dr4"):
+        planned(folder, "dr4", "dr4", from_release=named)
+    with pytest.raises(SweepError, match="that of dr4, whose errors would be scaled as if they were those of dr3"):
+        planned(folder, "dr4", "dr5", from_release="dr3")
+
+
+def test_a_table_at_another_epoch_needs_the_name_of_its_release(folder):
+    for table, said in (("other", "1991.25"), ("various", "2016 to 2017.3")):
+        with pytest.raises(SweepError, match=rf"epochs \({said}\) are those of no release .*from_release"):
+            planned(folder, table, "dr4")
+    found = planned(folder, "other", "dr4", from_release="dr2").error.sel(stage="dr4")
+    np.testing.assert_allclose(found, errors_by_hand(folder, "other", "dr2", "dr4"), rtol=1e-9)
+    with pytest.raises(SweepError, match="epochs of dr3 and dr4"):
+        planned(folder, "mixed", "dr5", from_release="dr3")
+    with pytest.raises(SweepError, match="no release 'dr9'"):
+        planned(folder, "dr3", "dr4", from_release="dr9")
+
+
+def test_an_epoch_that_was_asked_for_stays(folder):
+    assert planned(folder, "dr3", "dr4", epoch=2010.0).attrs["epoch_of_forecast"] == 2010.0
+    assert planned(folder, "dr3", "dr4").attrs["epoch"] == 2016.0
+
+
+def test_the_command_says_from_which_release(folder):
+    tables = ["forecast", str(folder / "dr4.ecsv"), str(folder / "reference.ecsv"), "--unknowns", "orientation"]
+    found = CliRunner().invoke(main, [*tables, "--release", "dr5"])
+    assert found.exit_code == 0, found.output
+    assert "errors scaled from dr4 (2017.5) to dr5: positions x 0.724, motions x 0.379" in found.output
+    wrong = CliRunner().invoke(main, [*tables, "--release", "dr5", "--from-release", "dr3"])
+    assert wrong.exit_code == 2
+    assert "leave from_release out" in wrong.output
+
+
+def test_a_study_scales_from_the_same_release(folder):
+    lines = (
+        'title = "t"',
+        'experiment = "sweep.tie.experiment:tie"',
+        "[fixed]",
+        'satellite = "dr4.ecsv"',
+        'reference = "reference.ecsv"',
+        "[axes]",
+        'release = ["table", "dr5"]',
+        "[sampling]",
+        "n_sim = 2",
+    )
+    (folder / "study.toml").write_text("\n".join(lines))
+    at = tie.defaults() | load_study(str(folder / "study.toml")).fixed | {"release": "dr5"}
+    assert check(at) is None
+    assert any("scaled from dr4 (2017.5) to dr5" in note for note in warn(at))
+    sums = tie.evaluate([at], 2, np.random.default_rng(0), np.random.default_rng(0))
+    predicted = tie.summarise(sums, np.array([2.0]), np.ones(1))["sigma_predicted"][0, :6]
+    np.testing.assert_allclose(predicted, errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9)
+    assert "scaled as if they were those of dr3" in check(at | {"from_release": "dr3"})
+    assert "dr4 already" in check(at | {"release": "dr4"})
+    assert "which is later" in check(at | {"release": "dr3"})
