@@ -89,6 +89,7 @@ def run(
 
     Raises:
         SweepError: for bad input, before anything is written.
+        KeyboardInterrupt: on Ctrl-C and signals that end a process; what was done is kept.
 
     Example:
         >>> study = {

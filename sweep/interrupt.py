@@ -15,17 +15,20 @@ LOST_S = 0.2
 """Seconds after which an interrupt that the main thread is not handling must have been dropped."""
 
 
-class RunInterruptedError(Exception):
-    """The user or the system stopped the run with ``signal``; what was done is in the store."""
-
-    def __init__(self, number: int) -> None:
-        self.signal = signal.Signals(number)
-        super().__init__(self.signal.name)
-
-
 def how_ended(name: str) -> str:
     """Return what the user is told when the signal of this name has ended a command."""
     return "interrupted" if name == "SIGINT" else f"stopped by {name}"
+
+
+class RunInterruptedError(KeyboardInterrupt):
+    """The user or the system stopped the run with ``signal``; what was done is in the store.
+
+    It is a KeyboardInterrupt, so that an ``except Exception`` of the caller does not go on after Ctrl-C.
+    """
+
+    def __init__(self, number: int) -> None:
+        self.signal = signal.Signals(number)
+        super().__init__(f"{how_ended(self.signal.name)}; what was done is kept, the same call goes on from there")
 
 
 class Interruptions:
@@ -159,7 +162,9 @@ def watched() -> Iterator[Interruptions]:
 
 
 def _is_interrupt(error: BaseException) -> bool:
-    """Return whether an exception comes from an interrupt; Python turns one in a class body into a RuntimeError."""
-    return isinstance(error, KeyboardInterrupt) or (
+    """Return whether an exception comes from an interrupt that no block has turned into RunInterruptedError yet; Python
+    turns one in a class body into a RuntimeError.
+    """
+    return (isinstance(error, KeyboardInterrupt) and not isinstance(error, RunInterruptedError)) or (
         isinstance(error, RuntimeError) and isinstance(error.__cause__, KeyboardInterrupt)
     )

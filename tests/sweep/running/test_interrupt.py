@@ -106,6 +106,39 @@ def test_a_signal_in_a_class_body_is_the_same():
     assert ended_as(body) == signal.SIGINT
 
 
+IN_A_LOOP = """
+import os, signal
+import linksweep
+
+def f(x: float):
+    if x == 2.0:
+        os.kill(os.getpid(), signal.SIGINT)
+    return x
+
+for seed in range(3):
+    print("began", seed, flush=True)
+    try:
+        linksweep.run(f, f"{seed}.zarr", axes={"x": [1.0, 2.0, 3.0]}, pool="serial")
+    except Exception as error:
+        print("swallowed", type(error).__name__)
+"""
+
+
+def test_except_exception_in_a_loop_does_not_go_on_after_ctrl_c(tmp_path, start_sweep):
+    (tmp_path / "loop.py").write_text(IN_A_LOOP)
+    process = start_sweep(command=(sys.executable, "loop.py"), cwd=tmp_path)
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert out.splitlines() == ["began 0"]
+    assert process.returncode != 0
+    assert err.splitlines()[-1].endswith("interrupted; what was done is kept, the same call goes on from there")
+
+
+def test_an_outer_block_leaves_the_signal_of_an_inner_one_as_it_is():
+    with pytest.raises(KeyboardInterrupt) as stop, watched(), watched():
+        signal.raise_signal(signal.SIGTERM)
+    assert stop.value.signal == signal.SIGTERM
+
+
 def test_another_error_after_a_signal_stays_what_it_is():
     def body(interruptions):
         raise RuntimeError("of its own")
