@@ -6,6 +6,7 @@ from functools import cached_property, lru_cache
 from typing import Any, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
 from sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
@@ -16,7 +17,7 @@ from sweep.functions.results import Flat, flatten, split_points
 from sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
 
 COUNT = 1
-"""Numbers at the start of each row: how many evaluations it holds.  So no row is all NaN, which marks a lost row."""
+"""Numbers at the start of a row of realisations: how many it holds.  So no row is all NaN, which marks a lost row."""
 
 _RECORDED = [field.name for field in fields(Output) if field.name != "coords"]
 
@@ -92,7 +93,7 @@ class FunctionExperiment(Experiment):
             self,
             layout=layout,
             outputs=random.outputs() if self.rng else _outputs(layout, self.declared),
-            sums={"row": (COUNT + (random.width if self.rng else layout.width),)},
+            sums={"row": (COUNT + random.width if self.rng else layout.head + layout.width,)},
             coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
             nan_sums=("row",),
         )
@@ -126,7 +127,8 @@ class FunctionExperiment(Experiment):
             return []
         fields = [field for field in self.layout.fields if field.type == "text"]
         spans = (self.layout.places[field.name] for field in fields)
-        return [8 * (COUNT + number) for span in spans for number in range(span.start, span.stop, SLOTS["text"])]
+        head = self.layout.head
+        return [8 * (head + number) for span in spans for number in range(span.start, span.stop, SLOTS["text"])]
 
     def added(self, total: Array, row: Array) -> Array:
         """Return the row of a point with one block more: a single evaluation as it is, moments merged."""
@@ -162,7 +164,12 @@ class FunctionExperiment(Experiment):
         """Return every output from rows as `added` makes them, digests in place of texts."""
         if self.realisations is not None:
             return self.realisations.results(rows)
-        return {} if self.layout is None else self.layout.values(rows[:, COUNT:])
+        return {} if self.layout is None else self.layout.joined(rows)
+
+    def not_joined(self, rows: Array, some: NDArray[np.intp]) -> dict[int, str]:
+        """Return which of ``some`` rows have an integer that cannot be joined with the floats of others, and why."""
+        found = {} if self.layout is None or self.rng else self.layout.not_joined(rows, some)
+        return {row: f"{self.name}: {why}" for row, why in found.items()}
 
     def nan_outputs(self) -> list[str]:
         """Return all outputs: results have been checked when the function returned them."""

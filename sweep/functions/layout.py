@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from typing import Any, Literal
@@ -18,11 +18,17 @@ Type = Literal["float", "int", "bool", "text", "datetime"]
 DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "<i8", "datetime": "<M8[ns]", "text": "V16"}
 """How a row holds a value of each type; in place of a text its digest."""
 
+NUMBERS: frozenset[Type] = frozenset({"float", "int"})
+"""Types that are joined: the results of all points are floats where one of them is."""
+
 SLOTS: dict[Type, int] = {"float": 1, "int": 1, "bool": 1, "datetime": 1, "text": 2}
 """How many numbers of a row (8 bytes each) hold one value."""
 
 EXACT_INT = 2**53
 """Up to here a float holds every integer exactly."""
+
+TAGGED = 52
+"""How many results one number at the head of a row can tell the type of: a bit for each, and one for itself."""
 
 MISSING_INT = int(np.iinfo(np.int64).min)
 """Stands for a missing integer where some integer of the array is too large for a float to hold exactly."""
@@ -56,7 +62,10 @@ class Field:
 
 @dataclass(frozen=True)
 class Layout:
-    """All results of a point, in their order, with the coordinates of their dimensions."""
+    """All results of a point, in their order, with the coordinates of their dimensions.
+
+    Whether a number is an integer is known of each row by itself, not by the layout: `with_head`.
+    """
 
     fields: tuple[Field, ...]
     coordinates: tuple[Coordinate, ...] = ()
@@ -89,6 +98,56 @@ class Layout:
             typed = part.view(DTYPES[field.type]).reshape(len(rows), *self.shape(field))
             found[field.name] = typed.astype(bool) if field.type == "bool" else typed
         return found
+
+    @cached_property
+    def numbers(self) -> tuple[Field, ...]:
+        """The results that are floats or integers."""
+        return tuple(field for field in self.fields if field.type in NUMBERS)
+
+    @cached_property
+    def head(self) -> int:
+        """How many numbers precede the results in a row (`with_head`)."""
+        return max(1, math.ceil(len(self.numbers) / TAGGED))
+
+    @cached_property
+    def floats(self) -> "Layout":
+        """The same results, all numbers floats."""
+        fields = (replace(field, type="float") if field.type == "int" else field for field in self.fields)
+        return replace(self, fields=tuple(fields))
+
+    def joined(self, rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+        """Return each result from rows with heads, as `values`: integers where they are in all rows, else floats."""
+        found = self.values(rows[:, self.head :])
+        for field, whole in self._integers(rows[:, : self.head]):
+            integers = found[field.name].view("<i8")
+            found[field.name] = integers if whole.all() else integers.view("<f8").copy()
+            if not whole.all():
+                found[field.name][whole] = integers[whole]
+        return found
+
+    def not_joined(self, rows: NDArray[np.float64], some: NDArray[np.intp]) -> dict[int, str]:
+        """Return which of ``some`` rows have an integer that no float can hold where another of them has a float, and
+        why that is wrong.
+        """
+        found: dict[int, str] = {}
+        for field, whole in self._integers(rows[some, : self.head]):
+            if whole.any() and not whole.all():
+                place = self.places[field.name]
+                part = rows[some[whole], self.head + place.start : self.head + place.stop]
+                integers = np.ascontiguousarray(part).view("<i8")
+                large = _beyond_floats(integers)
+                for row, values, wrong in zip(some[whole].tolist(), integers, large, strict=True):
+                    if wrong.any():
+                        number = int(values[wrong][0])
+                        found[row] = f"{field.name!r} is {number}, which is beyond 2**53, and other points have floats"
+        return found
+
+    def _integers(self, heads: NDArray[np.float64]) -> Iterator[tuple[Field, NDArray[np.bool_]]]:
+        """Yield each result that is a number, and which rows have integers of it, from the heads of the rows."""
+        tags = heads.astype(np.int64) - 1
+        for number, field in enumerate(self.numbers):
+            other = (tags[:, number // TAGGED] >> (number % TAGGED)) & 1
+            yield field, other.astype(bool) ^ (field.type == "int")
 
     def headline(self, declared: Iterable[Output]) -> set[str]:
         """Return the names of headline results: those declared so, else those without dimensions, else all."""
@@ -123,7 +182,7 @@ def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str,
 def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
     """Return a phrase for each difference between results and those of the first point, none if they fit the layout.
 
-    The order does not matter, and an integer may stand for a float.
+    The order does not matter, and integers and floats are joined.
     """
     wanted = {field.name: field for field in expected.fields}
     given = {field.name: field for field in found.fields}
@@ -144,9 +203,11 @@ def differences(expected: Layout, found: Layout) -> tuple[str, ...]:
 
 def _differences_of_field(expected: Field, found: Field) -> Iterator[str]:
     name = expected.name
-    if expected.type != found.type and (expected.type, found.type) != ("float", "int"):
-        hint = "; return it as float(...) at every point" if (expected.type, found.type) == ("int", "float") else ""
-        yield f"{name!r} is of type {found.type}, expected {expected.type}{hint}"
+    types = {expected.type, found.type}
+    if len(types) > 1 and not types <= NUMBERS:
+        hint = "; return the number float(...) at every point" if types <= NUMBERS | {"bool"} else ""
+        wanted = "a number" if expected.type in NUMBERS else expected.type
+        yield f"{name!r} is of type {found.type}, expected {wanted}{hint}"
     if expected.dims != found.dims:
         yield f"{name!r} has {_dims(found.dims)}, expected {_dims(expected.dims)}"
     if expected.unit != found.unit:
@@ -174,21 +235,48 @@ def _differences_of_coordinate(expected: Coordinate, found: Coordinate) -> Itera
         )
 
 
-def held(row: bytes, found: Layout, expected: Layout) -> bytes | None:
-    """Return a row that has no `differences`, converted to the expected layout; None where an integer is too large to
-    be a float.
+def with_head(row: bytes, found: Layout, expected: Layout) -> bytes:
+    """Return a row that has no `differences` in the order of the expected layout, after numbers that say where it has
+    integers in place of floats, or the reverse: 1 if nowhere.
     """
     if found == expected:
-        return row
-    numbers = np.frombuffer(row, dtype="<f8")
+        return expected.head * _ONE + row
+    return _head(found, expected) + b"".join(_parts(row, found, expected))
+
+
+_ONE = np.float64(1.0).tobytes()
+
+
+@lru_cache(maxsize=256)
+def _head(found: Layout, expected: Layout) -> bytes:
     types = {field.name: field.type for field in found.fields}
-    parts = []
-    for field in expected.fields:
-        part = numbers[found.places[field.name]]
-        if field.type == "float" and types[field.name] == "int":
-            whole = part.view("<i8")
-            if np.any(np.abs(whole) > EXACT_INT):
+    tags = expected.head * [1]
+    for number, field in enumerate(expected.numbers):
+        if types[field.name] != field.type:
+            tags[number // TAGGED] += 1 << (number % TAGGED)
+    return np.array(tags, dtype="<f8").tobytes()
+
+
+def as_floats(row: bytes, found: Layout, expected: Layout) -> bytes | None:
+    """Return a row that has no `differences` in the order of the expected layout, which has no integers; None where an
+    integer is too large to be a float.
+    """
+    types = {field.name: field.type for field in found.fields}
+    parts = list(_parts(row, found, expected))
+    for number, field in enumerate(expected.fields):
+        if types[field.name] == "int":
+            whole = np.frombuffer(parts[number], dtype="<i8")
+            if np.any(_beyond_floats(whole)):
                 return None
-            part = whole.astype("<f8")
-        parts.append(part.tobytes())
+            parts[number] = whole.astype("<f8").tobytes()
     return b"".join(parts)
+
+
+def _beyond_floats(whole: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (whole > EXACT_INT) | (whole < -EXACT_INT)
+
+
+def _parts(row: bytes, found: Layout, expected: Layout) -> Iterator[bytes]:
+    """Yield what a row has of each result, in the order of the expected layout."""
+    places = [found.places[field.name] for field in expected.fields]
+    yield from (row[8 * place.start : 8 * place.stop] for place in places)

@@ -8,13 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from sweep.contract import Array, Output, ResultError
-from sweep.functions.layout import Field, Layout, differences, held
+from sweep.functions.layout import NUMBERS, Field, Layout, as_floats, differences
 from sweep.functions.named_results import Declared
 from sweep.functions.results import Flat
 from sweep.functions.statistics import DEFAULT, MOMENTS, merged, moments_of, quantile_of, quantiles, statistic
-
-NUMBERS = ("float", "int", "bool")
-"""Types from which statistics can be computed."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +118,7 @@ def drawn(flats: Sequence[Flat], declared: Declared) -> Flat:
 
     Raises ResultError where they differ in more than their values.
     """
-    if strange := [field for field in flats[0].layout.fields if field.type not in NUMBERS]:
+    if strange := [field for field in flats[0].layout.fields if field.type not in NUMBERS | {"bool"}]:
         name, kind = strange[0].name, strange[0].type
         raise ResultError(
             f"{declared.function}: {name!r} is of type {kind}; statistics are made of numbers and truth values"
@@ -144,13 +141,12 @@ def _in_words(name: str) -> str:
 
 def _values(flats: Sequence[Flat], function: str) -> tuple[Layout, dict[str, Array]]:
     """Return the layout of realisations, all numbers floats, and their values by name, (n, size)."""
-    first = flats[0].layout
-    layout = replace(first, fields=tuple(replace(f, type="float") if f.type == "int" else f for f in first.fields))
+    layout = flats[0].layout.floats
     rows = []
     for flat in flats:
         if wrong := differences(layout, flat.layout):
             raise ResultError(f"{function}: one realisation differs from another: {'; '.join(wrong)}")
-        if (row := held(flat.row, flat.layout, layout)) is None:
+        if (row := as_floats(flat.row, flat.layout, layout)) is None:
             raise ResultError(f"{function}: an integer beyond 2**53 is no number that statistics can be made of")
         rows.append(row)
     whole = np.frombuffer(b"".join(rows), dtype="<f8").reshape(len(rows), layout.width)

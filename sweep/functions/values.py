@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sweep.contract import ResultError, shown
 from sweep.contract.units import is_quantity
-from sweep.functions.layout import Coordinate, Type
+from sweep.functions.layout import EXACT_INT, Coordinate, Type
 
 TEXT_BYTES = 16
 """Bytes of the digest that stands for a text in a row."""
@@ -128,6 +128,10 @@ def _of_list(value: list[Any] | tuple[Any, ...]) -> tuple[Type, NDArray[Any]]:
         raise ResultError("has parts of different lengths")
     if array.dtype.kind in "fO" and kinds == {int}:
         raise ResultError("has integers of more than 64 bits")
+    if array.dtype.kind == "f" and any(issubclass(kind, int | np.integer) for kind in kinds):
+        whole = [e for e in elements.reshape(-1).tolist() if isinstance(e, int | np.integer)]
+        if large := [e for e in whole if not -EXACT_INT <= int(e) <= EXACT_INT]:
+            raise ResultError(f"has {large[0]}, an integer beyond 2**53, beside floats, which cannot hold it")
     if (array.dtype.kind == "U" or array.dtype.kind in "biuf") and len(kinds & {str, bool}) and len(kinds) > 1:
         raise ResultError(f"mixes values of types {', '.join(sorted(kind.__name__ for kind in kinds))}")
     return _of_array(elements if array.dtype.kind == "U" else array)

@@ -7,8 +7,8 @@ import numpy as np
 
 from sweep.executing.execute import Executor
 from sweep.executing.task import Failure, TaskResult
-from sweep.functions.adapter import COUNT, FunctionExperiment
-from sweep.functions.layout import differences, held
+from sweep.functions.adapter import FunctionExperiment
+from sweep.functions.layout import differences, with_head
 from sweep.functions.results import Flat
 from sweep.planning.plan import Work
 from sweep.planning.work_queue import Pending
@@ -49,7 +49,7 @@ def first_results(study: Study, pending: Pending, run: Executor, workers: int = 
             tasks = 0
     if not values:
         return study, done
-    return replace(study, experiment=experiment.with_layout(values[min(values)].layout)), done
+    return replace(study, experiment=experiment.with_layout(values[min(values)].layout.floats)), done
 
 
 def as_rows(experiment: FunctionExperiment, works: Sequence[Work], result: TaskResult) -> TaskResult:
@@ -60,25 +60,25 @@ def as_rows(experiment: FunctionExperiment, works: Sequence[Work], result: TaskR
     for row, value in result.values.items():
         if row in failures:
             continue
-        content = _held(experiment, value)
+        content = _held(experiment, value, counts[row])
         if isinstance(content, Failure):
             failures[row] = content
             continue
-        sums[row, :COUNT] = counts[row]
-        sums[row, COUNT:] = np.frombuffer(content, dtype="<f8")
+        sums[row] = np.frombuffer(content, dtype="<f8")
         texts.update(value.texts)
         if value.kept is not None:
             samples[row] = value.kept
     return replace(result, sums=sums, failures=failures, samples=samples, texts=texts)
 
 
-def _held(experiment: FunctionExperiment, value: Flat) -> bytes | Failure:
-    expected = experiment.layout
+def _held(experiment: FunctionExperiment, value: Flat, realisations: int) -> bytes | Failure:
+    expected, found = experiment.layout, value.layout
     assert expected is not None, "the first value says what it is"
-    if value.layout is expected or value.layout == expected:
-        return value.row
-    if wrong := differences(expected, value.layout):
+    wrong = () if found is expected or found == expected else differences(expected, found)
+    if experiment.rng and not wrong and found.places != expected.places:
+        wrong = ("its results are in another order",)
+    if wrong:
         return Failure("exception", f"{experiment.name}: not as at the first point: {'; '.join(wrong)}")
-    if (row := held(value.row, value.layout, expected)) is None:
-        return Failure("exception", f"{experiment.name}: an integer beyond 2**53 where the first point has a float")
-    return row
+    if experiment.rng:
+        return np.float64(realisations).tobytes() + value.row
+    return with_head(value.row, found, expected)

@@ -130,7 +130,7 @@ def _with_layout(plan: Plan) -> Plan:
         return plan
     [[work]] = Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(1)
     first = _computed(study, work).values[0]
-    return plan.of(replace(study, experiment=study.experiment.with_layout(first.layout)))
+    return plan.of(replace(study, experiment=study.experiment.with_layout(first.layout.floats)))
 
 
 def _as_rows(study: Study, work: Work) -> TaskResult:

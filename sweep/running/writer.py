@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.executing.uncollected import uncollected
+from sweep.functions.adapter import FunctionExperiment
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.block import Block, ledger_key
 from sweep.planning.failing import failing
@@ -142,6 +143,7 @@ class Writer:
             with uncollected():
                 from sweep.running.results import assemble, assemble_samples, code_variable
 
+            self._refuse_what_is_not_joined()
             self.flush()
         dataset = assemble(self.plan, self.accumulator, self.store.texts)
         if study.sampling.keep_samples:
@@ -210,6 +212,15 @@ class Writer:
         for index, failure in failures.items():
             self._fail(self.plan.grid.point(index), failure)
         return failures
+
+    def _refuse_what_is_not_joined(self) -> None:
+        """Record as failed those finished points of a plain function whose integers floats of other points exclude."""
+        experiment = self.plan.grid.study.experiment
+        if isinstance(experiment, FunctionExperiment):
+            done = np.flatnonzero(self.accumulator.status == Status.DONE)
+            with self._lock:
+                for index, why in experiment.not_joined(self.accumulator.total, done).items():
+                    self._fail(self.plan.grid.point(index), Failure("exception", why))
 
     def _fail(self, point: GridPoint, failure: Failure) -> None:
         self.accumulator.fail(point.index)

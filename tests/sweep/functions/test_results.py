@@ -16,7 +16,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from sweep.contract import NotFiniteError, Output, ResultError
-from sweep.functions.layout import differences, held
+from sweep.functions.layout import differences, with_head
 from sweep.functions.named_results import Declared
 from sweep.functions.results import flatten, split_points
 
@@ -249,10 +249,10 @@ def test_later_points_are_compared_by_name_with_what_is_expected_and_found():
     first = {"y": 1.0, "n": 3, "t": xr.DataArray([1.0, 2.0], {"x": [0.0, 0.5]}, ("x",), attrs={"units": "m"})}
     expected = layout_of(first)
     assert not differences(expected, layout_of(dict(reversed(first.items()))))
-    assert not differences(expected, layout_of(first | {"y": 2}))  # an integer is a float, exactly
+    assert not differences(expected, layout_of(first | {"y": 2, "n": 3.0}))  # integers and floats are joined
     for changed, sentence in (
-        ({"n": 3.0}, "'n' is of type float, expected int; return it as float(...) at every point"),
-        ({"y": "a"}, "'y' is of type text, expected float"),
+        ({"n": True}, "'n' is of type bool, expected a number; return the number float(...) at every point"),
+        ({"y": "a"}, "'y' is of type text, expected a number"),
         ({"y": [1.0]}, "'y' has the dimensions (y_dim_0), expected no dimensions"),
         ({"more": 1}, "'more' was not returned by the first point"),
         (
@@ -274,14 +274,31 @@ def test_later_points_are_compared_by_name_with_what_is_expected_and_found():
     )
 
 
-def test_rows_are_brought_into_the_order_and_types_of_the_first():
-    expected = layout_of({"a": 1.0, "b": 2})
-    other = flatten({"b": 7, "a": 3}, PLAIN)
-    row = np.frombuffer(held(other.row, other.layout, expected))
-    found = expected.values(row[None])
-    assert (found["a"][0], found["b"][0]) == (3.0, 7)
-    too_large = flatten({"b": 7, "a": 2**53 + 1}, PLAIN)
-    assert held(too_large.row, too_large.layout, expected) is None
+def test_rows_are_brought_into_the_order_of_the_first():
+    expected = layout_of({"a": 1.0, "b": 2}).floats
+    other = flatten({"b": 7, "a": 3.5}, PLAIN)
+    row = np.frombuffer(with_head(other.row, other.layout, expected))
+    found = expected.joined(row[None])
+    assert (found["a"][0], found["b"][0]) == (3.5, 7)
+    assert (found["a"].dtype.kind, found["b"].dtype.kind) == ("f", "i")
+
+
+def test_a_hundred_results_are_joined_each_by_itself():
+    """More than one number at the head of a row has bits for."""
+    rows = [{f"r{k}": k if (k + point) % 3 else k + 0.5 for k in range(110)} for point in range(2)]
+    flats = [flatten(row, PLAIN) for row in rows]
+    expected = flats[0].layout.floats
+    found = expected.joined(np.array([np.frombuffer(with_head(f.row, f.layout, expected)) for f in flats]))
+    for k in range(110):
+        own = np.array([row[f"r{k}"] for row in rows])
+        assert found[f"r{k}"].dtype == own.dtype
+        assert found[f"r{k}"].tolist() == own.tolist()
+
+
+def test_a_list_does_not_round_integers():
+    with pytest.raises(ResultError, match="has 9007199254740993, an integer beyond 2\\*\\*53, beside floats"):
+        flatten([2**53 + 1, 0.5], PLAIN)
+    assert flatten([2**53, 0.5], PLAIN).layout.fields[0].type == "float"
 
 
 def test_points_of_a_vectorised_result_are_those_of_single_calls():

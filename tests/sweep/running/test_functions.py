@@ -2,18 +2,22 @@
 
 import json
 import logging
+import re
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
 import zarr
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, SweepError, experiment
+from sweep.functions.layout import Layout
 from sweep.running.reproduce import reproduce
 from sweep.stores.opened import OpenStore
-from tests.tiers import slow
+from tests.tiers import examples, slow
 
 T = np.linspace(0.0, 160.0, 81)
 
@@ -85,7 +89,7 @@ def test_many_points_of_a_series_come_back_whole(tmp_path, n):
 
 def test_points_that_are_not_like_the_first_fail_by_name_and_the_rest_goes_on(tmp_path, caplog):
     def fickle(k: int):
-        return {0: {"y": 1.0, "z": 1}, 1: {"z": 2, "y": 3}, 2: {"y": 1.0}, 3: {"y": 1.0, "z": 0.5}, 4: None}.get(
+        return {0: {"y": 1.0, "z": 1}, 1: {"z": 2, "y": 3}, 2: {"y": 1.0}, 3: {"y": 1.0, "z": True}, 4: None}.get(
             k, {"y": float("nan"), "z": 1}
         )
 
@@ -94,8 +98,8 @@ def test_points_that_are_not_like_the_first_fail_by_name_and_the_rest_goes_on(tm
     failures = json.loads(ds.attrs["failures"])
     assert failures == {
         "k=2": "fickle: not as at the first point: 'z' is missing",
-        "k=3": "fickle: not as at the first point: 'z' is of type float, expected int; "
-        "return it as float(...) at every point",
+        "k=3": "fickle: not as at the first point: 'z' is of type bool, expected a number; "
+        "return the number float(...) at every point",
         "k=4": "fickle returns nothing (None); it must return its results",
         "k=5": "fickle: y is NaN (declare Output(..., nan=True) where that is a value)",
     }
@@ -385,3 +389,102 @@ def test_an_imported_function_is_declared_in_a_script_also_for_worker_processes(
     assert (ds["triple"].values.tolist(), ds["same"].attrs["units"]) == ([3.0, 6.0], "s")
     plain = run(pairs.pair, tmp_path / "plain.zarr", axes={"x": [1.0, 2.0]})
     assert plain["pair"].values.tolist() == [[3.0, 1.0], [6.0, 2.0]]
+
+
+NUMBER = st.one_of(
+    st.integers(-3, 3), st.integers(-(2**53), 2**53), st.sampled_from([0.0, -0.0, 0.5, 1e300]), st.just(np.float32(0.1))
+)
+SEVERAL = st.one_of(
+    st.lists(st.integers(-5, 5), min_size=2, max_size=2), st.lists(st.floats(-1, 1), min_size=2, max_size=2)
+)
+VALUES = st.fixed_dictionaries(
+    {"a": NUMBER, "big": st.one_of(NUMBER, st.integers(2**53 + 1, 2**63 - 1)), "v": SEVERAL.map(np.array)}
+)
+
+
+def joined(values):
+    """What NumPy makes of numbers of all points; those that no float can hold beside floats are left out."""
+    floats = any(np.asarray(value).dtype.kind == "f" for value in values)
+    kept = [
+        k for k, v in enumerate(values) if not floats or np.asarray(v).dtype.kind == "f" or np.all(np.abs(v) <= 2**53)
+    ]
+    return {k: np.asarray(values[k], dtype=float if floats else np.int64) for k in kept}
+
+
+@settings(max_examples=examples(40), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(values=st.lists(VALUES, min_size=2, max_size=6), data=st.data())
+def test_integers_and_floats_are_joined_whatever_the_order_and_the_runs(tmp_path_factory, values, data):
+    table = [
+        {name: v if np.ndim(v) else v.item() if hasattr(v, "item") else v for name, v in row.items()} for row in values
+    ]
+
+    def numbers(k: int):
+        return table[k]
+
+    store = tmp_path_factory.mktemp("joined") / "s.zarr"
+    first = data.draw(st.permutations(range(len(table))))[: data.draw(st.integers(0, len(table)))]
+    for axis in ([sorted(first)] if first else []) + [data.draw(st.permutations(range(len(table))))]:
+        ds = run(numbers, store, axes={"k": axis})
+    expected = {name: joined([row[name] for row in table]) for name in ("a", "big", "v")}
+    left = sorted(set.intersection(*map(set, expected.values())))
+    for name, own in expected.items():
+        assert sorted(ds.k.values[ds.status.values == 1]) == left
+        for k in left:
+            found = ds[name].sel(k=k).values
+            assert found.astype(own[k].dtype).tobytes() == own[k].tobytes()
+        if len(left) == len(table):
+            assert ds[name].dtype == own[0].dtype
+    for message in json.loads(ds.attrs["failures"]).values():
+        assert re.fullmatch(r"numbers: 'big' is \d+, which is beyond 2\*\*53, and other points have floats", message)
+
+
+def test_workers_join_as_one_process_does(tmp_path):
+    def half(k: int):
+        return k // 2 if k % 2 == 0 else k / 2
+
+    serial = run(half, tmp_path / "serial.zarr", axes={"k": range(12)})
+    for pool in ("threads", "processes"):
+        other = linksweep.run(half, tmp_path / f"{pool}.zarr", axes={"k": range(12)}, pool=pool, workers=2)
+        xr.testing.assert_identical(other.drop_attrs(), serial.drop_attrs())
+    assert serial.half.values.tolist() == [k / 2 for k in range(12)]
+
+
+def test_a_store_of_integers_that_an_older_version_made_goes_on_with_floats(tmp_path, monkeypatch):
+    """Its layout says int, and its rows do not say what they hold."""
+
+    def steps(k: int):
+        return {"n": k, "half": k / 2 if k % 2 else k // 2}
+
+    with monkeypatch.context() as older:
+        older.setattr(Layout, "floats", property(lambda layout: layout))
+        run(steps, tmp_path / "s.zarr", axes={"k": [0, 2]})
+    ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 2, 3]})
+    assert (
+        json.loads(OpenStore(tmp_path / "s.zarr").attributes["experiment_record"])["function"]["layout"]["fields"][1][
+            "type"
+        ]
+        == "int"
+    )
+    assert ds.half.values.tolist() == [0.0, 0.5, 1.0, 1.5]
+    assert ds.n.dtype == np.int64
+    assert ds.n.values.tolist() == [0, 1, 2, 3]
+
+
+def test_a_first_integer_does_not_decide_for_realisations(tmp_path):
+    def draws(k: int, rng):
+        return 0 if k == 0 else rng.normal() if k == 1 else 3
+
+    ds = run(draws, tmp_path / "s.zarr", axes={"k": [0, 1, 2]}, sampling={"n_sim": 50})
+    assert not json.loads(ds.attrs["failures"])
+    assert ds.draws_mean.values[[0, 2]].tolist() == [0.0, 3.0]
+
+
+def test_realisations_in_another_order_are_refused_by_name(tmp_path):
+    def draws(k: int, rng):
+        both = {"a": rng.normal(), "b": 10.0 + rng.normal()}
+        return dict(reversed(both.items())) if k else both
+
+    ds = run(draws, tmp_path / "s.zarr", axes={"k": [0, 1]}, sampling={"n_sim": 8})
+    assert json.loads(ds.attrs["failures"]) == {
+        "k=1": "draws: not as at the first point: its results are in another order"
+    }
