@@ -7,6 +7,9 @@ from typing import Any
 DESCRIPTION = "description"
 """The whole meaning, where ``long_name`` is only the beginning of it."""
 
+ERRORS = "errors"
+"""The attribute with the names of the variables that are one-sigma errors of a variable, each of another kind."""
+
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 """Units that are logarithms already: plots and interpolation never use a logarithmic scale for them."""
 

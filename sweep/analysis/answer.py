@@ -13,13 +13,13 @@ from sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
 from sweep.analysis.gaps import ends_of, exact, numbers_of
 from sweep.analysis.long_table import own_dimensions
 from sweep.analysis.measured_claims import Measured, OutsideGridError, in_words, measure, unit_of
-from sweep.analysis.quantity import headlines
+from sweep.analysis.quantity import errors_beside, headlines, standard_error
 from sweep.analysis.selection import place_in_words, places_along
 from sweep.analysis.sentences import sentences
 from sweep.attributes import meaning_beside, units_of
-from sweep.contract import SweepError
+from sweep.contract import Array, SweepError
 from sweep.planning.point_status import Status, count_status, unfinished_in_words
-from sweep.readable import in_short, with_unit
+from sweep.readable import in_ascii, in_short, prefixed, with_unit
 from sweep.studies.form import Conclusion, ConclusionValue
 
 CONCLUSION = "conclusion"
@@ -43,27 +43,40 @@ class Answer:
 
 def answer_in_short(dataset: xr.Dataset) -> list[str]:
     """Return the answer in a few sentences: the conclusion of the study with its values, or the ranges of the first
-    headline quantities if it has none; an empty list for results that are not numbers.
+    headline quantities if it has none; an empty list for results that are not numbers.  What real data say, as
+    `said_first` has it, is said in any case.
     """
-    if found := conclusion_in_words(dataset):
-        return found
-    ranges = [answer for answer in answers(dataset) if answer.sentences][:MOST_SHORT]
+    found, first = conclusion_in_words(dataset), said_first(dataset)
+    told = [answer for answer in answers(dataset) if answer.sentences and (not found or answer.name in first)]
+    ranges = told[:MOST_SHORT]
     names = [f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name for answer in ranges]
-    return [f"{name}: {answer.sentences[0]}" for name, answer in zip(names, ranges, strict=True)]
+    return [*found, *(f"{name}: {answer.sentences[0]}" for name, answer in zip(names, ranges, strict=True))]
+
+
+def said_first(dataset: xr.Dataset) -> list[str]:
+    """Return the headline quantities that have errors of several kinds, as the solution of real data has, and with
+    them those without a Monte-Carlo error; none if there are no errors of several kinds.
+    """
+    names = [name for name in headlines(dataset) if standard_error(dataset, name) is None]
+    with_errors = [name for name in names if errors_beside(dataset, name)]
+    return [*with_errors, *(name for name in names if name not in with_errors)] if with_errors else []
 
 
 def answers(dataset: xr.Dataset) -> list[Answer]:
     """Return what the results say about each headline quantity, or about each of its components if it has any."""
-    found = []
-    for variable in headlines(dataset):
+    found, first = [], said_first(dataset)
+    for variable in dict.fromkeys([*first, *headlines(dataset)]):
         meaning, own = meaning_beside(variable, dataset[variable].attrs), own_dimensions(dataset, variable)
         if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
             found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue
         values = numbers_of(dataset, variable)
         finite = values[np.isfinite(values)]
-        if found and finite.size > 1 and finite.min() == finite.max():
+        if found and variable not in first and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
+        if errors := errors_beside(dataset, variable):
+            found.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
+            continue
         for name, unit, part in _components(dataset, variable, own):
             found.append(Answer(name, meaning, list(filter(None, sentences(part, variable, unit)))))
     return found
@@ -98,6 +111,31 @@ def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
         ends.append(f"{with_unit(values[end].item(), 0.0, unit)}, at {place_in_words(place)}")
     along = " and ".join(f"{dataset.sizes[d]} values along {d}" for d in own)
     return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
+
+
+def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:
+    """Return the range of each component that has values, and of each kind of error in each unit."""
+    ranges, of_errors = [], {name: dict[str, list[float]]() for name in errors}
+    for name, unit, part in _components(dataset, variable, own_dimensions(dataset, variable)):
+        if np.isfinite(values := numbers_of(part, variable)).any():
+            ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {_range_of(values, unit)}")
+            for error, by_unit in of_errors.items():
+                by_unit.setdefault(unit, []).extend(part[error].values.ravel().tolist())
+    known = {
+        error: " and ".join(filter(None, (_range_of(np.array(values), unit) for unit, values in by_unit.items())))
+        for error, by_unit in of_errors.items()
+    }
+    return "; ".join([", ".join(ranges), *(f"{error} {text or 'not known'}" for error, text in known.items())]) + "."
+
+
+def _range_of(values: Array, unit: str) -> str:
+    """Return the smallest and the largest of some numbers in one unit; '' if none is finite."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return ""
+    chosen = prefixed(known, unit)
+    ends = dict.fromkeys(in_short(end * chosen.factor) for end in (known.min().item(), known.max().item()))
+    return " ".join(filter(None, [" to ".join(ends), in_ascii(chosen.unit)]))
 
 
 def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterator[tuple[str, str, xr.Dataset]]:

@@ -14,14 +14,18 @@ from sweep.analysis.gaps import exact
 from sweep.analysis.long_table import Long, array_outputs, axes_of, axis_coordinates, long_table, own_dimensions
 from sweep.analysis.quantity import (
     PREDICTION_SUFFIXES,
+    errors_beside,
     headline_variables,
     prediction_name,
     standard_error,
+    where_they_change,
     with_values,
 )
 from sweep.analysis.readable_units import in_readable_units
+from sweep.attributes import units_of
 from sweep.formatting import first_of, is_missing, plain, reading_table, rounded, with_error
 from sweep.planning.point_status import Status
+from sweep.readable import prefixed
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -49,9 +53,18 @@ def as_text(dataset: xr.Dataset, width: int | None = None) -> tuple["Table", lis
     characters.
     """
     columns, left_out = fitting(headline_columns(dataset, MOST_ROWS), width)
+    return _as_table(str(dataset.attrs.get("title", "")), columns), left_out
+
+
+def errors_as_text(dataset: xr.Dataset) -> Iterator["Table"]:
+    """Yield the tables of `tables_with_errors` for reading."""
+    for title, columns in tables_with_errors(dataset, MOST_ROWS).items():
+        yield _as_table(title, columns)
+
+
+def _as_table(title: str, columns: list[Column]) -> "Table":
     rows = zip(*(column.cells for column in columns), strict=True)
-    table = reading_table(str(dataset.attrs.get("title", "")), [column.heading for column in columns], rows)
-    return table, left_out
+    return reading_table(title, [column.heading for column in columns], rows)
 
 
 def exactly_published(dataset: xr.Dataset) -> list[str]:
@@ -120,6 +133,35 @@ def _columns_of(dataset: xr.Dataset, long: Long, name: str) -> Iterator[Column]:
         yield Column("published", unit, list(map(rounded, published)), published, rank=PUBLISHED)
         differences = list(map(_relative, values, published))
         yield Column("difference", "", list(map(_in_percent, differences)), differences, rank=PUBLISHED)
+
+
+def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> dict[str, list[Column]]:
+    """Return a table of each headline result with errors of several kinds, in each of its units: the axes along which
+    it changes, components, the value and every error; of all values or of the first ``most``.
+    """
+    found, whole = {}, dataset
+    for name in headline_variables(whole):
+        errors = errors_beside(whole, name)
+        dataset = where_they_change(whole, [name, *errors]) if errors else whole
+        own = own_dimensions(dataset, name)
+        dims = [*axes_of(dataset), *own]
+        places = [*axis_coordinates(dataset, axes_of(dataset)), *(d for d in own if d in dataset.coords)]
+        unit = next((dataset[f"{d}_unit"] for d in own if f"{d}_unit" in dataset.coords), None)
+        unit = xr.DataArray(units_of(dataset[name].attrs)) if unit is None else unit
+        arrays = {"unit": unit} | {n: dataset[n] for n in [*places, name, *errors]}
+        values = {n: a.broadcast_like(dataset[name]).transpose(*dims).values.ravel() for n, a in arrays.items()}
+        known = np.isfinite(values[name]) & bool(errors)
+        for one in dict.fromkeys(values["unit"][known].tolist()):
+            at = np.flatnonzero(known & (values["unit"] == one))[:most]
+            where = {n: values[n][at].tolist() for n in places}
+            columns = [Column(n, "", list(map(plain, cells)), cells) for n, cells in where.items()]
+            chosen = prefixed(values[name][at], one)
+            numbers = {n: (values[n][at] * chosen.factor).tolist() for n in [name, *errors]}
+            to = np.nan_to_num(np.array([numbers[n] for n in errors]), nan=np.inf).min(axis=0).tolist()
+            for n, cells in numbers.items():
+                columns.append(Column(n, chosen.unit, list(map(rounded, cells, to if n == name else cells)), cells))
+            found[f"{name} [{chosen.unit}]"] = columns
+    return found
 
 
 def arrays_in_words(dataset: xr.Dataset) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from sweep.attributes import ERRORS
 from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
 from sweep.planning.point_status import Status
 from sweep.studies.provenance import FUNCTION, outer_draw_of
@@ -54,6 +55,25 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     squares: xr.DataArray = sum((part.fillna(0.0) ** 2 for part in parts[1:]), parts[0].fillna(0.0) ** 2)
     known: xr.DataArray = sum((part.notnull() for part in parts[1:]), parts[0].notnull())
     return (squares**0.5).where(known)
+
+
+def errors_beside(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Return the variables that are declared as errors of a variable, each of another kind."""
+    return [name for name in str(dataset[variable].attrs.get(ERRORS, "")).split() if name in dataset]
+
+
+def where_they_change(dataset: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Return a dataset without the axes of the study along which none of some variables changes."""
+    arrays = [dataset[name].drop_vars(list(dataset.coords), errors="ignore") for name in names]
+    axes = dataset["status"].dims
+    alike = [d for d in axes if all(array.isel({d: [0] * array.sizes[d]}).equals(array) for array in arrays)]
+    return dataset.isel(dict.fromkeys(alike, 0), drop=True)
+
+
+def error_bar(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
+    """Return the errors with which figures show a variable: its `standard_error`, else the first that is declared."""
+    known, declared = standard_error(dataset, variable), errors_beside(dataset, variable)
+    return dataset[declared[0]] if known is None and declared else known
 
 
 def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:

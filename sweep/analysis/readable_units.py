@@ -7,7 +7,7 @@ from typing import Any
 
 import xarray as xr
 
-from sweep.analysis.quantity import BESIDE, COVARIANCE_SUFFIX, quantities
+from sweep.analysis.quantity import BESIDE, COVARIANCE_SUFFIX, errors_beside, quantities
 from sweep.attributes import units_of
 from sweep.readable import prefixed
 
@@ -21,7 +21,8 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     if "status" not in dataset:
         return dataset
     changed: dict[str, xr.DataArray] = {}
-    for name in quantities(dataset):
+    names = quantities(dataset)
+    for name in [n for n in names if n not in {e for other in names for e in errors_beside(dataset, other)}]:
         values = dataset[name].values
         unit = units_of(dataset[name].attrs)
         if "," in unit or values.dtype.kind != "f":
@@ -29,7 +30,7 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
         chosen = prefixed(values, unit)
         if chosen.factor == 1.0:
             continue
-        for other in (name, *(f"{name}_{suffix}" for suffix in BESIDE)):
+        for other in (name, *errors_beside(dataset, name), *(f"{name}_{suffix}" for suffix in BESIDE)):
             if other in dataset and units_of(dataset[other].attrs) == unit:
                 changed[other] = _scaled(dataset[other], chosen.factor, chosen.unit)
         for axis in dataset.coords:

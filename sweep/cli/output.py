@@ -86,6 +86,9 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
         width = table_width()
         table, folded = headline_table.as_text(dataset, width)
         print_whole(table)
+        for one in headline_table.errors_as_text(dataset) if with_components else ():
+            click.echo()
+            print_whole(one)
         if with_components and (lines := components.component_lines(dataset)):
             click.echo("\n".join(["", *lines, ""]))
         told = filter(None, [*headline_table.warnings_of(dataset), components.condition_warning(dataset)])

@@ -49,6 +49,8 @@ def problems(experiment: Any) -> list[str]:
         found += [f"parameter {parameter.name!r}: {text}" for text in texts]
     for output in (*outputs, *samples):
         found += [f"output {output.name!r}: {text}" for text in _output_problems(output, dimensions)]
+        alike = [other.name for other in outputs if (other.dims, other.unit) == (output.dims, output.unit)]
+        found += _listed(f"output {output.name!r}: errors", output.errors, alike, "output with its dimensions and unit")
     for name, of_labels in units.items():
         if (expected := len(dimensions.get(name, ()))) != len(of_labels):
             text = f"{len(of_labels)} units for {expected} labels" if name in dimensions else "no such dimension"

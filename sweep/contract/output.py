@@ -15,6 +15,8 @@ class Output:
         meaning: one line for tables and figures.
         dims: dimensions besides those of the grid; a single one may be a string.
         headline: whether it is a column of the printed table and comes first in reports and figures.
+        errors: the names of further outputs with the same dimensions that are its one-sigma errors, of several kinds;
+            tables and reports show each beside it.
         symbol: what figures show instead of the name, in the notation of Matplotlib.
         nan: whether NaN and infinity are allowed; otherwise a point with such a value fails.
         coords: for a plain function, the coordinate of each dimension: values or (values, unit), where values are
@@ -32,3 +34,4 @@ class Output:
     nan: bool = False
     coords: Mapping[str, Any] | None = field(default=None, compare=False)
     statistics: Sequence[str] = field(default=(), compare=False)
+    errors: Sequence[str] = ()

@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.transforms import ScaledTranslation
 
-from sweep.analysis.quantity import prediction_name, standard_error
+from sweep.analysis.quantity import error_bar, prediction_name, standard_error
 from sweep.analysis.selection import places_along
 from sweep.attributes import units_of
 from sweep.plots.labels import axis_label, quantity_label, value_text
@@ -104,10 +104,10 @@ def _series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: str, nu
     colour, x = mark["color"], _positions(one[over])
     order = np.argsort(x, kind="stable")
     one, x = one.isel({one[over].dims[0]: order}), x[order]
-    y, error = one[variable].values.astype(float), standard_error(one, variable)
+    y, error = one[variable].values.astype(float), error_bar(one, variable)
     sigma = None if error is None else error.values
     style: dict[str, Any] = {**mark, "markersize": 3.5, "linestyle": "none"}
-    label = name or (COMPUTED if sigma is None else SIMULATED)
+    label = name or (COMPUTED if standard_error(one, variable) is None else SIMULATED)
     axes.errorbar(x, y, yerr=sigma, elinewidth=0.8, label=label, zorder=3, **style)
     predicted, published = prediction_name(one, variable), f"{variable}_published"
     if _is_numeric(one[over]) and _has(one, predicted):

@@ -8,6 +8,8 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from sweep.analysis.quantity import errors_beside, standard_error
+
 SIMULATED, COMPUTED, PREDICTED, PUBLISHED = "simulated", "computed", "predicted", "published"
 """Entries of legends.  Values are simulated if they have errors."""
 
@@ -27,8 +29,11 @@ def signs_in_words(figure: Figure, dataset: xr.Dataset) -> list[str]:
     handles = _handles(figure)
     labels = {artist.get_label() for axes in figure.axes for artist in axes.get_children()}
     found = []
-    if any(_has_error_bars(axes) for axes in figure.axes if axes.get_label() in dataset):
+    with_bars = [str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset and _has_error_bars(axes)]
+    if any(standard_error(dataset, name) is not None for name in with_bars):
         found.append("Points are simulated, with one-sigma errors.")
+    declared = dict.fromkeys(bars[0] for name in with_bars if (bars := errors_beside(dataset, name)))
+    found += [f"Error bars are {name}." for name in declared]
     if PREDICTED in handles:
         found.append(f"{_of_prediction(handles[PREDICTED])} in closed form.")
     if PUBLISHED in handles:

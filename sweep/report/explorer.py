@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 from bokeh.resources import Resources
 
-from sweep.analysis.quantity import prediction_name, quantities, standard_error
+from sweep.analysis.quantity import error_bar, prediction_name, quantities
 from sweep.attributes import LOGARITHMIC_UNITS, meaning_beside, units_of
 from sweep.readable import prefixed, written
 from sweep.studies.study import POINT
@@ -52,7 +52,7 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
 def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
     """Return a quantity and what belongs to it, all with its own dimensions."""
     value = dataset[name]
-    found = {"value": value, "error": standard_error(dataset, name)}
+    found = {"value": value, "error": error_bar(dataset, name)}
     found["predicted"] = dataset.get(prediction_name(dataset, name))
     found |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in BESIDE}
     wanted = {suffix: part for suffix, part in found.items() if part is not None and set(part.dims) <= set(value.dims)}

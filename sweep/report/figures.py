@@ -17,7 +17,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal
 from matplotlib.text import Text
 
-from sweep.analysis.quantity import prediction_name, standard_error
+from sweep.analysis.long_table import own_dimensions
+from sweep.analysis.quantity import errors_beside, prediction_name, standard_error, where_they_change
+from sweep.analysis.selection import places_along
 from sweep.analysis.sentences import ERRORS_ALLOWED
 from sweep.contract import SweepError
 from sweep.plots.caption import caption, description
@@ -60,9 +62,10 @@ class Picture:
 
 
 def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list[Picture]:
-    """Return the figures of variables that vary, each of the kind that suits it; that of the kept samples of a single
-    point comes first.  Of a single point without samples those are drawn that have a prediction or a published number.
-    ``number`` makes the identifiers in them differ from those of other datasets.
+    """Return the figures of variables that vary, each of the kind that suits it; those of variables with errors of
+    several kinds are of each component.  That of the kept samples of a single point comes first.  Of a single point
+    without samples those are drawn that have a prediction or a published number.  ``number`` makes the identifiers in
+    them differ from those of other datasets.
     """
     untitled = dataset.assign_attrs(title="")
     wanted: list[tuple[str, tuple[str, ...]]] = [(name, (name,)) for name in variables if _varies(dataset[name])]
@@ -73,7 +76,15 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
             wanted = wanted or [(name, (name,)) for name in variables if _has_another(dataset, name)]
     found = []
     for i, (name, chosen) in enumerate(wanted):
-        found.append(drawn(untitled, name, f"{number}-{i}", chosen))
+        errors = errors_beside(dataset, chosen[0]) if chosen else []
+        part = where_they_change(untitled, [*chosen, *errors]) if errors else untitled
+        own = own_dimensions(dataset, chosen[0]) if errors else []
+        for k, place in enumerate(places_along(part, own)):
+            one = part.isel(place)
+            label = ", ".join(str(one[d].item()) for d in own if d in one.coords)
+            if not own or _varies(one[chosen[0]]):
+                words = f"{name} ({label})" if own else name
+                found.append(drawn(one, words, f"{number}-{i}-{k}" if own else f"{number}-{i}", chosen))
         ordered = POINT not in dataset["status"].dims
         if ordered and chosen and _varies(dataset[name]) and (residual := differences(untitled, name)) is not None:
             words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"

@@ -11,13 +11,13 @@ from typing import Any
 import xarray as xr
 
 from sweep.analysis import sensitivity_tables as tables
-from sweep.analysis.answer import Answer, answer_in_short, answers, completeness
+from sweep.analysis.answer import Answer, answer_in_short, answers, completeness, said_first
 from sweep.analysis.columns import Column
 from sweep.analysis.compare import Comparison, caveats, compare, in_readable_unit
 from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from sweep.analysis.components import condition_warning
 from sweep.analysis.gaps import with_nan
-from sweep.analysis.headline_table import headline_columns, rows_left_out, warnings_of
+from sweep.analysis.headline_table import headline_columns, rows_left_out, tables_with_errors, warnings_of
 from sweep.analysis.quantity import headlines, varied_parameters
 from sweep.analysis.readable_units import in_readable_units
 from sweep.analysis.selection import place_in_words
@@ -125,7 +125,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         comparisons=comparisons,
         verdicts=summary_line(comparisons) if comparisons else "",
         pictures=[
-            *pictures(dataset, names, number),
+            *pictures(dataset, list(dict.fromkeys([*said_first(dataset), *names])), number),
             *(
                 drawn(one.assign_attrs(title=""), f"sensitivity of {name}", f"{number}-s{i}")
                 for i, (name, one) in enumerate(indices.items())
@@ -137,6 +137,10 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> Section:
         results=_table(headline_columns(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
         caption="Headline results, ± their one-sigma errors",
         tables={
+            f"{name}, {dataset[name.split()[0]].attrs['long_name']}, with every kind of error": _table(columns)
+            for name, columns in tables_with_errors(dataset, MOST_ROWS).items()
+        }
+        | {
             f"Sensitivity of {name}: {tables.notes(one)[0]}": _table(tables.columns_of(one))
             for name, one in indices.items()
         },

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.attributes import described, short_meaning
+from sweep.attributes import ERRORS, described, short_meaning
 from sweep.contract import Array, Output, Parameter
 from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.functions.adapter import FunctionExperiment
@@ -120,6 +120,8 @@ def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[s
     attributes = _attributes(output)
     if output.headline:
         attributes["headline"] = 1
+    if output.errors:
+        attributes[ERRORS] = " ".join(output.errors)
     if values.dtype.kind == "M":
         attributes.pop("units", None)  # xarray has its own for times
     return (*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes

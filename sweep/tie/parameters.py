@@ -2,7 +2,7 @@
 
 from core.tie.forecast import RELEASES
 from sweep.contract import Output, Parameter
-from sweep.tie.components import HIGHEST_STORED, MOST_BINS
+from sweep.tie.components import FIELD_UNITS, HIGHEST_STORED, MOST_BINS, UNITS
 
 TABLE = "table"
 """Stands for what a table itself has: its errors, or the release whose epoch it has."""
@@ -81,6 +81,7 @@ PARAMETERS = (
     Parameter("outlier_factor", "float", 10.0, "how much larger they are", minimum=1.0),
 )
 
+_UNITS, _SQUARES = ", ".join(UNITS), ", ".join(FIELD_UNITS)
 _EACH, _RATIO = ("component",), ("unknown",)  # units differ along the first only
 _POWER, _CHANCE = ("field", "power_degree"), ("field_tested", "power_degree")
 _BIN = ("bin", "axis")
@@ -106,14 +107,22 @@ def _with_errors(
 OUTPUTS = (
     Output("n_sources", "", "matched sources of the tables, within g_min and g_max"),
     Output("n_kept", "", "sources that the clip keeps, of the tables as they are", nan=True),
-    Output("estimate", "", "solution of the tables as they are, reference - satellite", _EACH, nan=True),
-    Output("error_formal", "", "its formal error", _EACH, nan=True),
-    Output("error_scaled", "", "its formal error times sqrt(chi2/dof)", _EACH, nan=True),
-    Output("error_jackknife", "", "its error from the solutions without each source", _EACH, nan=True),
-    Output("chi2_ratio", "", "chi2 of the tables over its average", nan=True),
+    Output(
+        "estimate",
+        _UNITS,
+        "solution of the tables as they are, reference - satellite",
+        _EACH,
+        headline=True,
+        nan=True,
+        errors=("error_scaled", "error_jackknife", "error_formal"),
+    ),
+    Output("error_formal", _UNITS, "its formal error", _EACH, nan=True),
+    Output("error_scaled", _UNITS, "its formal error times sqrt(chi2/dof)", _EACH, nan=True),
+    Output("error_jackknife", _UNITS, "its error from the solutions without each source", _EACH, nan=True),
+    Output("chi2_ratio", "", "chi2 of the tables over its average, 1 if errors are right", (), True, nan=True),
     Output("largest_share", "", "largest share of one source in the weight of a block of unknowns", nan=True),
-    *_with_errors("sigma", "", "RMS of estimate - truth of the draws", _EACH),
-    *_with_errors("bias", "", "mean of estimate - truth of the draws", _EACH, predicted=False),
+    *_with_errors("sigma", _UNITS, "RMS of estimate - truth of the draws", _EACH),
+    *_with_errors("bias", _UNITS, "mean of estimate - truth of the draws", _EACH, predicted=False),
     *_with_errors("coverage", "", "fraction of draws within their formal error of the truth", _RATIO, predicted=False),
     *_with_errors(
         "coverage_scaled", "", "fraction of draws within their scaled error of the truth", _RATIO, predicted=False
@@ -122,11 +131,21 @@ OUTPUTS = (
         "sigma_orientation", "mas", "RMS error of the orientation, over draws and axes", (), True, r"$\sigma_\epsilon$"
     ),
     *_with_errors("sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes", (), True, r"$\sigma_\omega$"),
-    Output("power", "", f"of harmonics of degree 1 to {HIGHEST_STORED}, of the tables as they are", _POWER, nan=True),
-    Output("power_noise", "", "mean power for noise alone, from the formal errors", _POWER, nan=True),
+    Output(
+        "power", _SQUARES, f"of harmonics of degree 1 to {HIGHEST_STORED}, of the tables as they are", _POWER, nan=True
+    ),
+    Output("power_noise", _SQUARES, "mean power for noise alone, from the formal errors", _POWER, nan=True),
     Output("power_probability", "", "probability that noise gives as significant a power", _CHANCE, nan=True),
-    *_with_errors("power_drawn", "", "mean power of estimate - truth of the draws", _POWER),
-    Output("spin_by_bin", "mas/yr", "spin in each bin, of the tables as they are", _BIN, nan=True),
+    *_with_errors("power_drawn", _SQUARES, "mean power of estimate - truth of the draws", _POWER),
+    Output(
+        "spin_by_bin",
+        "mas/yr",
+        "spin in each bin, of the tables as they are",
+        _BIN,
+        headline=True,
+        nan=True,
+        errors=("spin_by_bin_error",),
+    ),
     Output("spin_by_bin_error", "mas/yr", "its scaled error", _BIN, nan=True),
     *_with_errors("sigma_by_bin", "mas/yr", "RMS of estimate - truth of the draws", _BIN),
     Output("n_drawn", "", "sources that are simulated"),

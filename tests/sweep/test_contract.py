@@ -85,6 +85,14 @@ WRONG = {
     ),
     "sums that are no shapes": ({"sums": {"total": 3}}, "sums['total'] = 3: must be a shape"),
     "no sums": ({"sums": {}}, "must give the shape of each sum"),
+    "errors that are no output": (
+        {"outputs": (Output("mean", "m", "x", errors=("eror",)), Output("error", "m", "x"))},
+        "output 'mean': errors: 'eror' is no output with its dimensions and unit; did you mean 'error'?",
+    ),
+    "errors in another unit": (
+        {"outputs": (Output("mean", "m", "x", errors=("error",)), Output("error", "km", "x"))},
+        "output 'mean': errors: 'error' is no output with its dimensions and unit",
+    ),
     "unknown shared": ({"shared": ("rat",)}, "shared: 'rat' is no parameter; did you mean 'rate'?"),
     "samples alone": ({"samples": lambda p, n, r, c: {}}, "samples: needs sample_outputs"),
     "a package that is not there": ({"packages": ("nunpy",)}, "packages: 'nunpy' is not installed"),

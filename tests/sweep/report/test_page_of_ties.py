@@ -1,0 +1,142 @@
+"""What a page, a table and the answer say about a study of ties: the solution of the tables comes before the draws."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import linksweep
+from core.constants import MAS
+from core.tie.motion import propagated
+from sweep.cli import main
+from sweep.executing.choose import Resources
+from sweep.report.page import report_of
+from sweep.running.run import run_study
+from sweep.studies.reader import load_study
+from tests.core.tie.made import noise, seen_by_satellite, stars
+from tests.sweep.tie.test_tables import gaia
+
+KINDS = ("scaled", "jackknife", "formal")
+CLIPS = ("none", "discrepancy:3")
+LABELS = ("epsilon_x", "epsilon_y", "epsilon_z", "omega_x", "omega_y", "omega_z")
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """A study of radio stars whose errors are three times too small, over the clip and, in vain, the draws' errors."""
+    folder = tmp_path_factory.mktemp("ties")
+    rng = np.random.default_rng(7)
+    made = stars(25)
+    seen = replace(made, values=seen_by_satellite(made, np.array([0.4, -0.3, 0.9]) * MAS, np.zeros(3)))
+    earlier = propagated(made.values, made.radial_velocity, made.epoch, np.full(25, 2008.0))
+    earlier[0] %= 2.0 * np.pi
+    reference = replace(made, values=earlier, epoch=np.full(25, 2008.0))
+    for name, one in (("satellite", seen), ("reference", reference)):
+        gaia(folder / f"{name}.ecsv", replace(one, values=one.values + 3.0 * noise(rng, one)))
+    lines = (
+        'title = "Radio stars"',
+        'experiment = "sweep.tie.experiment:tie"',
+        "[fixed]",
+        'satellite = "satellite.ecsv"',
+        'reference = "reference.ecsv"',
+        "[axes]",
+        f"clip = {list(CLIPS)}",
+        "error_factor = [1.0, 2.0]",
+        "[sampling]",
+        "n_sim = 4",
+    )
+    (folder / "study.toml").write_text("\n".join(lines))
+    run_study(load_study(str(folder / "study.toml")), folder / "s.zarr", Resources(pool="serial"))
+    return folder / "s.zarr"
+
+
+@pytest.fixture(scope="module")
+def page(store):
+    return report_of([store])
+
+
+def links(store):
+    """The links of the same tables by `linksweep.tie`, clip by clip."""
+    tables = store.parent / "satellite.ecsv", store.parent / "reference.ecsv"
+    return {clip: linksweep.tie(*tables, "orientation,spin", clip=clip, errors=",".join(KINDS)) for clip in CLIPS}
+
+
+def tables_of(page):
+    """The tables of a page by caption: rows of text, and of numbers where cells have one."""
+    found = {}
+    for name, body in re.findall(r"<summary>(.*?) \(\d+ rows?\)</summary>(.*?)</details>", page, re.DOTALL):
+        headings = re.findall(r'<th scope="col"><button type="button">(.*?)</button>', body)
+        rows = [
+            [value or text for value, text in re.findall(r'<td[^>]*?(?:data-value="([^"]*)")?>(.*?)</td>', row)]
+            for row in re.findall(r"<tr>(<td.*?)</tr>", body, re.DOTALL)
+        ]
+        found[name] = [dict(zip(headings, row, strict=True)) for row in rows]
+    return found
+
+
+def test_a_page_has_the_estimate_and_every_kind_of_error_along_the_axes(store, page):
+    """Jackknife errors of 155 uas were nowhere on a page that headlined 31 uas."""
+    found = [t for name, t in tables_of(page).items() if name.startswith("estimate [")]
+    rows = {(row["clip"], row["component"]): row for table in found for row in table}
+    assert len(rows) == sum(map(len, found)) == 12  # not again for the errors of the draws
+    for clip, link in links(store).items():
+        for k, label in enumerate(LABELS):
+            row = rows[clip, label]
+            assert "error_factor" not in row
+            factor = {"m": 1.0, "µ": 1e3}[next(name for name in row if name.startswith("estimate"))[10]]
+            numbers = {re.sub(r" \[.*\]$", "", name): text for name, text in row.items()}
+            assert float(numbers["estimate"]) == pytest.approx(factor * float(link.estimate[k]), rel=1e-6)
+            for kind in KINDS:
+                expected = factor * float(link.errors.sel(error_kind=kind)[k])
+                assert float(numbers[f"error_{kind}"]) == pytest.approx(expected, rel=1e-6)
+
+
+def test_chi2_is_a_headline_result(store, page):
+    results = tables_of(page)["Headline results, ± their one-sigma errors"]
+    for clip, link in links(store).items():
+        ratios = [float(row["chi2_ratio"]) for row in results if row["clip"] == clip]
+        assert ratios == pytest.approx([float(link.chi2 / link.chi2_expected)] * 2)
+    assert max(float(row["chi2_ratio"]) for row in results) > 5.0  # errors are three times too small
+
+
+def test_what_the_tables_say_comes_first(store, page):
+    """In the headline of the page, in what a run prints, and in a notebook."""
+    headline = re.findall(r"<p>(.*?)</p>", re.search(r'<div class="headline">(.*?)</div>', page, re.DOTALL)[1])
+    sentences = linksweep.answer(linksweep.open(store)).sentences
+    for told in (headline, sentences):
+        assert [re.match(r"\w+", one)[0] for one in told] == ["estimate", "chi2_ratio", "sigma_orientation"]
+        assert [told[0].index(f"error_{kind}") for kind in KINDS] == sorted(told[0].index(f"error_{k}") for k in KINDS)
+        assert all(label in told[0] for label in LABELS)
+    jackknife = [float(link.errors.sel(error_kind="jackknife")[:3].max()) for link in links(store).values()]
+    assert f"to {max(jackknife):.3g} mas" in sentences[0]
+    figures = re.findall(r"<figcaption>(.*?) <span", page)
+    assert [name.split(". ")[0] for name in figures[:6]] == [f"estimate ({label})" for label in LABELS]
+    assert all("Error bars are error_scaled." in name for name in figures[:6])
+
+
+def test_show_prints_the_estimate_with_its_errors(store):
+    printed = CliRunner().invoke(main, ["show", str(store)]).output
+    link = links(store)["none"]
+    (row,) = [line.split() for line in printed.splitlines() if line.split()[:2] == ["none", "epsilon_x"]]
+    numbers = [link.estimate[0], *(link.errors.sel(error_kind=kind)[0] for kind in KINDS)]
+    factor = 1e3 if "estimate [uas]" in printed else 1.0
+    assert [float(cell) for cell in row[2:]] == pytest.approx([factor * float(one) for one in numbers], rel=0.05)
+
+
+def test_a_chi2_that_is_the_same_everywhere_is_said(store):
+    """A number that no axis changes is left out otherwise."""
+    part = linksweep.open(store).sel(clip=["none"])
+    ratio = float(links(store)["none"].chi2 / links(store)["none"].chi2_expected)
+    assert f"It is {ratio:.4g} at both points." in linksweep.answer(part).sentences[1]
+
+
+def test_without_rows_of_a_reference_nothing_is_said_of_the_tables(tmp_path):
+    study = load_study("pulsar-forecast", settings=["n_sim=2"], axes=["n_new=10,62"])
+    run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
+    page = report_of([tmp_path / "s.zarr"])
+    assert "<summary>estimate" not in page
+    assert not any(
+        "estimate (" in one or "chi2" in one for one in linksweep.answer(linksweep.open(tmp_path / "s.zarr")).sentences
+    )
