@@ -1,4 +1,6 @@
-"""Starts and ends a Dask cluster that belongs to one run, on loopback, without log messages or files left behind."""
+"""Starts and ends a Dask cluster that belongs to one run, on loopback and with temporary credentials, without log
+messages or files left behind.
+"""
 
 import asyncio
 import inspect
@@ -12,7 +14,7 @@ from functools import partial
 from typing import Any
 
 import dask
-from distributed import LocalCluster
+from distributed import LocalCluster, Worker
 
 from sweep.contract import SweepError
 from sweep.executing.forkserver import ENVIRONMENT, SAFE_PATH, signals_blocked, start_method
@@ -30,6 +32,7 @@ LOOPBACK = "127.0.0.1"
 OWN_CLUSTER = {
     "distributed.admin.low-level-log-length": 10,  # messages kept in memory, with all that they carried
     "distributed.scheduler.allowed-failures": 0,  # we do a dead worker's task again, in a child process
+    "distributed.worker.http.routes": [],  # everybody on this machine could open them
     **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
 }
 
@@ -37,6 +40,7 @@ NOT_WATCHED = {
     "distributed.worker.profile.enabled": False,  # looks at all threads a hundred times a second
     "distributed.admin.tick.interval": "1s",  # of measuring how late event loops are; by default 20 ms, in each process
     "distributed.admin.system-monitor.interval": "2s",
+    "distributed.scheduler.http.routes": [],
 }
 """Settings without a dashboard, which alone shows these measurements: they take a hundredth of a run's time."""
 
@@ -44,6 +48,15 @@ GUARD = (
     "a script that computes in worker processes must call linksweep under `if __name__ == '__main__':`, because each "
     "of them begins by running the script too; or use pool='threads'"
 )
+
+
+class _Worker(Worker):
+    """A worker in this process without Dask's pages about it: they need bokeh, and everybody on this machine could open
+    them.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **{**options, "dashboard": False})
 
 
 class NoWorkersError(SweepError, SystemExit):
@@ -79,6 +92,9 @@ def local_cluster(options: Mapping[str, Any], dashboard: bool = False, method: s
 def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None) -> Iterator[Any]:
     """Start a cluster that belongs to this run and ends with it; worker processes on this machine are started by a
     ``method`` of multiprocessing, by default that of `start_method`.
+
+    What listens asks for a key that is made for this run, because who reaches a scheduler or a worker without one can
+    run code in it.  Options that name a ``protocol`` or a ``security`` are left as they are.
     """
     with ExitStack() as stack:
         stack.enter_context(without_logs())
@@ -93,13 +109,18 @@ def own_cluster(kind: Any, options: Mapping[str, Any], method: str | None = None
                 method = method or stack.enter_context(start_method())
                 stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
                 defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # the process they are forked from has it
-            else:
-                defaults["worker_dashboard_address"] = here  # else on all addresses: such workers have no host
+                defaults["security"] = True
+            else:  # without an address on all of them: such workers have no host
+                defaults |= {"worker_class": _Worker, "worker_dashboard_address": here}
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
             defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
-        with warnings.catch_warnings():  # on a busy machine even making our own folder takes a second
-            warnings.filterwarnings("ignore", "Creating scratch directories is taking")
+            defaults["security"] = True
+        if "protocol" in options:
+            defaults.pop("security", None)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Creating scratch directories is taking")  # even our own, if it is busy
+            warnings.filterwarnings("ignore", "Using a temporary security object")  # in the folder that jobs start in
             make: Callable[[], Any] = partial(kind, **{**defaults, **options})
             made = signals_blocked(make, lambda made: made.close())
             cluster = stack.enter_context(made)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from tests.patience import PATIENCE_S
@@ -108,6 +109,32 @@ def workers_below(pid):
     of, family = parents(), sorted(below(pid))
     servers = {child for child in family if "multiprocessing.forkserver" in command_of(child)}
     return [child for child in family if "spawn_main" in command_of(child) or of.get(child) in servers]
+
+
+def listening(pids):
+    """Return the addresses, as /proc prints them, and the ports on which these processes listen."""
+    inodes = _sockets_of(pids)
+    lines = [
+        line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+    ]
+    pairs = [line[1].split(":") for line in lines if line[3] == "0A" and line[9] in inodes]
+    return [(address, int(port, 16)) for address, port in pairs]
+
+
+def unix_sockets(pids):
+    """Return the names of the sockets of these processes that have one; '@' begins those that are no files."""
+    inodes = _sockets_of(pids)
+    lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()[1:]]
+    return [line[7] for line in lines if len(line) > 7 and line[6] in inodes]
+
+
+def _sockets_of(pids):
+    """Return the numbers of all sockets of these processes."""
+    inodes = set()
+    for link in (link for pid in pids for link in Path(f"/proc/{pid}/fd").glob("*")):
+        with suppress(OSError):  # it is closed by now
+            inodes.add(os.readlink(link).removeprefix("socket:[").removesuffix("]"))
+    return inodes
 
 
 def command_of(pid):

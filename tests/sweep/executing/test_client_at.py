@@ -39,7 +39,7 @@ def test_a_server_of_another_kind_that_speaks_first():
 
 
 def test_the_address_of_a_worker():
-    with local_cluster({"n_workers": 1, "threads_per_worker": 1, "processes": True}) as cluster:
+    with local_cluster({"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}) as cluster:
         (worker,) = cluster.scheduler_info["workers"]
         with pytest.raises(SweepError, match=f"'{worker}' is the address of a Dask worker"), client_at(worker):
             pass
@@ -54,6 +54,6 @@ def test_what_is_no_address(address):
 def test_every_thread_of_a_scheduler_gets_one_of_the_first_points(coins):
     with (
         local_cluster({"n_workers": 2, "threads_per_worker": 1, "processes": True}) as cluster,
-        dask_scheduler(study_from_dict(coins), cluster.scheduler_address, None, print) as (place, _),
+        dask_scheduler(study_from_dict(coins), cluster.scheduler_address, cluster.security, print) as (place, _),
     ):
         assert place.threads == 2

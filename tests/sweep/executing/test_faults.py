@@ -13,7 +13,7 @@ import xarray as xr
 import zarr
 
 from tests.patience import PATIENCE_S
-from tests.sweep.outside import Outside, below, command_of, wait_until, workers_below
+from tests.sweep.outside import Outside, below, command_of, listening, wait_until, workers_below
 
 LONG = ("--set", "n_sim=20000", "--set", "n_cat=6")
 
@@ -243,21 +243,6 @@ def test_workers_do_not_outlive_their_client(link_study, tmp_path, start_sweep):
     wait_until(lambda: not any(command_of(pid) for pid in family), "the workers' end", 20)
 
 
-def listening(pids):
-    """Return the addresses on which these processes listen, as /proc prints them."""
-    inodes = set()
-    for pid in pids:
-        try:
-            links = [os.readlink(f"/proc/{pid}/fd/{fd}") for fd in os.listdir(f"/proc/{pid}/fd")]
-        except OSError:
-            continue
-        inodes |= {link[8:-1] for link in links if link.startswith("socket:")}
-    lines = [
-        line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
-    ]
-    return [line[1].rpartition(":")[0] for line in lines if line[3] == "0A" and line[9] in inodes]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("pool", ["processes", pytest.param("threads", marks=pytest.mark.slow)])
 def test_everything_listens_on_loopback_and_nothing_is_left(link_study, tmp_path, start_sweep, monkeypatch, pool):
@@ -267,7 +252,7 @@ def test_everything_listens_on_loopback_and_nothing_is_left(link_study, tmp_path
     process = start_sweep("run", link_study, "-o", store, *LONG, "--workers", 2, "--pool", pool, cwd=tmp_path)
     started_to_write(store, process)
     family = below(process.pid)
-    addresses = listening({process.pid, *family})
+    addresses = [address for address, _ in listening({process.pid, *family})]
     assert addresses or pool == "threads"
     assert set(addresses) <= {"0100007F"}
     assert list((tmp_path / "temporary").iterdir())

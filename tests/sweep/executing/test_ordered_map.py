@@ -12,7 +12,7 @@ from sweep.executing.local_cluster import local_cluster
 from tests.patience import PATIENCE_S
 
 EXPERIMENT = "core.experiment:link"
-ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
+ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
 
 
 @pytest.fixture(scope="module")

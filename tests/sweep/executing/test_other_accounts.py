@@ -1,0 +1,192 @@
+"""What another account of this machine can do with what a run listens on: nothing.
+
+The other account is real processes, which root alone can start; a cluster that lets everybody in shows that the
+attempts are good ones.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+
+import pytest
+
+from sweep.executing.execute import NO_LIMITS
+from sweep.executing.local_cluster import local_cluster
+from sweep.executing.ordered_map import ordered_map
+from sweep.executing.pools import POOLS
+from sweep.studies.reader import study_from_dict
+from tests.patience import PATIENCE_S
+from tests.sweep.outside import below, listening, unix_sockets, wait_until
+from tests.tiers import slow
+
+NOBODY = 65534
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root has other accounts")
+
+ATTACK = r"""
+import asyncio, json, os, pickle, socket, sys
+from urllib.request import urlopen
+from distributed import Client, Security
+from distributed.comm import connect
+
+account, ports, sockets, folders = json.loads(sys.argv[1])
+OWN = Security.temporary()
+"name".encode("idna")  # imported before this account may read nothing of Python any more
+os.setgroups([])
+os.setgid(account)
+os.setuid(account)
+TRIES_S = 5
+PAGES = ("", "status", "workers", "metrics", "health", "info/main/workers.html", "json/counts.json", "info/logs.html")
+got = []
+
+async def ask(address, security, op, **options):
+    comm = await connect(address, timeout=TRIES_S, **(security or Security()).get_connection_args("client"))
+    try:
+        await comm.write({"op": op, "reply": True, **options})
+        return await comm.read()
+    finally:
+        comm.abort()
+
+async def run(address, security):
+    async with Client(address, timeout=TRIES_S, security=security, asynchronous=True) as client:
+        return await client.run(os.getuid)
+
+async def tried(what, attempt):
+    try:
+        got.append(f"{what}: {await asyncio.wait_for(attempt, TRIES_S)}"[:300])
+    except Exception:
+        pass
+
+def opened(port, page):
+    with urlopen(f"http://127.0.0.1:{port}/{page}", timeout=TRIES_S) as answer:
+        return answer.read()[:100]
+
+async def everything():
+    attempts = []
+    for port in ports:
+        for protocol, security in (("tcp", None), ("tls", OWN)):
+            address = f"{protocol}://127.0.0.1:{port}"
+            attempts.append(tried(f"client of {address}", run(address, security)))
+            for op in ("identity", "run", "run_function"):
+                code = {} if op == "identity" else {"function": pickle.dumps(os.getuid), "wait": True}
+                attempts.append(tried(f"{op} at {address}", ask(address, security, op, **code)))
+        attempts += [tried(f"page {page!r} of {port}", asyncio.to_thread(opened, port, page)) for page in PAGES]
+    await asyncio.gather(*attempts)
+
+asyncio.run(everything())
+for name in sockets:
+    try:
+        with socket.socket(socket.AF_UNIX) as end:
+            end.connect(name.replace("@", "\0", 1))
+        got.append(f"socket {name}")
+    except Exception:
+        pass
+for folder, _, files in (found for root in folders for found in os.walk(root)):
+    for file in files:
+        try:
+            with open(os.path.join(folder, file), "rb") as opened:
+                opened.read()
+            got.append(f"file {folder}/{file}")
+        except Exception:
+            pass
+print(json.dumps(got), flush=True)
+os._exit(0)  # threads may wait for answers for ever
+"""
+
+
+def what_others_get(folders=(), pid=None):
+    """Return what another account gets from all that a process, by default this one, and those below it listen on, and
+    from these folders.
+    """
+    pid = pid or os.getpid()
+    family = {pid, *below(pid)}
+    ports = sorted({port for _, port in listening(family)})
+    found = NOBODY, ports, unix_sockets(family), list(map(str, folders))
+    done = subprocess.run(
+        [sys.executable, "-c", ATTACK, json.dumps(found)],
+        cwd="/",
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return ports, json.loads(done.stdout.splitlines()[-1])
+
+
+def test_the_attempts_succeed_where_everybody_is_let_in():
+    options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
+    with local_cluster(options) as cluster, cluster.get_client() as client:
+        client.wait_for_workers(1, PATIENCE_S)
+        ports, got = what_others_get()
+    assert len(ports) >= 3
+    assert sum(one.startswith("run at") and f"'result': {os.getuid()}" in one for one in got) >= 2, got
+    assert any(one.startswith("client of") for one in got), got
+
+
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins)
+
+
+@pytest.fixture
+def temporary(monkeypatch):
+    """An empty folder for temporary files that everybody may read, as /tmp is."""
+    folder = tempfile.mkdtemp(prefix="everybody-")
+    os.chmod(folder, 0o777)
+    monkeypatch.setattr(tempfile, "tempdir", folder)
+    yield folder
+    shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("pool", ["processes", slow("threads")])
+def test_a_pool_lets_nobody_in(study, temporary, pool):
+    with POOLS[pool].open(study, 2, print, NO_LIMITS, False):
+        ports, got = what_others_get([temporary])
+    assert ports
+    assert not got
+
+
+@pytest.mark.slow
+def test_pieces_of_tables_are_worked_on_where_nobody_else_gets_in(temporary):
+    with ordered_map(2, None, "core.experiment:link") as mapped:
+        assert list(mapped(pow, [(2, 3)])) == [8]
+        ports, got = what_others_get([temporary])
+    assert ports
+    assert not got
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "text",
+    [
+        'class = "distributed.LocalCluster"\nscale = 1\n[options]\nn_workers = 0\n',
+        'class = "dask_jobqueue.local.LocalCluster"\nscale = 1\n[options]\ncores = 1\nmemory = "1GB"\n',
+    ],
+)
+def test_a_cluster_of_a_file_runs_nothing_for_others(tmp_path, start_sweep, text):
+    """Its dashboard may be looked at."""
+    (tmp_path / "c.toml").write_text(text)
+    (tmp_path / "slow.py").write_text("import time\ndef slow(x: float = 1.0):\n    time.sleep(1)\n    return x\n")
+    run = ("run", "slow.py:slow", "--axis", "x=1:1000:1", "--cluster", "c.toml", "-o", "s.zarr")
+    process = start_sweep(*run, cwd=tmp_path)
+    try:
+        wait_until((tmp_path / "s.zarr").exists, "a store, which is made once there are workers")
+        ports, got = what_others_get(pid=process.pid)
+    finally:
+        process.terminate()
+        _, err = process.communicate(timeout=PATIENCE_S)
+    assert len(ports) >= 3, err
+    assert {one.split()[0] for one in got} <= {"page"}, got
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pool", ["processes", "threads"])
+def test_a_dashboard_runs_nothing_for_others(study, temporary, pool):
+    pytest.importorskip("bokeh")
+    with POOLS[pool].open(study, 1, print, NO_LIMITS, True):
+        _, got = what_others_get([temporary])
+    assert {one.split()[0] for one in got} == {"page"}
