@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from string import Formatter
 
@@ -10,15 +9,15 @@ import numpy as np
 import xarray as xr
 
 from sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
-from sweep.analysis.gaps import ends_of, exact, numbers_of
+from sweep.analysis.gaps import ends_of, exact, lacking, numbers_of
 from sweep.analysis.long_table import own_dimensions
-from sweep.analysis.measured_claims import Measured, OutsideGridError, in_words, measure, unit_of
+from sweep.analysis.measured_claims import NOT_DONE, Measured, OutsideGridError, in_words, measure, unit_of
 from sweep.analysis.quantity import errors_beside, headlines, standard_error
 from sweep.analysis.selection import place_in_words, places_along
 from sweep.analysis.sentences import sentences
 from sweep.attributes import meaning_beside, units_of
 from sweep.contract import Array, SweepError
-from sweep.planning.point_status import Status, count_status, unfinished_in_words
+from sweep.planning.point_status import Status
 from sweep.readable import in_ascii, in_short, prefixed, with_unit
 from sweep.studies.form import Conclusion, ConclusionValue
 
@@ -63,8 +62,13 @@ def said_first(dataset: xr.Dataset) -> list[str]:
 
 
 def answers(dataset: xr.Dataset) -> list[Answer]:
-    """Return what the results say about each headline quantity, or about each of its components if it has any."""
-    found, first = [], said_first(dataset)
+    """Return what the results say about each headline quantity, or about each of its components if it has any; nothing
+    before a point is done.
+    """
+    found: list[Answer] = []
+    if not (dataset["status"] == Status.DONE).any():
+        return found
+    first = said_first(dataset)
     for variable in dict.fromkeys([*first, *headlines(dataset)]):
         meaning, own = meaning_beside(variable, dataset[variable].attrs), own_dimensions(dataset, variable)
         if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
@@ -84,17 +88,10 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
 
 def completeness(dataset: xr.Dataset) -> list[str]:
     """Return sentences about what these results lack; none if every point of the study is done."""
-    counts = count_status(dataset["status"].values)
-    wanted = sum(counts.values()) - counts[Status.EXCLUDED]
-    if lacking := unfinished_in_words(counts):
-        return [
-            f"Incomplete: {counts[Status.DONE]:,} of {wanted:,} points are done, {lacking}. "
-            "What follows is about those that are done."
-        ]
-    of_all = wanted == dataset.attrs.get("points", wanted)  # those of a selection may all be done
-    if of_all and not dataset.attrs.get("complete"):
-        return ["Incomplete: the store says that its run did not end."]
-    return []
+    if not (words := lacking(dataset)):
+        return []
+    some = bool((dataset["status"] == Status.DONE).any())
+    return [f"Incomplete: {words}." + (" What follows is about those that are done." if some else "")]
 
 
 def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
@@ -152,8 +149,9 @@ def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterato
 def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
     """Return the sentences of the study's conclusion that this grid can fill, with the numbers of its results.
 
-    A number that is not known yet is shown as ``[not done yet]``.  If a number does not meet its condition, or if its
-    error is not known, the sentence says so.  Sentences about points that this grid does not have are left out.
+    A sentence of which a number is missing is left out, and the last sentence says so.  If a number does not meet its
+    condition, or if its error is not known, the sentence says that.  Sentences about points that this grid does not
+    have are left out.
     Raises SweepError for a conclusion that cannot be read.
     """
     if CONCLUSION not in dataset.attrs:
@@ -162,14 +160,26 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
         conclusion = Conclusion.model_validate_json(dataset.attrs[CONCLUSION])
     except (ValueError, TypeError) as error:
         raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
-    sentences = []
+    found, missing = [], []
     for sentence in conclusion.sentences:
-        with suppress(OutsideGridError):
-            sentences.append(_filled(dataset, conclusion, sentence))
-    return sentences
+        try:
+            found.append(_filled(dataset, conclusion, sentence))
+        except OutsideGridError:
+            continue
+        except _MissingError as error:
+            missing.append(str(error).partition(":")[0])
+    if missing:
+        more = "No further conclusion" if found else "No conclusion yet" if missing[0] == NOT_DONE else "No conclusion"
+        found.append(f"{more}: numbers that it needs are missing ({', '.join(dict.fromkeys(missing))}).")
+    return found
+
+
+class _MissingError(ValueError):
+    """A number of a sentence is missing, for the reason that this says."""
 
 
 def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
+    """Return a sentence with its numbers; raises _MissingError, and OutsideGridError as `measure` does."""
     pieces: list[str] = []
     unmet: list[str] = []
     unjudged: list[str] = []
@@ -180,13 +190,15 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
             continue
         value = conclusion.values[name]
         measured, quantity = _measured(dataset, value), value.quantity()
+        if measured.missing:
+            raise _MissingError(measured.missing)
         unit = unit_of(dataset, quantity)
         if before is not None and text == PLUS_MINUS and not form and before[1] == unit and measured.value > 0.0:
             pieces[-2:] = [with_unit(before[0], measured.value, unit)]
         else:
             pieces.append(_number(measured, unit, form or ""))
-        before = None if form or measured.missing else (measured.value, unit)
-        if measured.missing or not value.has_bounds:
+        before = None if form else (measured.value, unit)
+        if not value.has_bounds:
             continue
         if not math.isfinite(measured.error):
             unjudged.append(in_words(quantity))
@@ -205,7 +217,7 @@ def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
     places = measure(dataset, value, value.quantity())
     measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
     if not measured:
-        return Measured({}, missing="not done yet")
+        return Measured({}, missing=NOT_DONE)
     if missing := [one for one in measured if one.missing or not math.isfinite(one.value)]:
         return missing[0] if missing[0].missing else Measured({}, missing="not a finite number")
     pick = max if value.choose == "largest" else min
@@ -213,8 +225,6 @@ def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
 
 
 def _number(measured: Measured, unit: str, form: str) -> str:
-    if measured.missing:
-        return f"[{measured.missing.partition(':')[0]}]"
     if form == "%":
         return f"{in_short(100.0 * measured.value, 100.0 * measured.error)} %"
     if form == "error":

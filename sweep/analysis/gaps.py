@@ -1,4 +1,6 @@
-"""Integers that are missing, which a dataset marks by a number where one of them is too large for a float."""
+"""What results lack: points that are not done, and integers that are missing, which a dataset marks by a number where
+one of them is too large for a float.
+"""
 
 from typing import Any
 
@@ -8,7 +10,21 @@ from numpy.typing import NDArray
 
 from sweep.contract import Array
 from sweep.functions.layout import MISSING_INT
-from sweep.planning.point_status import Status
+from sweep.planning.point_status import Status, count_status, unfinished_in_words
+
+
+def lacking(dataset: xr.Dataset) -> str:
+    """Return in words what these results lack; '' if every point of the study, or of the part that was chosen, is done.
+
+    >>> lacking(xr.Dataset({"status": ("x", [1, 1, 2])}))
+    '2 of 3 points are done, 1 failed'
+    """
+    counts = count_status(dataset["status"].values)
+    wanted = sum(counts.values()) - counts[Status.EXCLUDED]
+    if unfinished := unfinished_in_words(counts):
+        return f"{counts[Status.DONE]:,} of {wanted:,} points are done, {unfinished}"
+    of_all = wanted == dataset.attrs.get("points", wanted)  # those of a selection may all be done
+    return "the store says that its run did not end" if of_all and not dataset.attrs.get("complete") else ""
 
 
 def gaps_of(dataset: xr.Dataset, variable: str) -> NDArray[np.bool_] | None:

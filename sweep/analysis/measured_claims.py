@@ -20,6 +20,9 @@ from sweep.studies.form import Claim, Derived, Ratio, Reading, Slope
 
 Index = Mapping[str, int]
 
+NOT_DONE = "not done yet"
+"""Why a number is missing before its points are done."""
+
 
 class OutsideGridError(Exception):
     """A claim is about a place or a result that this store does not have."""
@@ -189,4 +192,4 @@ def _component(dataset: xr.Dataset, variable: str, component: str | None) -> dic
 def _why(codes: set[int], subject: str) -> str:
     if Status.FAILED in codes:
         return f"failed: {subject}"
-    return f"excluded by the study: {subject}" if Status.EXCLUDED in codes else f"not done yet: {subject}"
+    return f"excluded by the study: {subject}" if Status.EXCLUDED in codes else f"{NOT_DONE}: {subject}"

@@ -51,8 +51,10 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
     known_ones = [words for words, error in of.items() if error is not None and bool(error.notnull().any())]
     origin = " and ".join(known_ones).replace("catalogue", outer_draw_of(part.attrs))
-    yield _range(part, variable, finite, errors, unit)
-    yield _what_changes_it(dims, values)
+    unfinished = bool(part["status"].isin([Status.MISSING, Status.FAILED]).any())
+    all_of = "" if unfinished else "all "
+    yield _range(part, variable, finite, errors, unit, all_of)
+    yield "" if unfinished else _what_changes_it(dims, values)
     yield _accuracy(values[finite], errors[finite], origin)
     for whole in unknown_parts(part, variable):
         sentence = whole.removeprefix(f"{variable}: ")
@@ -62,13 +64,13 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
         without_bias = whole_name not in part and errors_alone in part and "bias" in part
         left_out = ", which leaves a bias out" if without_bias else ""
-        yield _agreement(values, errors, predicted.transpose(*dims).values, left_out)
+        yield _agreement(values, errors, predicted.transpose(*dims).values, left_out, all_of)
     if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
         points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
         yield f"At {points} done it is not a finite number."
 
 
-def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: Array, unit: str) -> str:
+def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: Array, unit: str, all_of: str) -> str:
     values = exact(part[variable].values)
 
     def number(index: tuple[Any, ...]) -> str:
@@ -81,7 +83,7 @@ def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: A
     if count == 1:
         return f"One point has a value: {number(low)} at {_place(part, low)}."
     if values[low] == values[high]:
-        return f"It is {number(low)} at {_all(count, 'point')}."
+        return f"It is {number(low)} at {_counted(all_of, count, 'point')}."
     return (
         f"Over {count:,} points it goes from {number(low)}, at {_place(part, low)}, "
         f"to {number(high)}, at {_place(part, high)}."
@@ -144,14 +146,14 @@ def _accuracy(values: Array, errors: Array, origin: str) -> str:
     return f"Its one-sigma error, from {origin}, is {share} % of it."
 
 
-def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) -> str:
+def _agreement(values: Array, errors: Array, predicted: Array, left_out: str, all_of: str) -> str:
     both = np.isfinite(values) & np.isfinite(predicted) & (predicted != 0.0)
     count = int(both.sum())
     if not count:
         return ""
     farthest = float(np.max(np.abs(values[both] / predicted[both] - 1.0)))
     if farthest < ROUNDING:
-        everywhere = "" if count == 1 else f" at {_all(count, 'point')}"
+        everywhere = "" if count == 1 else f" at {_counted(all_of, count, 'point')}"
         return f"It equals its prediction{left_out}{everywhere}, except for rounding."
     text = f"{_in_two_digits(100.0 * farthest)} %"
     if not (errors[both] > 0.0).all():
@@ -163,12 +165,12 @@ def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) ->
     apart += " error" if largest == 1.0 else " errors"
     if count == 1:
         return f"It is {apart}, or {text}, from its prediction{left_out}."
-    share = f"{_all(count, 'value')} are" if within == count else f"{within} of {count:,} values are"
+    share = f"{_counted(all_of, count, 'value')} are" if within == count else f"{within} of {count:,} values are"
     return (
         f"{share.capitalize()} within {ERRORS_ALLOWED:g} of their errors of the prediction{left_out}; "
         f"the largest difference is {apart}, or up to {text}."
     )
 
 
-def _all(count: int, noun: str) -> str:
-    return f"both {noun}s" if count == 2 else f"all {counted(count, noun)}"
+def _counted(all_of: str, count: int, noun: str) -> str:
+    return f"both {noun}s" if count == 2 and all_of else f"{all_of}{counted(count, noun)}"

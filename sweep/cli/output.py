@@ -81,6 +81,7 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
     """Print the results of a dataset, the components of some points if they are wanted, and warnings."""
     from sweep.analysis import components, headline_table, long_table
     from sweep.analysis.columns import left_out_in_words
+    from sweep.analysis.gaps import lacking
 
     if table_format == "text":
         width = table_width()
@@ -98,9 +99,8 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
             print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --format csv has them"])
         if left_out := headline_table.rows_left_out(dataset):
             click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
-        if not dataset.attrs.get("complete"):
-            done, points = (dataset.attrs.get(name, 0) for name in ("points_done", "points"))
-            click.echo(f"INCOMPLETE: {done:,} of {points:,} points of the study are done")
+        if words := lacking(dataset):
+            click.echo(f"INCOMPLETE: {words}")
     else:
         write = {"csv": long_table.as_csv, "ecsv": long_table.as_ecsv, "json": long_table.as_json}[table_format]
         click.echo(write(dataset).rstrip("\n"))

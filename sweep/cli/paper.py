@@ -21,7 +21,10 @@ if TYPE_CHECKING:
     from sweep.stores.location import Location
 
 all_option = click.option(
-    "--all", "everything", is_flag=True, help="The whole paper: every built-in study, run if it has not been yet."
+    "--all",
+    "everything",
+    is_flag=True,
+    help="The whole paper: every built-in study (that has something published), run if it has not been yet.",
 )
 results_option = click.option("--results", type=FILE, help="Folder with the stores of --all.  [default: results]")
 
@@ -48,16 +51,20 @@ class AskedStores:
                 "--results, what to run on and how to watch it go with --all: nothing runs without it"
             )
 
-    def found(self) -> "tuple[Location, ...]":
-        """Return the stores; with --all, first run the unfinished studies that have something published."""
+    def found(self, published: bool = False) -> "tuple[Location, ...]":
+        """Return the stores; with --all, first run the unfinished studies: all, or those with something published."""
         if not self.everything:
             return self.stores
-        from sweep.paper.published_stores import published_studies, store_of, unfinished
+        from sweep.paper.published_stores import lacks_packages, paper_studies, store_of, unfinished
         from sweep.stores.location import located
         from sweep.stores.named import RESULTS
 
         results = self.results or RESULTS
-        studies = published_studies()
+        studies = paper_studies(published)
+        lacking = {study.name: words for study in studies if (words := lacks_packages(study, results))}
+        for name, words in lacking.items():
+            click.echo(f"left out: {name}: {words}", err=True)
+        studies = [study for study in studies if study.name not in lacking]
         for study in unfinished(studies, results):
             if self.watching.level < logging.ERROR:
                 click.echo(f"{study.name}:", err=True)
@@ -88,7 +95,7 @@ def compare(asked: AskedStores, table_format: str, as_json: bool) -> None:
     from sweep.paper.published_stores import compare_stores
 
     asked.require_either()
-    comparisons, remarks = compare_stores(asked.found())
+    comparisons, remarks = compare_stores(asked.found(published=True))
     print_comparisons(comparisons, remarks, table_format)
     if not all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)

@@ -1,4 +1,4 @@
-"""The stores to compare with published numbers: those a user names, or those of the built-in studies that have some."""
+"""The stores of a report or a comparison: those a user names, or those of the built-in studies."""
 
 import tomllib
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from sweep.analysis.compare import Comparison, compare, remarks
 from sweep.contract import SweepError
+from sweep.planning.checked_grid import make_grid
 from sweep.running.run import plan_study
 from sweep.stores.location import Where, located, reading
 from sweep.stores.opened import OpenStore
@@ -42,13 +43,12 @@ def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]
     return comparisons, sentences
 
 
-def published_studies() -> list[Study]:
-    """Return the built-in studies that have published numbers or claims; raises SweepError like `load_study`.
-
-    The others are not even checked, because a study may need an optional package.
+def paper_studies(published: bool) -> list[Study]:
+    """Return the built-in studies, or those that have ``published`` numbers or claims; raises SweepError like
+    `load_study`.
     """
     documents = {name: tomllib.loads(path.read_text(encoding="utf-8")) for name, path in built_in_studies().items()}
-    names = [name for name, document in documents.items() if "published" in document or "claim" in document]
+    names = [n for n, document in documents.items() if not published or {"published", "claim"} & document.keys()]
     others = sorted(set(names).difference(PAPER_ORDER))
     return [load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
 
@@ -67,6 +67,18 @@ def unfinished(studies: Sequence[Study], results: Path) -> list[Study]:
     for study in pending:
         plan_study(study, store_of(study, results))
     return pending
+
+
+def lacks_packages(study: Study, results: Path) -> str:
+    """Return which optional packages must be installed to run a study; '' if none, or if its store is finished."""
+    if _is_finished(study, store_of(study, results)):
+        return ""
+    try:
+        make_grid(study)
+    except SweepError as error:
+        found = [problem for problem in error.problems if "pip install" in problem]
+        return found[0] if len(found) == len(error.problems) else ""
+    return ""
 
 
 def _is_finished(study: Study, store: Where) -> bool:

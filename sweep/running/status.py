@@ -27,8 +27,8 @@ from sweep.stores.store import BLOCKS
 from sweep.studies.record import recorded_study
 from sweep.studies.study import Study
 
-PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "finished", "host", "git_commit", "versions")
-"""Attributes of a store that its status shows."""
+PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit", "versions")
+"""Attributes of a store that its status shows.  Not ``finished``, which is the time of the last writing."""
 
 
 def status_report(store: Where) -> dict[str, Any]:

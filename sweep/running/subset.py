@@ -44,7 +44,8 @@ def part_of_larger(store: OpenStore, grid: Grid) -> "xr.Dataset | None":
     fewer = part["status"].size < dataset["status"].size
     less = any(dataset.attrs[key] > number for key, number in study.numbers().items())
     less |= dataset.attrs.get("precision") != study.sampling.precision
-    return part.transpose(*grid.dimensions, ...) if fewer or less else None
+    own = {"points": part["status"].size, "points_done": part["status"].size, "complete": 1, "failures": "{}"}
+    return part.transpose(*grid.dimensions, ...).assign_attrs(own) if fewer or less else None
 
 
 def _enough_realisations(attributes: dict[str, Any], grid: Grid) -> bool:

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,12 @@ from sweep.analysis.measured_claims import claims_of
 from sweep.cli import main
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
-from sweep.paper.published_stores import published_studies, store_of, unfinished
+from sweep.paper.published_stores import lacks_packages, paper_studies, store_of, unfinished
 from sweep.planning.point_status import Status
 from sweep.running.run import run_study
 from sweep.studies.form import printed_rounding
 from sweep.studies.reader import load_study, study_from_dict
+from sweep.studies.source import built_in_studies
 from tests.conftest import COINS
 
 ROOT = Path(__file__).parents[3]
@@ -680,7 +682,7 @@ def test_bad_input_is_exit_code_2(coins, tmp_path, monkeypatch, arguments, phras
 
 def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_study):
     monkeypatch.setattr("sweep.paper.published_stores.built_in_studies", lambda: {str(coin_study): coin_study})
-    studies, results = published_studies(), tmp_path / "results"
+    studies, results = paper_studies(published=True), tmp_path / "results"
     assert [s.name for s in unfinished(studies, results)] == ["study"]
     run_study(studies[0], store_of(studies[0], results), SERIAL)
     assert unfinished(studies, results) == []
@@ -688,10 +690,10 @@ def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_stud
     run_study(overridden, store_of(overridden, results), SERIAL)
     assert len(unfinished(studies, results)) == 1  # complete, but not what the study asks for
     coin_study.write_text(coin_study.read_text().replace('"0.5"', '"0.4"'))
-    assert len(unfinished(published_studies(), results)) == 1
+    assert len(unfinished(paper_studies(published=True), results)) == 1
     coin_study.write_text(coin_study.read_text().replace("seed = 7", "seed = 8"))
     with pytest.raises(SweepError, match="a different study"):
-        unfinished(published_studies(), results)
+        unfinished(paper_studies(published=True), results)
 
 
 def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coin_study):
@@ -705,11 +707,18 @@ def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coin_study):
 
 
 def test_the_built_in_studies_that_publish_something():
-    studies = {study.name: study for study in published_studies()}
+    studies = {study.name: study for study in paper_studies(published=True)}
     assert "quasars" in studies
     assert not {"grid", "gaia-releases"} & set(studies)  # the second needs a package that may not be there
     assert studies["quasars"].published.tolerance == 0.07
     assert len(studies["quasars"].claims) == 2
+    assert {study.name for study in paper_studies(published=False)} == set(built_in_studies())
+
+
+def test_a_study_that_needs_a_package_is_left_out_by_name(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygaia", None)
+    assert not lacks_packages(load_study("grid"), tmp_path)
+    assert "pip install 'linksweep[gaia]'" in lacks_packages(load_study("gaia-releases"), tmp_path)
 
 
 def test_the_claims_of_the_document_are_valid(tmp_path):

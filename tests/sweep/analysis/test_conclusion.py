@@ -90,9 +90,11 @@ def test_what_is_not_there_is_said_or_left_out(dataset_of):
     dataset = dataset_of("quasars")
     status = dataset["status"].copy(deep=True)
     status.loc[AT] = Status.MISSING
-    assert concluding(dataset.assign(status=status), "{gaia}", gaia=GAIA) == ["[not done yet]"]
+    said = concluding(dataset.assign(status=status), "It is {gaia}.", gaia=GAIA)
+    assert said == ["No conclusion yet: numbers that it needs are missing (not done yet)."]
     status.loc[AT] = Status.FAILED
-    assert concluding(dataset.assign(status=status), "{gaia}", gaia=GAIA) == ["[failed]"]
+    said = concluding(dataset.assign(status=status), "It is {gaia}.", "Few.", gaia=GAIA)
+    assert said == ["Few.", "No further conclusion: numbers that it needs are missing (failed)."]
     beyond = {"value": {"variable": "sigma_spin", "at": {"model": "gaia", "v_max": 21.0}}}
     assert concluding(dataset, "{beyond}", "{gaia}!", beyond=beyond, gaia=GAIA)[0].endswith("!")
 

@@ -15,6 +15,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
+import linksweep
 from sweep.analysis.answer import answers, completeness
 from sweep.cli import main
 from sweep.contract import SweepError
@@ -120,6 +121,34 @@ def test_what_is_missing_is_said_and_does_not_count():
         "Incomplete: 3 of 5 points are done, 1 missing and 1 failed. What follows is about those that are done."
     ]
     assert completeness(grid(VALUES)) == []
+
+
+def test_what_holds_of_some_points_is_not_said_of_all():
+    status = np.full((2, 3), Status.DONE)
+    status[0, 0] = Status.FAILED
+    values = np.where(status == Status.DONE, 7.0, np.nan)
+    text = sentences(grid(values, status, mc_error=0.1 * values, predicted=values))
+    assert "It is 7.00 ± 0.70 mas at 5 points." in text
+    assert "It equals its prediction at 5 points" in text
+    assert "all" not in text
+    assert "What changes it" not in sentences(grid(np.where(status == Status.DONE, VALUES, np.nan), status))
+
+
+@pytest.mark.parametrize("undone", [Status.MISSING, Status.FAILED])
+def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
+    """Neither on a page nor in a notebook, a caption or a terminal."""
+    dataset = dataset_of("algorithm")
+    values = {name: array * np.nan for name, array in dataset.data_vars.items() if array.dtype.kind == "f"}
+    status = dataset["status"] * 0 + undone
+    nothing = dataset.assign(values | {"status": status}).assign_attrs(complete=0)
+    said = [f"Incomplete: 0 of {nothing['status'].size} points are done, {nothing['status'].size} {undone.word}."]
+    no = "No conclusion yet" if undone == Status.MISSING else "No conclusion"
+    reason = "not done yet" if undone == Status.MISSING else "failed"
+    said.append(f"{no}: numbers that it needs are missing ({reason}).")
+    assert linksweep.answer(nothing).sentences == said
+    found = section("s", nothing, 1, 100)
+    assert [*found.gaps, *found.short, *found.answers] == said
+    assert "[not done" not in report_page([("s.zarr", nothing)])
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import random
 import pytest
 import xarray as xr
 
+import linksweep
 from sweep.contract import SweepError
 from sweep.executing.choose import Resources
 from sweep.running.run import plan_study, run_study
@@ -85,3 +86,20 @@ def test_another_version_of_the_experiment_is_refused(coins, tmp_path, monkeypat
     newer = replace(study_from_dict(coins), experiment=replace(study_from_dict(coins).experiment, version=2))
     with pytest.raises(SweepError, match="experiment_version: 1 in the store, 2 in the study"):
         run_study(newer, tmp_path / "s.zarr", SERIAL)
+
+
+def test_points_that_are_all_there_are_not_called_incomplete(tmp_path, sweep):
+    """Neither where a study asks for them of a larger store, nor where they are chosen to be shown."""
+    (tmp_path / "f.py").write_text("def f(x: float):\n    return 1.0 / (x - 3.0)\n")
+    whole = ("run", "f.py:f", "-o", "s.zarr", "--axis", "x=1,2,3,4")
+    code, out, _ = sweep(*whole, cwd=tmp_path)
+    assert (code, "INCOMPLETE: 3 of 4 points are done, 1 failed" in out) == (1, True)
+    for asked in (
+        ("run", "f.py:f", "-o", "s.zarr", "--axis", "x=1,2,4"),
+        ("show", "s.zarr", "--at", "x=2"),
+    ):
+        code, out, _ = sweep(*asked, cwd=tmp_path)
+        assert code == 0
+        assert "INCOMPLETE" not in out
+    part = linksweep.run(f"{tmp_path}/f.py:f", tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 4.0]})
+    assert (part.attrs["complete"], part.attrs["points"], part.attrs["points_done"]) == (1, 3, 3)

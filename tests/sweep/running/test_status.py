@@ -63,6 +63,13 @@ def test_each_axis_counts_points_and_realisations(stopped):
     assert tin.done == 0
 
 
+def test_a_run_that_goes_on_is_not_said_to_have_finished(stopped, sweep):
+    code, out, _ = sweep("status", stopped)
+    assert code == 0
+    assert "last written: " in out
+    assert "finished" not in out
+
+
 def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path):
     tuning = Tuning(most_blocks=1, long_write_bytes=0)  # so that an interruption leaves the first dataset
     with pytest.raises(RunInterruptedError):
