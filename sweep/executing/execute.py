@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
-from sweep.executing.isolated import run_guarded
+from sweep.executing.isolated import Children
 from sweep.executing.task import PointBlock, Task, TaskResult
 from sweep.executing.versions import identity
 from sweep.executing.worker import run_task
@@ -80,33 +80,38 @@ def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS, enoug
 
 
 @contextmanager
-def serial(study: Study, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
+def serial(study: Study, limits: Limits = NO_LIMITS, apart: bool = False) -> Iterator[tuple[Place, Executor]]:
     """Give an executor that computes one task after the other in this process: the definition of the result.
 
-    With limits each task runs in a child process, since this one must not be ended.
+    With limits, or ``apart``, a child process computes them, since this one must not be ended or changed.
     """
-    expected = identity(study.experiment_reference)
+    with ExitStack() as stack:
+        stack.enter_context(threadpool_limits(1))  # sums of products must not depend on the number of cores
+        compute: Callable[[Task], TaskResult] = run_task
+        if apart or limits:
+            children = Children(identity(study.experiment_reference), limits.memory, forked=True)
+            compute = stack.enter_context(children).run
 
-    def run(take: Take) -> Results:
-        while batches := take(1):
-            task = make_task(study, batches[0], limits)
-            yield batches[0], run_guarded(task, expected, limits.memory) if limits else run_task(task)
+        def run(take: Take) -> Results:
+            while batches := take(1):
+                yield batches[0], compute(make_task(study, batches[0], limits))
 
-    with threadpool_limits(1):  # sums of products must not depend on the number of cores
-        yield Place("this process", 1), run
+        yield Place("one process" if apart else "this process", 1), run
 
 
 @contextmanager
 def measured_first(
     study: Study, cost: float, cores: int, elsewhere: Callable[[], Opened], say: Say
 ) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor for work of unknown length: it computes in this process and measures the time, until
+    """Give an executor for work of unknown length: it computes in one process and measures the time, until
     what is left is worth the start of workers ``elsewhere``, which then do the rest.
 
-    ``cost`` is that of all work, in the unit of `Work.cost`.
+    The process is this one for code of linksweep's own, and a child for that of others.  ``cost`` is that of all work,
+    in the unit of `Work.cost`.
     """
     with ExitStack() as stack:
-        here = stack.enter_context(serial(study))
+        first = stack.enter_context(ExitStack())
+        place, compute = first.enter_context(serial(study, apart=not study.is_ours))
         moved: list[Executor] = []
 
         def run(take: Take) -> Results:
@@ -114,21 +119,22 @@ def measured_first(
                 yield from moved[0](take)
                 return
             done = busy = 0.0
-            for works, result in here[1](take):
+            for works, result in compute(take):
                 yield works, result
                 done += sum(work.cost for work in works) * len(result.seconds) / sum(len(w.points) for w in works)
                 busy += float(result.seconds.sum())
                 left = max(0.0, cost - done) * busy / max(done, 1e-9)
                 if busy > JUDGED_S and left * (1.0 - 1.0 / cores) > WORKERS_START_S:
-                    place, executor = stack.enter_context(elsewhere())
+                    first.close()
+                    there, executor = stack.enter_context(elsewhere())
                     moved.append(executor)
-                    say(f"the first points took long enough: the rest is done on {place.words}")
-                    if place.dashboard:
-                        say(f"Dask dashboard: {place.dashboard}")
+                    say(f"the first points took long enough: the rest is done on {there.words}")
+                    if there.dashboard:
+                        say(f"Dask dashboard: {there.dashboard}")
                     yield from executor(take)
                     return
 
-        yield Place("this process"), run
+        yield Place(place.words), run
 
 
 def available_cores() -> int:

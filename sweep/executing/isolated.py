@@ -1,20 +1,23 @@
-"""Runs a task in a child process, so that a block that ends its process ends nothing else and can be identified."""
+"""Runs tasks in a child process, so that a block that ends its process ends nothing else and can be identified."""
 
+import fcntl
+import multiprocessing
 import os
-import pickle
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import IO
+from typing import IO, Any
 
 from sweep.contract import SweepError
 from sweep.executing.deadlines import Deadlines
+from sweep.executing.own_process import ignored
 from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, joined, too_long
 from sweep.executing.together import takes_several
 from sweep.executing.versions import Identity, differences, identity
@@ -22,7 +25,7 @@ from sweep.executing.worker import ENOUGH_S, run_units
 from sweep.load import load_experiment, provide, sources_of
 
 TRIES = 2
-"""How often a block may end its child: with the worker that it ended before, that makes three times."""
+"""How often a block may end its child, when it is known which block it was."""
 
 MEMORY_SHARE = 0.95
 """Share of the memory limit at which a child is ended, the same at which Dask's nanny ends a worker."""
@@ -30,8 +33,17 @@ MEMORY_SHARE = 0.95
 LOOK_EVERY_S = 0.05
 """Seconds between two looks at the child's memory."""
 
+SEND_EVERY_S = 0.02
+"""Seconds of work whose results a child sends together."""
+
 LAST_WORDS = 4096
 """Bytes that are kept of the end of what a child wrote to standard error."""
+
+END_S = 1.0
+"""Seconds that a child gets to end by itself: threads and files that an experiment leaves may keep it."""
+
+NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy")
+"""Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever."""
 
 
 def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> TaskResult:
@@ -41,33 +53,104 @@ def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> Tas
 
     Raises SweepError where the child cannot start or is not as ``expected``.
     """
-    parts = [_Part(unit) for unit in task.units]
-    width = load_experiment(task.experiment_reference, digest=task.source_digest).sums_width
-    enough = time.monotonic() + max(ENOUGH_S, task.enough_s)
-    while pending := [part for part in parts if part.result is None]:
-        if pending[0].whole and pending[0] is not parts[0] and time.monotonic() > enough:
-            break
-        death = _run_child(task, pending, expected, memory_limit, enough)
-        if death is None:
-            continue
-        guilty = next(part for part in pending if part.result is None)
-        if len(guilty.unit.points) > 1:  # which of those that share the draw is to blame?
-            place = parts.index(guilty)
-            alone = (replace(guilty.unit, points=(own,)) for own in guilty.unit.points)
-            parts[place : place + 1] = [_Part(unit, whole=False) for unit in alone]
-            continue
-        guilty.deaths += 1
-        if death.kind == "time limit" or guilty.deaths >= TRIES:
-            for part in pending:
-                same_point = (part.unit.stream, part.unit.points) == (guilty.unit.stream, guilty.unit.points)
-                if part.result is None and same_point:
-                    part.result = failed(1, width, death)
-    results: list[TaskResult] = []
-    for part in parts:
-        if part.result is None:
-            break
-        results.append(part.result)
-    return joined(results)
+    with Children(expected, memory_limit) as children:
+        return children.run(task)
+
+
+class Children:
+    """Computes tasks in a child process, which lives on for the next task unless a block ends it; then another one
+    takes its place.
+
+    With ``forked`` it is a copy of this process where there can be one, which starts in milliseconds and has every
+    function that this one has; else a new process, which imports or unpickles what it needs.
+    """
+
+    def __init__(self, expected: Identity, memory_limit: int | None = None, *, forked: bool = False) -> None:
+        self._expected, self._memory_limit, self._forked = expected, memory_limit, forked
+        self._child: _Forked | _New | None = None
+
+    def __enter__(self) -> "Children":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
+        self._end(END_S if kind is None else 0.0)
+
+    def _end(self, patience_s: float) -> None:
+        child, self._child = self._child, None
+        if child is not None:
+            child.end(patience_s)
+
+    def run(self, task: Task) -> TaskResult:
+        """Compute a task as `run_guarded` does."""
+        parts = [_Part(unit) for unit in task.units]
+        width = load_experiment(task.experiment_reference, digest=task.source_digest).sums_width
+        enough = time.monotonic() + max(ENOUGH_S, task.enough_s)
+        one_by_one = task.time_limit_s is not None
+        while pending := [part for part in parts if part.result is None]:
+            if pending[0].whole and pending[0] is not parts[0] and time.monotonic() > enough:
+                break
+            death = self._attempt(task, pending, one_by_one, enough)
+            if death is None:
+                continue
+            guilty = next(part for part in pending if part.result is None)
+            if not one_by_one and len(pending) > 1:  # it is not known how far the child came
+                one_by_one = True
+                continue
+            if len(guilty.unit.points) > 1:  # which of those that share the draw is to blame?
+                place = parts.index(guilty)
+                alone = (replace(guilty.unit, points=(own,)) for own in guilty.unit.points)
+                parts[place : place + 1] = [_Part(unit, whole=False) for unit in alone]
+                continue
+            guilty.deaths += 1
+            if death.kind == "time limit" or guilty.deaths >= TRIES:
+                for part in pending:
+                    same_point = (part.unit.stream, part.unit.points) == (guilty.unit.stream, guilty.unit.points)
+                    if part.result is None and same_point:
+                        part.result = failed(1, width, death)
+        results: list[TaskResult] = []
+        for part in parts:
+            if part.result is None:
+                break
+            results.append(part.result)
+        return joined(results)
+
+    def _attempt(self, task: Task, parts: "Sequence[_Part]", one_by_one: bool, enough: float) -> Failure | None:
+        """Fill in the results of these parts, in order.  Return None once the child has done all or it is later than
+        ``enough``, or why the child has ended.
+        """
+        todo = replace(task, units=tuple(part.unit for part in parts))
+        try:
+            self._child = self._child or (
+                _Forked() if self._forked and _may_be_forked() else _New(todo, self._expected)
+            )
+        except OSError as error:
+            raise SweepError(f"a child process could not start: {error}") from error
+        child, waiting = self._child, iter(parts)
+        try:
+            child.channel.send((todo, one_by_one, enough - time.monotonic()))
+            while (answer := self._received(child)) is not None:
+                for result in answer:
+                    _fill_in(waiting, result)
+            return None
+        except (EOFError, OSError):
+            self._child = None
+            return child.death(task, self._memory_limit)
+        except BaseException:
+            self._end(0.0)
+            raise
+
+    def _received(self, child: "_Forked | _New") -> Any:
+        """Return the next answer of a child; end the child where it overfills its memory.
+
+        Raises EOFError where it has ended; what it has started may keep its files open.
+        """
+        while not child.channel.poll(LOOK_EVERY_S):
+            if child.code(0.0) is not None and not child.channel.poll():
+                raise EOFError
+            if self._memory_limit and child.memory() > MEMORY_SHARE * self._memory_limit:
+                child.overfull = True
+                child.kill()
+        return child.channel.recv()
 
 
 @dataclass(eq=False)
@@ -80,106 +163,210 @@ class _Part:
     result: TaskResult | None = None
 
 
-def _run_child(
-    task: Task, parts: Sequence[_Part], expected: Identity, memory_limit: int | None, enough: float
-) -> Failure | None:
-    """Fill in the results of these parts, in order.  Return None once the child has done all or it is later than
-    ``enough``, or the failure of the next part if the child died of it.
+def _fill_in(waiting: "Iterator[_Part]", result: TaskResult) -> None:
+    """Give a result to the parts that it is of; where these are several, the first one has all of it."""
+    rows, given = len(result.seconds), result
+    while rows > 0:
+        part = next(waiting)
+        part.result, given = given, failed(0, result.sums.shape[1])
+        rows -= len(part.unit.points)
+
+
+def _may_be_forked() -> bool:
+    """Return whether a copy of this process can compute: Accelerate on macOS cannot, nor some libraries that the user
+    may have computed with.  Python lets no daemonic process have children of this kind.
     """
-    import psutil
+    known = any(name in sys.modules for name in NOT_TO_BE_FORKED)
+    return sys.platform == "linux" and not known and not multiprocessing.current_process().daemon
 
-    todo = replace(task, units=tuple(part.unit for part in parts))
-    command = [sys.executable, "-c", "from sweep.executing.isolated import child; child()"]
-    with (
-        tempfile.TemporaryFile() as words,
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words) as process,
-    ):
-        assert process.stdin is not None
-        assert process.stdout is not None
-        overfull = False
+
+class _Child:
+    """A process that computes tasks, and the ``channel`` to it."""
+
+    pid: int
+    overfull = False
+
+    def __init__(self) -> None:
+        self.channel, self._theirs = multiprocessing.Pipe()
+        self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
+
+    def memory(self) -> float:
+        """Return the bytes of memory that the process takes."""
+        import psutil
+
+        with suppress(psutil.NoSuchProcess):
+            return float(psutil.Process(self.pid).memory_info().rss)
+        return 0.0
+
+    def kill(self) -> None:
+        """End the process at once."""
+        raise NotImplementedError
+
+    def code(self, patience_s: float) -> int | None:
+        """Return the exit code, None where the process has not ended by then."""
+        raise NotImplementedError
+
+    def end(self, patience_s: float) -> None:
+        """End the process; let it take so many seconds for its own clean-up."""
+        if patience_s:
+            with suppress(OSError):
+                self.channel.send(None)
+        if not patience_s or self.code(patience_s) is None:
+            self.kill()
+            self.code(END_S)
+        self.channel.close()
+        self._words.close()
+
+    def last_words(self) -> str:
+        """Return the end of what the process wrote where Python writes before it is ended by a signal."""
+        size = self._words.seek(0, os.SEEK_END)
+        self._words.seek(max(0, size - LAST_WORDS))
+        return self._words.read().decode(errors="replace").strip()
+
+    def death(self, task: Task, memory_limit: int | None) -> Failure:
+        """Return the failure for which a process that does not answer any more stands, and end it if need be."""
+        code = self.code(END_S)
+        words = self.last_words()
+        self.end(0.0)
+        if self.overfull and memory_limit:
+            return Failure("killed", f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB", words)
+        if code is None:
+            return Failure("killed", "closed the files of its process, among them the one for its results", words)
+        if code >= 0:
+            return Failure("killed", f"ended its process with exit code {code}", words)
+        if task.time_limit_s is not None and code == -signal.SIGALRM:
+            return too_long(task, words)
+        name = signal.Signals(-code).name
+        reason = ", perhaps because the machine had no memory left" if name == "SIGKILL" else ""
+        return Failure("killed", f"ended its process with {name}{reason}", words)
+
+
+class _Forked(_Child):
+    """A copy of this process."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._process = multiprocessing.get_context("fork").Process(target=self._compute)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_be_forked`
+            self._process.start()
+        self._theirs.close()
+        assert self._process.pid is not None, "it has started"
+        self.pid = self._process.pid
+
+    def _compute(self) -> None:
+        self.channel.close()
+        signal.set_wakeup_fd(-1)  # that of an event loop of the parent
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        parent = multiprocessing.parent_process()
+        assert parent is not None, "this is a child"
+        _end_with(parent.sentinel)
+        _serve(self._theirs, self._words)
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def code(self, patience_s: float) -> int | None:
+        self._process.join(patience_s)
+        return self._process.exitcode
+
+
+class _New(_Child):
+    """A new process; raises SweepError where it does not start, and where it is not as ``expected``."""
+
+    def __init__(self, task: Task, expected: Identity) -> None:
+        super().__init__()
+        number = self._theirs.fileno()
+        command = [sys.executable, "-c", f"from sweep.executing.isolated import child; child({number})"]
+        files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
+        self._process = subprocess.Popen(command, **files, pass_fds=[number])
+        self._theirs.close()
+        self.pid = self._process.pid
         try:
-            answers = Connection(os.dup(process.stdout.fileno()), writable=False)
-            process.stdin.write(pickle.dumps((sources_of(task.experiment_reference, task.source_digest), todo)))
-            process.stdin.flush()
-            measured = psutil.Process(process.pid)
-            waiting = iter(parts)
-            greeted = False
-            while parts[0].result is None or time.monotonic() < enough:
-                while not answers.poll(LOOK_EVERY_S):
-                    if memory_limit and measured.memory_info().rss > MEMORY_SHARE * memory_limit:
-                        overfull = True
-                        process.kill()
-                answer = answers.recv()
-                if isinstance(answer, TaskResult):
-                    next(waiting).result = answer
-                elif isinstance(answer, Identity):
-                    greeted = True
-                    if differ := differences(expected.deciding, answer.deciding):
-                        raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
-                elif isinstance(answer, SweepError):
-                    raise answer
-                else:
-                    break
-            return None
-        except (EOFError, OSError, psutil.NoSuchProcess):
-            code = process.wait()
-        finally:
-            process.kill()
-        last_words = _end_of(words)
-    if not greeted:
-        raise SweepError(f"a child process of a worker could not start (exit code {code}): {last_words}")
-    if overfull and memory_limit:
-        return Failure("killed", f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB", last_words)
-    return _death(task, code, last_words)
+            self.channel.send((sources_of(task.experiment_reference, task.source_digest), task))
+            answer = self.channel.recv()
+            if isinstance(answer, SweepError):
+                raise answer
+            if differ := differences(expected.deciding, answer.deciding):
+                raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
+        except (EOFError, OSError) as error:
+            code, words = self.code(END_S), self.last_words()
+            self.end(0.0)
+            raise SweepError(f"a child process could not start (exit code {code}): {words}") from error
+        except BaseException:
+            self.end(0.0)
+            raise
+
+    def kill(self) -> None:
+        self._process.kill()
+
+    def code(self, patience_s: float) -> int | None:
+        with suppress(subprocess.TimeoutExpired):
+            return self._process.wait(patience_s)
+        return None
+
+    def end(self, patience_s: float) -> None:
+        super().end(patience_s)
+        assert self._process.stdin is not None, "it ends with this one"
+        self._process.stdin.close()
 
 
-def _death(task: Task, code: int, last_words: str) -> Failure:
-    """Return the failure that the exit code of a child stands for."""
-    if code >= 0:
-        return Failure("killed", f"ended its process with exit code {code}", last_words)
-    if task.time_limit_s is not None and code == -signal.SIGALRM:
-        return too_long(task, last_words)
-    name = signal.Signals(-code).name
-    reason = ", perhaps because the machine had no memory left" if name == "SIGKILL" else ""
-    return Failure("killed", f"ended its process with {name}{reason}", last_words)
+def child(number: int) -> None:
+    """Run as a new child whose channel has this file descriptor."""
+    _end_with(0)
+    channel = Connection(number)
+    sources, task = channel.recv()
+    if sources is not None:
+        provide(sources)
+    try:
+        channel.send(identity(task.experiment_reference, task.source_digest))
+    except SweepError as error:
+        channel.send(error)
+        return
+    _serve(channel, sys.stderr.buffer)
 
 
-def _end_of(file: IO[bytes]) -> str:
-    size = file.seek(0, os.SEEK_END)
-    file.seek(max(0, size - LAST_WORDS))
-    return file.read().decode(errors="replace").strip()
+def _end_with(number: int) -> None:
+    """Let the system end this process when the other end of a pipe is closed, as it is when the parent has ended, even
+    if a block in compiled code lets no other code of Python run.
+    """
+    fcntl.fcntl(number, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(number, fcntl.F_SETFL, fcntl.fcntl(number, fcntl.F_GETFL) | os.O_ASYNC)
 
 
-def child() -> None:
-    """Run as the child: read a task from standard input, answer with an `Identity`, the result of each unit, None."""
+def _serve(channel: Connection, words: IO[bytes]) -> None:
+    """Compute the tasks that come by a channel, and answer with results, and None at the end of each task."""
     import faulthandler
 
     from threadpoolctl import threadpool_limits
 
-    answers = Connection(os.dup(1), readable=False)
-    os.dup2(2, 1)  # what an experiment prints must not get between the answers
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    faulthandler.enable(all_threads=False)  # prints where the code was when the process ends
-    faulthandler.register(signal.SIGALRM, all_threads=False, chain=True)
-    task: Task
-    sources, task = pickle.load(sys.stdin.buffer)
-    if sources is not None:
-        provide(sources)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    try:
-        answers.send(identity(task.experiment_reference, task.source_digest))
-    except SweepError as error:
-        answers.send(error)
-        return
-    with threadpool_limits(1):
-        experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-        one_by_one = experiment.vectorised or takes_several(experiment, task)  # the parent waits for each unit
-        for part in [replace(task, units=(unit,)) for unit in task.units] if one_by_one else [task]:
-            for result in run_units(part, Deadlines()):
-                answers.send(result)
-    answers.send(None)
+    for number in (signal.SIGINT, signal.SIGHUP):  # only the parent answers; programs that a block starts may too
+        signal.signal(number, ignored)
+    with suppress(OSError):
+        os.dup2(2, 1)  # what is printed outside of Python must not get among the results
+    faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
+    faulthandler.register(signal.SIGALRM, words, all_threads=False, chain=True)
+    with threadpool_limits(1), suppress(EOFError):
+        while (message := channel.recv()) is not None:
+            _answer(channel, *message)
 
 
-def _end_with_parent() -> None:
-    sys.stdin.buffer.read()  # returns when the parent has closed the pipe or has ended
-    os._exit(1)
+def _answer(channel: Connection, task: Task, one_by_one: bool, enough_s: float) -> None:
+    """Send the results of a task: several at once, or with ``one_by_one`` each unit as soon as it is done."""
+    enough, sent = time.monotonic() + enough_s, time.monotonic()
+    experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
+    split = one_by_one and (experiment.vectorised or takes_several(experiment, task))
+    deadlines, ready = Deadlines(), list[TaskResult]()
+    for part in [replace(task, units=(unit,)) for unit in task.units] if split else [task]:
+        for result in run_units(part, deadlines):
+            ready.append(result)
+            now = time.monotonic()
+            if one_by_one or now > min(enough, sent + SEND_EVERY_S):
+                channel.send(ready)
+                ready, sent = [], now
+            if now > enough:
+                break
+        if time.monotonic() > enough:
+            break
+    channel.send(ready)
+    channel.send(None)

@@ -1,6 +1,7 @@
 """Deals with what the code of an experiment may do to the process that runs it: fork it, or stop it."""
 
 import os
+import signal
 import sys
 import threading
 import traceback
@@ -34,6 +35,11 @@ def _end(error: BaseException) -> None:
 
 def is_interruption(error: BaseException) -> bool:
     """Return whether an exception stops the run, as the user's interruption does, which Python raises in the main
-    thread.  All other exceptions belong to the experiment.
+    thread of a process that answers SIGINT so.  All other exceptions belong to the experiment.
     """
-    return isinstance(error, KeyboardInterrupt) and threading.current_thread() is threading.main_thread()
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    return isinstance(error, KeyboardInterrupt) and in_main_thread and signal.getsignal(signal.SIGINT) is not ignored
+
+
+def ignored(*_signal: object) -> None:
+    """Ignore a signal in this process, but not in the programs that it starts, as SIG_IGN would."""

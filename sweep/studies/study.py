@@ -118,6 +118,11 @@ class Study:
         return found
 
     @property
+    def is_ours(self) -> bool:
+        """Whether only code that comes with linksweep computes it."""
+        return self.experiment_reference.partition(".")[0] in ("core", "sweep") and not self.document.get("define")
+
+    @property
     def keeps_samples(self) -> bool:
         """Whether the ledger holds realisations: the study or the experiment asks for them."""
         return self.sampling.keep_samples or self.experiment.keeps_samples

@@ -82,7 +82,7 @@ def test_a_finished_study_has_nothing_to_say_but_its_table(study):
     again = run("--set", "coins=1")
     assert again.exit_code == 0
     assert again.stderr.splitlines() == [
-        "2 points, 2 of them in the store already; 0 realisations to do on this process",
+        "2 points, 2 of them in the store already; 0 realisations to do on one process",
         "wrote results/study.zarr; next: sweep plot study, sweep report study",
     ]
 

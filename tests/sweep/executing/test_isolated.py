@@ -1,0 +1,202 @@
+"""What a function does to its process reaches neither the run nor, where a process is its own, the command."""
+
+import ctypes
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from linksweep import run
+from sweep.executing import isolated
+from tests.patience import PATIENCE_S
+from tests.sweep.outside import below, command_of, wait_until
+from tests.tiers import slow
+
+LOCK = threading.Lock()  # cannot be pickled, nor can a function that refers to it be sent to workers
+
+ENDINGS = {
+    "SIGSEGV": ("ctypes.string_at(0)", "ended its process with SIGSEGV"),
+    "exit code 3": ("os._exit(3)", "ended its process with exit code 3"),
+    "SIGTERM": ("os.kill(os.getpid(), signal.SIGTERM)", "ended its process with SIGTERM"),
+    "SIGKILL": ("os.kill(os.getpid(), signal.SIGKILL)", "ended its process with SIGKILL"),
+    "closed files": ("os.closerange(0, 4096)", "ended its process with exit code 1"),
+}
+"""How a block may end its process, and what is said of it."""
+
+FUNCTION = """
+import ctypes, json, os, signal, sys, threading, time
+def f(x: float = 0.0):
+    if x in ({places}):
+        {deed}
+    return 2.0 * x
+"""
+
+
+def written(folder, deed, places):
+    (folder / "f.py").write_text(FUNCTION.format(deed=deed, places="".join(f"{place}," for place in places)))
+    return "f.py:f"
+
+
+@pytest.fixture
+def sweep(start_sweep):
+    """A function that runs `sweep` as a process and returns (exit code, stdout, stderr)."""
+
+    def sweep(*arguments, cwd):
+        process = start_sweep(*arguments, cwd=cwd)
+        out, err = process.communicate(timeout=PATIENCE_S)
+        return process.returncode, out, err
+
+    return sweep
+
+
+@pytest.mark.parametrize("deed", ENDINGS)
+@pytest.mark.parametrize("resources", ["", slow("--workers 1"), slow("--pool serial --time-limit 60")])
+def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(tmp_path, sweep, deed, resources):
+    import xarray as xr
+
+    code, said = ENDINGS[deed]
+    reference = written(tmp_path, code, (0, 1, 4))
+    code, _, err = sweep("run", reference, "--axis", "x=0:5:1", "-o", "s.zarr", *resources.split(), cwd=tmp_path)
+    assert code == 1, err
+    assert "3 points failed" in err
+    ds = xr.open_zarr(tmp_path / "s.zarr")
+    assert ds["status"].values.tolist() == [2, 2, 1, 1, 2, 1]
+    assert ds["f"].values[[2, 3, 5]].tolist() == [4.0, 6.0, 10.0]
+    assert resources or ds.attrs["failures"].count(said) == 3
+
+
+HARMLESS = {
+    "the folder": "os.chdir('/')",
+    "a thread": "threading.Thread(target=time.sleep, args=(3600,)).start()",
+    "streams": "sys.stdout = sys.stderr = sys.stdin = None",
+    "modules": "sys.modules['json'] = None; json.dumps = json.loads = None",
+    "signals": "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)]",
+    "limits": "__import__('resource').setrlimit(__import__('resource').RLIMIT_FSIZE, (0, 0))",
+    "environment": "os.environ.clear()",
+}
+"""What a function may do to its process without failing its own point."""
+
+
+@pytest.mark.parametrize(
+    "deed", [key if key in ("the folder", "a thread", "modules") else slow(key) for key in HARMLESS]
+)
+def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep, deed):
+    import xarray as xr
+
+    reference = written(tmp_path, HARMLESS[deed], (0,))
+    code, out, err = sweep("run", reference, "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
+    assert code == 0, err
+    assert "wrote s.zarr" in err
+    assert "f: Over 4 points it goes from 0, at x=0, to 6" in out
+    assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]
+
+
+@pytest.mark.parametrize("pool", [None, slow("processes"), slow("threads")])
+def test_a_function_that_raises_keyboard_interrupt_interrupts_nobody(tmp_path, pool):
+    def f(x: float):
+        if x == 2.0:
+            raise KeyboardInterrupt
+        return x
+
+    ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0]}, pool=pool, workers=pool and 1)
+    assert ds.status.values.tolist() == [1, 2, 1]
+
+
+def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
+    with io.StringIO("the content") as file:
+
+        def f(x: float):
+            with LOCK:
+                file.seek(0)
+                return {"text": file.read(), "process": float(os.getpid())}
+
+        ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]})
+    assert ds.text.values.tolist() == ["the content"] * 2
+    assert os.getpid() not in ds.process.values
+    assert len(set(ds.process.values.tolist())) == 1  # it lives on
+
+
+def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(isolated, "NOT_TO_BE_FORKED", ("sys",))
+
+    def f(x: float):
+        if x == 1.0:
+            ctypes.string_at(0)
+        return {"y": x / 3.0, "forked": "pytest" in sys.modules}
+
+    ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0]})
+    assert ds.status.values.tolist() == [2, 1, 1]
+    assert ds.y.values[1:].tolist() == [2.0 / 3.0, 1.0]
+    assert ds.forked.values[1:].tolist() == [False, False]
+
+
+def test_serial_is_this_process(tmp_path):
+    seen = []
+
+    def f(x: float):
+        seen.append(x)
+        return float(os.getpid())
+
+    ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")
+    assert set(ds.f.values) == {os.getpid()}
+    assert set(seen) == {1.0, 2.0}
+
+
+HOLDS = "__import__('re').match('(a+)+$', 'a' * 64 + 'b')"  # years, in which no other code of Python runs
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_child_does_not_outlive_its_run(tmp_path, start_sweep, number):
+    reference = written(tmp_path, f"open('begun', 'w').close(); {HOLDS}", (2,))
+    process = start_sweep("run", reference, "--axis", "x=0:4:1", "-o", "s.zarr", cwd=tmp_path)
+    wait_until(lambda: process.poll() is not None or (tmp_path / "begun").exists(), "the block", PATIENCE_S)
+    family = below(process.pid)
+    assert family
+    os.kill(process.pid, number)
+    process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == {signal.SIGINT: 130, signal.SIGKILL: -9}[number]
+    wait_until(lambda: not any(command_of(pid) for pid in family), "the child's end", PATIENCE_S)
+
+
+def test_what_a_child_leaves_running_does_not_keep_the_run(tmp_path):
+    """A process that it has started has its files too."""
+    ended, waited = tmp_path / "ended", tmp_path / "waited"
+
+    def f(x: float):
+        if x == 1.0:
+            if os.fork() == 0:
+                for _ in range(600):
+                    if ended.exists():
+                        os._exit(0)
+                    time.sleep(0.1)
+                waited.touch()
+                os._exit(0)
+            os._exit(3)
+        return x
+
+    ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]})
+    ended.touch()
+    assert ds.status.values.tolist() == [2, 1]
+    assert not waited.exists()
+
+
+def test_what_it_prints_is_kept_apart_from_results(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, sys, linksweep\n"
+        "def f(x: float):\n"
+        "    print('python'); os.system('echo program'); print('error', file=sys.stderr)\n"
+        "    return x\n"
+        "print(linksweep.run(f, 's.zarr', axes={'x': [1.0, 2.0]}).f.values)\n"  # no guard: no process runs this again
+    )
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "[1. 2.]\n"), done.stderr
+    assert "error" in done.stderr
+    assert "program" in done.stderr
+    assert Path(tmp_path / "s.zarr").is_dir()
