@@ -180,7 +180,12 @@ def answer(dataset: xr.Dataset) -> "Card":
 
 
 def plot(
-    dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
+    dataset: xr.Dataset,
+    kind: str | None = None,
+    variables: Sequence[str] = (),
+    over: Sequence[str] = (),
+    log: Sequence[str] = (),
+    linear: Sequence[str] = (),
 ) -> "Figure":
     """Return a figure of the results of a study, a link or a forecast.
 
@@ -193,6 +198,9 @@ def plot(
             or "ranking".  By default the kind that suits the dataset.
         variables: names of outputs, one column of panels each; the main result by default.
         over: the axis along which curves are drawn, the two axes of a map, or the two components of a scatter plot.
+        log: axes and quantities with a logarithmic axis.
+        linear: those with a linear one.  All others have what the study says, or what the spacing of their values
+            suggests: linear for equal steps, logarithmic for equal ratios.
 
     Returns:
         A Matplotlib figure without a window; ``figure.savefig("name.svg")`` writes it, a notebook shows it.
@@ -212,7 +220,7 @@ def plot(
     from sweep.plots.figure import draw_figure
     from sweep.plots.shown import shown
 
-    return shown(draw_figure(dataset, kind, variables, over))
+    return shown(draw_figure(dataset, kind, variables, over, log, linear))
 
 
 def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], given: dict[str, Any]) -> Study:

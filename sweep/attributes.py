@@ -11,7 +11,10 @@ ERRORS = "errors"
 """The attribute with the names of the variables that are one-sigma errors of a variable, each of another kind."""
 
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
-"""Units that are logarithms already: plots and interpolation never use a logarithmic scale for them."""
+"""Units that are logarithms already: plots and interpolation use a logarithmic scale for them only if one is chosen."""
+
+TRUTH: Mapping[str, Any] = {"flag_values": [0, 1], "flag_meanings": "False True"}
+"""Attributes of truth values, some of which are missing: these are stored as floats, with NaN."""
 
 _END = re.compile(r" \(|, |; |: ")
 
@@ -49,6 +52,11 @@ def short_meaning(meaning: str) -> str:
 def units_of(attributes: Mapping[Any, Any]) -> str:
     """Return the unit of a variable from its attributes, '' where it has none."""
     return str(attributes.get("units", ""))
+
+
+def is_truth(array: Any) -> bool:
+    """Return whether an array of xarray has truth values, as such or as floats with NaN where one is missing."""
+    return bool(array.dtype.kind == "b" or array.attrs.get("flag_meanings") == TRUTH["flag_meanings"])
 
 
 def meaning_beside(name: str, attributes: Mapping[Any, Any]) -> str:

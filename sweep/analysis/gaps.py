@@ -58,8 +58,8 @@ def with_nan(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def exact(values: NDArray[Any]) -> NDArray[Any]:
-    """Return integers as they are, to be told to the last digit, and other values as floats."""
-    return values if values.dtype.kind in "iu" else values.astype(float)
+    """Return integers as they are, to be told to the last digit, truth values too, and others as floats."""
+    return values if values.dtype.kind in "biu" else values.astype(float)
 
 
 def ends_of(values: NDArray[np.generic], known: NDArray[np.bool_]) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from sweep.analysis.gaps import gaps_of
+from sweep.attributes import is_truth
 from sweep.formatting import is_missing, to_csv, to_json
 from sweep.planning.point_status import Status
 from sweep.studies.provenance import FUNCTION
@@ -33,6 +34,9 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> L
         variable = dataset[name]
         if (gaps := gaps_of(dataset, name)) is not None:  # Python's own integers, as NaN is beside them
             variable = variable.copy(data=np.where(gaps, np.nan, variable.values.astype(object)))
+        elif is_truth(variable) and variable.dtype.kind == "f":
+            known = variable.values.astype(bool).astype(object)
+            variable = variable.copy(data=np.where(np.isnan(variable.values), np.nan, known))
         variable = variable.broadcast_like(template).transpose(*dimensions, ...)
         values = variable.values.reshape(-1, *variable.shape[len(dimensions) :])[rows]
         columns[name] = (dataset[name].attrs.get("units", ""), _listed(values))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sweep.analysis.gaps import ends_of, exact, numbers_of
 from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
 from sweep.analysis.selection import coordinates_along, place_in_words
+from sweep.attributes import is_truth
 from sweep.contract import Array
 from sweep.formatting import counted
 from sweep.planning.point_status import Status
@@ -46,6 +47,9 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     finite = np.isfinite(values)
     if not finite.any():
         yield "No point has a value yet."
+        return
+    if is_truth(part[variable]):
+        yield _truths(values[finite])
         return
     values = np.where(finite, values, np.nan)
     of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
@@ -88,6 +92,13 @@ def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: A
         f"Over {count:,} points it goes from {number(low)}, at {_place(part, low)}, "
         f"to {number(high)}, at {_place(part, high)}."
     )
+
+
+def _truths(values: Array) -> str:
+    count, true = len(values), int(values.sum())
+    if 0 < true < count:
+        return f"It is True at {true:,} of {count:,} points."
+    return f"It is {bool(true)}." if count == 1 else f"It is {bool(true)} at {_all(count, 'point')}."
 
 
 def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:

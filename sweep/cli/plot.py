@@ -51,6 +51,8 @@ class Drawing:
     kind: str | None
     variables: tuple[str, ...]
     over: tuple[str, ...]
+    log: tuple[str, ...]
+    linear: tuple[str, ...]
     models: tuple[str, ...]
     at: tuple[str, ...]
 
@@ -60,8 +62,15 @@ class Drawing:
             raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
         if self.models and self.kind != "accuracy":
             raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
-        if self.kind in STANDALONE and (self.variables or self.over):
-            raise click.UsageError(f"--variable and --over do not go with --kind {self.kind}")
+        if self.kind in STANDALONE and self.chosen != ((),) * 4:
+            raise click.UsageError(
+                f"--variable and --over do not go with --kind {self.kind}, nor do --log and --linear"
+            )
+
+    @property
+    def chosen(self) -> tuple[tuple[str, ...], ...]:
+        """Quantities, axes and scales."""
+        return self.variables, self.over, self.log, self.linear
 
     def figure(self) -> tuple[Any, Any]:
         """Return a figure, and the dataset that it shows."""
@@ -93,9 +102,9 @@ class Drawing:
             return sky_figure(sky), sky
         store = store_named(self.source)
         if (link := link_in(store, self.at)) is not None:
-            return draw_figure(link, self.kind, self.variables, self.over), link
+            return draw_figure(link, self.kind, *self.chosen), link
         with part_of(store, self.at) as dataset:
-            return draw_figure(dataset, self.kind, self.variables, self.over), dataset
+            return draw_figure(dataset, self.kind, *self.chosen), dataset
 
 
 @main.command()
@@ -111,6 +120,13 @@ class Drawing:
 )
 @click.option(
     "--over", multiple=True, help="The axis to draw along; give both for a map, or two components of a scatter."
+)
+@click.option("--log", metavar="NAME", multiple=True, help="Give this axis or quantity a logarithmic axis.")
+@click.option(
+    "--linear",
+    metavar="NAME",
+    multiple=True,
+    help="Give it a linear one.  [default: what the spacing of values suggests]",
 )
 @click.option("--model", "models", multiple=True, help="Accuracy: only this mission; may be given several times.")
 @place_option

@@ -15,6 +15,7 @@ from sweep.planning.point_status import Status, count_status, unfinished_in_word
 from sweep.plots.kinds import GRID, SCALING
 from sweep.plots.labels import value_text, with_chosen_component
 from sweep.plots.named_ticks import fit_names
+from sweep.plots.scales import SCALE, with_scales
 from sweep.plots.scatter import sampled
 from sweep.plots.sensitivity import sensitivity_figure
 from sweep.plots.standalone import is_scaling
@@ -31,15 +32,23 @@ CURVE_POINTS = 8
 
 
 def draw_figure(
-    dataset: xr.Dataset, kind: str | None = None, variables: Sequence[str] = (), over: Sequence[str] = ()
+    dataset: xr.Dataset,
+    kind: str | None = None,
+    variables: Sequence[str] = (),
+    over: Sequence[str] = (),
+    log: Sequence[str] = (),
+    linear: Sequence[str] = (),
 ) -> Figure:
     """Return a figure of a dataset: the kind that suits it, or the one asked for.
 
     ``variables`` are quantities (several become columns of panels), the main one by default; ``over`` is the
-    axis of curves, the two axes of a map, or the two components of a scatter.
+    axis of curves, the two axes of a map, or the two components of a scatter.  ``log`` and ``linear`` are axes and
+    quantities with such a scale, by default as the study says or as the spacing of their values suggests.
     A link or a forecast has its own kinds.
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
+    if (log or linear) and "status" not in dataset:
+        raise SweepError("only figures of the results of a study have scales to choose")
     if is_link(dataset):
         if variables or over:
             raise SweepError("a figure of a link has no variables and no axis to choose, only its kind")
@@ -58,17 +67,13 @@ def draw_figure(
     dataset = with_nan(dataset)
     only_samples = dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
     if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
+        with_scales(dataset, (), log, linear)
         return _drawn(dataset, dataset.squeeze(_single(dataset)), "scatter", list(variables), over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
     names = list(variables) or [main_quantity(dataset)]
-    for name in names:
-        require_quantity(dataset, name)
-        _require_one_unit(dataset, name)
-    if not any(np.isfinite(dataset[name].values).any() for name in names):
-        unfinished = unfinished_in_words(count_status(dataset["status"].values))
-        why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
-        raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
+    _require_values(dataset, names)
+    dataset = with_scales(dataset, [*names, *map(str, dataset.coords)], log, linear)
     part = with_chosen_component(_without_single(dataset, over))
     possible = possible_kinds(part, names[0])
     chosen = kind or _suitable(part, names[0], over)
@@ -102,7 +107,8 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
         return "map"
     laws = {(claim.slope.variable, claim.slope.over) for claim in claims_of(dataset) if claim.slope is not None}
     stated = any((variable, axis) in laws for axis in numeric_axes(dataset, variable))
-    if stated and not over and len(dataset[variable].dims) == 1:
+    linear = any(dataset[name].attrs.get(SCALE) == "linear" for name in (variable, *numeric_axes(dataset, variable)))
+    if stated and not over and not linear and len(dataset[variable].dims) == 1:
         return "law"
     long = {dataset[a].dims[0] for a in numeric_axes(dataset, variable) if dataset[a].size >= MAP_POINTS}
     panels = int(np.prod([n for d, n in dataset[variable].sizes.items() if d not in long], dtype=int))
@@ -130,6 +136,17 @@ def _without_single(dataset: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
 
 def _single(dataset: xr.Dataset) -> list[Hashable]:
     return [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
+
+
+def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
+    """Raise SweepError for what is no quantity or has several units, and where none has a value."""
+    for name in names:
+        require_quantity(dataset, name)
+        _require_one_unit(dataset, name)
+    if not any(np.isfinite(dataset[name].values).any() for name in names):
+        unfinished = unfinished_in_words(count_status(dataset["status"].values))
+        why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
+        raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
 
 
 def _require_one_unit(dataset: xr.Dataset, variable: str) -> None:

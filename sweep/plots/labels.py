@@ -9,6 +9,7 @@ import xarray as xr
 
 from sweep.analysis.quantity import COVARIANCE_SUFFIX
 from sweep.attributes import units_of
+from sweep.formatting import plain as shown
 from sweep.readable import written
 
 GREEK = (
@@ -80,12 +81,10 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
 
 def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
-    if isinstance(value, bool):
-        return f"{symbol(axis, dataset[axis].attrs)}: {'yes' if value else 'no'}"
     if isinstance(value, str):
         return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
     unit = written(units_of(dataset[axis].attrs))
-    return f"{symbol(axis, dataset[axis].attrs)} = {value:g}" + (f" {unit}" if unit else "")
+    return f"{symbol(axis, dataset[axis].attrs)} = {shown(value)}" + (f" {unit}" if unit else "")
 
 
 def plain(text: str) -> str:

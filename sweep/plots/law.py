@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from sweep.analysis.fits import power_law
 from sweep.analysis.laws import fit_power_law
 from sweep.analysis.lines import lines
+from sweep.contract import SweepError
 from sweep.formatting import with_error
 from sweep.plots.labels import label, quantity_label, symbol, value_text
 from sweep.plots.legends import legend
-from sweep.plots.scales import logarithmic
+from sweep.plots.scales import SCALE, logarithmic
 from sweep.plots.signs import COMPUTED, LAW_BAND, SIMULATED
 from sweep.plots.style import BAND, finish, series
 
@@ -26,6 +27,8 @@ def draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over:
     There is one colour for every combination of the other dimensions that the study does not exclude everywhere.  The
     dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
     """
+    if chosen := [name for name in (over, variable) if dataset[name].attrs.get(SCALE) == "linear"]:
+        raise SweepError(f"a law is drawn on logarithmic axes, and {chosen[0]} is to have a linear one")
     found = lines(dataset, variable, over)
     result = fit_power_law(dataset, variable, over)
     wanted = result["expected"].values.reshape(-1) if "expected" in result else np.full(len(found), np.nan)

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
+from sweep.plots.signs import MOVED, PREDICTED, PUBLISHED
 from sweep.plots.style import line_inches, shown_letters, wanted_width
 
 LEGEND_INCHES = (0.6, 0.065)
@@ -15,7 +16,7 @@ LEGEND_INCHES = (0.6, 0.065)
 BEST: Final = "best"
 """Where matplotlib finds the most room.  Given explicitly, as here, it does not warn if it is slow."""
 
-LAST = ("predicted", "published")
+LAST = (PREDICTED, PUBLISHED, MOVED)
 """Entries that are the same for all series come last in a legend."""
 
 

@@ -12,17 +12,15 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from sweep.analysis.quantity import prediction_name, standard_error
-from sweep.attributes import units_of
+from sweep.attributes import is_truth
 from sweep.plots.labels import explained_label, quantity_label
-from sweep.plots.scales import edges, is_wide, logarithmic, logarithmic_ticks, number_text
+from sweep.plots.scales import edges, fit_bar, fit_scale, is_logarithmic, number_text
 
 LEVELS = 8
-DECADES = 30.0
 
 
 def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: Normalize) -> Axes:
-    """Draw a variable over two axes: colours at the points of the grid, solid contours, dashed ones of the prediction;
-    truth values have no contours.
+    """Draw a variable over two axes: colours at the points of the grid, and contours, but none of truth values.
 
     ``limits`` are those of the colours, which all panels of a figure share.  Points without a value are left white.
     """
@@ -31,28 +29,21 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     values = part.values
     low, high = float(limits.vmin or 0.0), float(limits.vmax or 0.0)
     across, up = dataset[x].values.astype(float), dataset[y].values.astype(float)
-    wide = {name: is_wide(places, units_of(dataset[name].attrs)) for name, places in ((x, across), (y, up))}
-    cells = edges(across, wide[x]), edges(up, wide[y])
+    cells = [edges(dataset[name].values.astype(float), is_logarithmic(dataset[name])) for name in (x, y)]
     axes.pcolormesh(*cells, values, cmap="cividis", norm=limits, shading="flat", rasterized=True)
     logarithm = isinstance(limits, LogNorm)
     levels = LogLocator(subs=(1.0, 2.0, 5.0)) if logarithm else MaxNLocator(LEVELS, steps=[1, 2, 2.5, 5, 10])
     inside = [level for level in levels.tick_values(low, high) if low < level < high]
     options: dict[str, Any] = {"levels": inside, "linewidths": 0.8, "linestyles": "solid"}  # also of negative numbers
-    if np.isfinite(values).all() and min(values.shape) > 1 and inside and not _is_truth(dataset[variable]):
+    if np.isfinite(values).all() and min(values.shape) > 1 and inside and not is_truth(dataset[variable]):
         dark: list[AbstractPathEffect] = [withStroke(linewidth=2.2, foreground="0.15")]
         lines = axes.contour(across, up, values, colors="white", **options)
         lines.set_path_effects(dark)
         for text in axes.clabel(lines, fmt=number_text, fontsize="small"):
             text.set_path_effects(dark)
-        if (name := prediction_name(dataset, variable)) in dataset:
-            predicted = dataset[name].transpose(*part.dims).values
-            style = options | {"linewidths": 0.7, "linestyles": "dashed"}
-            dashed = axes.contour(across, up, predicted, colors="black", **style)
-            dashed.set_path_effects([withStroke(linewidth=1.6, foreground="white")])
-    for which, name, places in (("x", x, across), ("y", y, up)):
-        if wide[name]:
-            logarithmic(axes, which, places)
-        elif dataset[name].dtype.kind == "i":
+    for which, name in (("x", x), ("y", y)):
+        fit_scale(axes, which, dataset[name])
+        if dataset[name].dtype.kind == "i" and not is_logarithmic(dataset[name]):
             (axes.xaxis if which == "x" else axes.yaxis).set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel(explained_label(dataset[x], x))
     axes.set_ylabel(explained_label(dataset[y], y))
@@ -60,36 +51,27 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
 
 
 def colour_limits(dataset: xr.Dataset, variable: str) -> Normalize:
-    """Return the scale of colours for all values of a variable, logarithmic if the middle 80 % of them, without any
-    corner near 0, span more than a linear scale can show.
-    """
+    """Return the scale of colours for all values of a variable, logarithmic as an axis of it would be."""
     values = dataset[variable].values.astype(float)
     finite = values[np.isfinite(values)]
-    low, high = float(finite.min()), float(finite.max())
-    tenth, nine_tenths = np.quantile(finite, [0.1, 0.9])
-    return LogNorm(low, high) if low > 0.0 and nine_tenths > DECADES * tenth else Normalize(low, high)
+    return (LogNorm if is_logarithmic(dataset[variable]) else Normalize)(float(finite.min()), float(finite.max()))
 
 
 def add_bar(figure: Figure, dataset: xr.Dataset, variable: str) -> None:
     """Add the one colour bar that all maps of a figure share."""
     meshes = [mesh for axes in figure.axes for mesh in axes.collections if isinstance(mesh, QuadMesh)]
     bar = figure.colorbar(meshes[0], ax=figure.axes, label=quantity_label(dataset, variable))
-    if isinstance(bar.norm, LogNorm):
-        logarithmic_ticks(bar.ax.yaxis, [bar.norm.vmin, bar.norm.vmax])
-    elif _is_truth(dataset[variable]):
-        bar.set_ticks([0.0, 1.0], labels=["no", "yes"])
-
-
-def _is_truth(array: xr.DataArray) -> bool:
-    return array.dtype.kind == "b"
+    fit_bar(bar, dataset[variable])
 
 
 def accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
-    """Return how well the values of a map are known; '' where they have no errors."""
+    """Return how well the values of a map are known and agree with their prediction; '' where they have no errors."""
     error = standard_error(dataset, variable)
     if error is None:
         return ""
     value = dataset[variable]
     relative = float((error / abs(value.where(value != 0.0))).max(skipna=True))
-    contours = "; dashed contours: predicted" if prediction_name(dataset, variable) in dataset else ""
-    return f"errors (1σ) at most {100.0 * relative:.2g} %{contours}" if np.isfinite(relative) else ""
+    predicted = dataset.get(prediction_name(dataset, variable))
+    apart = np.nan if predicted is None else float((abs(value - predicted) / error.where(error > 0.0)).max())
+    words = f"; at most {apart:.1f}σ from the prediction" if np.isfinite(apart) else ""
+    return f"errors (1σ) at most {100.0 * relative:.2g} %{words}" if np.isfinite(relative) else ""

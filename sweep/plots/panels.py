@@ -14,6 +14,7 @@ from sweep.contract import SweepError
 from sweep.plots.labels import value_text
 from sweep.plots.layout import Layout, is_far
 from sweep.plots.legends import legend_below
+from sweep.plots.scales import SCALE, scale_of
 from sweep.plots.style import figure_size, in_lines, is_narrow, least_height, most_columns, wanted_width
 
 MOST_INSIDE = 4
@@ -145,7 +146,8 @@ def _panels(
         for row in _indices(dataset, rows):
             place = {d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None}
             own = {d: i for d, i in place.items() if (far_rows if d == rows else far)}
-            whole = in_readable_units(dataset.isel(own))
+            whole = in_readable_units(dataset.isel(own))  # of all panels that share an axis
+            whole = whole.assign({name: whole[name].assign_attrs({SCALE: scale_of(whole[name])})})
             part = whole.isel({d: i for d, i in place.items() if d not in own})
             if not np.isfinite(part[name].values.astype(float)).any():
                 continue

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from sweep.analysis.quantity import standard_error, varied_parameters
 from sweep.analysis.selection import places_along
-from sweep.attributes import units_of
 from sweep.contract import SweepError, shown, suggest
 from sweep.plots.labels import label, quantity_label, value_text
 from sweep.plots.legends import legend
-from sweep.plots.scales import fit_scale, is_wide, logarithmic_ticks
+from sweep.plots.scales import fit_bar, fit_scale, is_logarithmic
 from sweep.plots.style import COLOURS, figure_size, finish, in_lines, most_columns, series
 from sweep.studies.study import POINT
 
@@ -92,7 +91,7 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
     grid = figure.subplots(n, n, sharex="col", squeeze=False)
     values = dataset[variable].squeeze().values.astype(float)
     known = np.isfinite(values)
-    norm = (LogNorm if is_wide(values) else Normalize)(values[known].min(), values[known].max())
+    norm = (LogNorm if is_logarithmic(dataset[variable]) else Normalize)(values[known].min(), values[known].max())
     order = np.flatnonzero(known)[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
     for row, column in np.ndindex(n, n):
         axes: Any = grid[row, column]
@@ -102,7 +101,7 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
         x = _places(axes, dataset, parameters[column], "x", few_ticks=True)
         if row == column:
             y = values
-            fit_scale(axes, "y", values, few_ticks=True)
+            fit_scale(axes, "y", dataset[variable], few_ticks=True)
         else:
             y = _places(axes, dataset, parameters[row], "y", few_ticks=True)
             if column > 0:
@@ -120,8 +119,7 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
             axes.set_ylabel(label(dataset[parameters[row]], parameters[row]))
         axes.set_label(variable)  # for the caption
     bar = figure.colorbar(drawn, ax=grid[:, -1], label=quantity_label(dataset, variable), shrink=0.7)
-    if isinstance(norm, LogNorm):
-        logarithmic_ticks(bar.ax.yaxis, values)
+    fit_bar(bar, dataset[variable])
     return figure
 
 
@@ -147,8 +145,8 @@ def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> No
             axes.fill_between(x, lower, upper, color=colour, alpha=opacity, linewidth=0.0, label="" if words else name)
         middle = words or f"median of {len(y):,} points"
         axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=middle)
-    fit_scale(axes, "x", x, units_of(dataset[over].attrs))
-    fit_scale(axes, "y", array.values)
+    fit_scale(axes, "x", dataset[over])
+    fit_scale(axes, "y", array)
     axes.set_xlabel(label(dataset[over], over))
     axes.set_ylabel(quantity_label(dataset, variable))
     finish(axes)
@@ -171,7 +169,7 @@ def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> Non
             axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
         else:
             axes.plot(x, y, **style)
-    fit_scale(axes, "y", array.values)
+    fit_scale(axes, "y", array)
     axes.set_label(variable)  # for the caption
     axes.set_xlabel(label(dataset[parameter], parameter))
     finish(axes)
@@ -201,9 +199,8 @@ def _places(
     """
     array = dataset[parameter]
     if array.dtype.kind in "if":
-        x: NDArray[np.float64] = array.values.astype(float)
-        fit_scale(axes, which, x, units_of(array.attrs), few_ticks)
-        return x
+        fit_scale(axes, which, array, few_ticks)
+        return np.asarray(array.values.astype(float))
     names = sorted(set(map(str, array.values.tolist())))
     if which == "x":
         axes.set_xticks(range(len(names)), names)

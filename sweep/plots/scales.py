@@ -1,36 +1,95 @@
 """Scales of axes: which are logarithmic, their ticks, the borders of cells."""
 
+import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from sweep.attributes import LOGARITHMIC_UNITS
+from sweep.attributes import LOGARITHMIC_UNITS, TRUTH, is_truth, units_of
+from sweep.contract import Array, SweepError, shown, suggest
+from sweep.studies.form import FigureForm
 
 FEW_TICKS = 8.0
 """On axes that span less than this factor, ticks at 1, 2 and 5 of each decade are too few."""
 
-WIDE_RATIO = 5.0
-"""Positive numbers that span more than this factor are drawn on a logarithmic axis."""
+TRUTH_NAMES = TRUTH["flag_meanings"].split()
+
+SCALE = "scale"
+"""The attribute of a variable whose axis was chosen: "log" or "linear"."""
+
+WIDE_RATIO, EVEN = 5.0, 0.01
+"""Numbers that span less than this factor are drawn on a logarithmic axis only if their ratios are equal: none of them
+is farther from its place among equal steps of the logarithm than this share of the axis.
+"""
 
 
-def is_wide(values: Any, unit: str = "") -> bool:
-    """Return whether numbers need a logarithmic axis."""
-    known = np.asarray(values, dtype=float)
+def with_scales(
+    dataset: xr.Dataset, drawn: Sequence[str], log: Sequence[str] = (), linear: Sequence[str] = ()
+) -> xr.Dataset:
+    """Return a dataset in which what is drawn has the scale that its study chose, or that is chosen here.
+
+    Raises SweepError for a name that has no numbers here or is in both, and for a study whose choice cannot be read.
+    """
+    known = [name for name in drawn if dataset[name].dtype.kind in "if" and not is_truth(dataset[name])]
+    if wrong := [name for name in (*log, *linear) if name not in known]:
+        raise SweepError(f"{shown(wrong[0])} has no scale to choose{suggest(wrong[0], known) if known else ''}")
+    if both := set(log) & set(linear):
+        raise SweepError(f"{min(both)} cannot have both a logarithmic and a linear axis")
+    try:
+        own = FigureForm.model_validate(json.loads(dataset.attrs.get("study_document", "{}")).get("figure", {}))
+    except (ValueError, TypeError, AttributeError) as error:
+        raise SweepError(f"the table [figure] of the study cannot be read: {error}") from error
+    chosen = dict.fromkeys(own.log, "log") | dict.fromkeys(own.linear, "linear")
+    chosen |= dict.fromkeys(log, "log") | dict.fromkeys(linear, "linear")
+    marked = dataset.copy()
+    for name in filter(chosen.__contains__, known):
+        marked[name].attrs[SCALE] = chosen[name]
+    return marked
+
+
+def is_logarithmic(array: xr.DataArray) -> bool:
+    """Return whether numbers are drawn on a logarithmic axis: as was chosen, or by their spacing.
+
+    Equal steps make it linear, equal ratios logarithmic.  Others, such as results, have the scale on which they are
+    nearer to equal steps, the logarithmic one only where they span more than `WIDE_RATIO`.  Numbers that are logarithms
+    already have a linear one.  Raises SweepError where a logarithmic axis is wanted for numbers not above zero.
+    """
+    known = np.unique(array.values.astype(float))
     known = known[np.isfinite(known)]
-    if unit in LOGARITHMIC_UNITS or not known.size or known.min() <= 0.0:
+    if array.attrs.get(SCALE) == "log" and known.size and known[0] <= 0.0:
+        raise SweepError(f"{array.name} = {known[0]:g}: a logarithmic axis has only numbers above zero")
+    if SCALE in array.attrs:
+        return bool(array.attrs[SCALE] == "log")
+    if known.size < 3 or known[0] <= 0.0 or units_of(array.attrs) in LOGARITHMIC_UNITS:
         return False
-    return bool(known.max() > WIDE_RATIO * known.min())
+    of_ratios = _unevenness(np.log(known))
+    return of_ratios < _unevenness(known) and (of_ratios < EVEN or bool(known[-1] > WIDE_RATIO * known[0]))
 
 
-def fit_scale(axes: Axes, which: str, values: Any, unit: str = "", few_ticks: bool = False) -> None:
-    """Make an axis logarithmic where its numbers need it; ``few_ticks`` is for small panels."""
-    if not is_wide(values, unit):
-        return
-    logarithmic(axes, which, values, few_ticks)
+def scale_of(array: xr.DataArray) -> str:
+    """Return "log" or "linear", whichever the axis of an array has."""
+    return "log" if is_logarithmic(array) else "linear"
+
+
+def _unevenness(places: Array) -> float:
+    """Return how far ascending places are at most from equal steps, as a share of their range."""
+    return float(np.abs((places - places[0]) / (places[-1] - places[0]) - np.linspace(0.0, 1.0, len(places))).max())
+
+
+def fit_scale(axes: Axes, which: str, array: xr.DataArray, few_ticks: bool = False) -> None:
+    """Make an axis logarithmic where its numbers need it, and name truth values; ``few_ticks`` is for small panels."""
+    if is_truth(array):
+        (axes.set_xticks if which == "x" else axes.set_yticks)([0.0, 1.0], TRUTH_NAMES)
+    elif is_logarithmic(array):
+        logarithmic(axes, which, array.values, few_ticks)
 
 
 def logarithmic(axes: Axes, which: str, values: Any, few_ticks: bool = False) -> None:
@@ -55,6 +114,14 @@ def logarithmic_ticks(axis: Axis, values: Any, few_ticks: bool = False) -> None:
         axis.set_major_locator(LogLocator(subs=few if few_ticks else many))
         axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
         axis.set_minor_formatter(NullFormatter())
+
+
+def fit_bar(bar: Colorbar, array: xr.DataArray) -> None:
+    """Set the ticks of a colour bar of an array."""
+    if isinstance(bar.norm, LogNorm):
+        logarithmic_ticks(bar.ax.yaxis, [bar.norm.vmin, bar.norm.vmax])
+    elif is_truth(array):
+        bar.set_ticks([0.0, 1.0], labels=TRUTH_NAMES)
 
 
 def edges(places: NDArray[np.float64], logarithm: bool) -> NDArray[np.float64]:

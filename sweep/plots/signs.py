@@ -11,17 +11,18 @@ from matplotlib.lines import Line2D
 from sweep.analysis.quantity import errors_beside, standard_error
 
 SIMULATED, COMPUTED, PREDICTED, PUBLISHED = "simulated", "computed", "predicted", "published"
+MOVED = "markers moved sideways, lines not"
 """Entries of legends.  Values are simulated if they have errors."""
 
 HIDDEN = {
     "_error band": "Bands join the errors of the points.",
     "_prediction band": "Bands are the one-sigma errors of the predictions.",
     "_law band": "Bands are the one-sigma errors of the fitted laws.",
-    "_moved": "Series that cover each other are drawn a little to the left or right of their places.",
+    "_joined": "Thin lines join the points.",
 }
 """Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends."""
 
-ERROR_BAND, PREDICTION_BAND, LAW_BAND, MOVED = HIDDEN
+ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED = HIDDEN
 
 
 def signs_in_words(figure: Figure, dataset: xr.Dataset) -> list[str]:
@@ -35,10 +36,16 @@ def signs_in_words(figure: Figure, dataset: xr.Dataset) -> list[str]:
     declared = dict.fromkeys(bars[0] for name in with_bars if (bars := errors_beside(dataset, name)))
     found += [f"Error bars are {name}." for name in declared]
     if PREDICTED in handles:
-        found.append(f"{_of_prediction(handles[PREDICTED])} in closed form.")
+        dashes = isinstance(handles[PREDICTED], Line2D)
+        found.append(f"{'Dashes are predicted' if dashes else 'The prediction is'} in closed form.")
     if PUBLISHED in handles:
         found.append("Open symbols are published.")
-    return found + [words for label, words in HIDDEN.items() if label in labels]
+    found += [words for label, words in HIDDEN.items() if label in labels]
+    if MOVED in handles:
+        found.append(
+            "Markers that cover each other are drawn a little to the left or right of their places; lines are not."
+        )
+    return found
 
 
 def entries(figure: Figure) -> list[str]:
@@ -62,9 +69,3 @@ def _handles(figure: Figure) -> dict[str, Any]:
 def _has_error_bars(axes: Axes) -> bool:
     bars = [one for one in axes.containers if isinstance(one, ErrorbarContainer) and (one.has_xerr or one.has_yerr)]
     return any(str(one.get_label()).lstrip("_") != PUBLISHED for one in bars)
-
-
-def _of_prediction(handle: Any) -> str:
-    if not isinstance(handle, Line2D):
-        return "The prediction is"
-    return "Dashes are predicted" if handle.get_linestyle() == "None" else "Lines are predicted"

@@ -8,7 +8,8 @@ import xarray as xr
 from bokeh.resources import Resources
 
 from sweep.analysis.quantity import error_bar, prediction_name, quantities
-from sweep.attributes import LOGARITHMIC_UNITS, meaning_beside, units_of
+from sweep.attributes import is_truth, meaning_beside, units_of
+from sweep.plots.scales import SCALE, is_logarithmic, with_scales
 from sweep.readable import prefixed, written
 from sweep.studies.study import POINT
 
@@ -33,6 +34,7 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
     ``first`` are the quantities that come first; each has flat lists in C order of its own dimensions, None where a
     value is missing.
     """
+    dataset = with_scales(dataset, list(map(str, dataset.variables)))
     everything = [*first, *(name for name in quantities(dataset) if name not in first)]
     names = [name for name in everything if np.isfinite(dataset[name].values).any()]
     shown: list[dict[str, Any]] = []
@@ -82,6 +84,8 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         **components,
         "meaning": meaning_beside(name, attributes),
         "dims": list(map(str, dataset[name].dims)),
+        "scale": str(attributes.get(SCALE, "")),
+        "truth": is_truth(dataset[name]),
         **{suffix: _numbers((part * factors).transpose(*part.dims).values) for suffix, part in parts.items()},
     }
 
@@ -100,14 +104,13 @@ def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
     array = dataset[name]  # a dimension without a coordinate gives 0, 1, 2, ...
     numeric = array.dtype.kind in "iuf"
     values = _numbers(array.values) if numeric else list(map(str, array.values.tolist()))
-    unit = units_of(array.attrs)
     return {
         "name": name,
         "dim": str(array.dims[0]),
-        "unit": written(unit),
+        "unit": written(units_of(array.attrs)),
         "numeric": numeric,
         "ordered": array.dims[0] != POINT,
-        "logarithmic": unit in LOGARITHMIC_UNITS,
+        "logarithmic": numeric and is_logarithmic(array),
         "values": values,
     }
 

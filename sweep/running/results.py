@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.attributes import ERRORS, described, short_meaning
+from sweep.attributes import ERRORS, TRUTH, described, short_meaning
 from sweep.contract import Array, Output, Parameter
 from sweep.executing.upstream import dask_arrays_only_where_imported
 from sweep.functions.adapter import FunctionExperiment
@@ -45,6 +45,8 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
             continue  # the coordinate of that name has these values already
         values = typed_array(results.get(output.name), done, experiment.shape_of(output), texts)
         variables[output.name] = _variable(grid, values, output)
+        if output.name in results and results[output.name].dtype.kind == "b" and values.dtype.kind == "f":
+            variables[output.name][2].update(TRUTH)
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"

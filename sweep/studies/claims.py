@@ -10,6 +10,7 @@ from sweep.contract import Experiment, Named, Value, shown, suggest
 from sweep.formatting import first_of
 from sweep.studies import form
 from sweep.studies.problems import Problems
+from sweep.studies.values import is_number
 
 FORMATS = ("", "error", "%")
 """What may follow a name: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent."""
@@ -64,6 +65,22 @@ def checked_conclusion(conclusion: form.Conclusion, context: ClaimContext, probl
             own.add((), f"{shown(name)} is in no sentence")
         values[name] = _checked_value(value, context, own)
     return conclusion.model_copy(update={"values": values})
+
+
+def check_figure(figure: form.FigureForm, context: ClaimContext, problems: Problems) -> None:
+    """Report what the table [figure] names and is no number of the study, and axes that cannot be logarithmic."""
+    experiment = context.experiment
+    known = [p.name for p in experiment.parameters] + [o.name for o in experiment.outputs] + [*experiment.coordinates]
+    for key, names in figure:
+        for i, name in enumerate(names):
+            if name not in known and not experiment.undeclared:
+                problems.add((key, i), f"{shown(name)} is neither a parameter nor an output{suggest(name, known)}")
+            elif key == "linear" and name in figure.log:
+                problems.add((key, i), f"{shown(name)} is in log too; leave out one of the two")
+            elif key == "log" and name not in context.overridden:
+                wrong = [value for value in context.axes.get(name) or () if not is_number(value) or value <= 0]
+                for value in wrong[:1]:
+                    problems.add((key, i), f"{name} = {shown(value)}: a logarithmic axis has only numbers above zero")
 
 
 def _fields_of(sentence: str) -> list[tuple[str, str]]:

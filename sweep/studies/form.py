@@ -183,6 +183,13 @@ class PublishedForm(Section):
     tolerance_reason: Text | None = None
 
 
+class FigureForm(Section, frozen=True):
+    """The table [figure]: axes and results that are drawn on a logarithmic or a linear axis, whatever their spacing."""
+
+    log: list[str] = Field(default_factory=list)
+    linear: list[str] = Field(default_factory=list)
+
+
 class Form(Section):
     """The fixed part of a study file; axes and parameters are checked against the experiment."""
 
@@ -199,6 +206,7 @@ class Form(Section):
     published: PublishedForm | None = None
     claim: list[Claim] = Field(default_factory=list)
     conclusion: Conclusion | None = None
+    figure: FigureForm = FigureForm()
 
 
 def printed_rounding(text: str) -> float:

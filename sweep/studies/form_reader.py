@@ -33,7 +33,7 @@ def read_form(document: Mapping[str, Any], problems: Problems) -> form.Form | No
     if "experiment" in broken:
         return None
     if {"axes", "points"} & broken:
-        broken |= {"grid", "claim", "conclusion", "published"}
+        broken |= {"grid", "claim", "conclusion", "published", "figure"}
     if "grid" in broken:
         broken |= {"claim", "conclusion"}
     rest = {key: value for key, value in document.items() if key not in broken}
@@ -47,6 +47,7 @@ def _known_keys(where: Place) -> list[str]:
         "grid": form.GridForm,
         "points": form.PointsForm,
         "published": form.PublishedForm,
+        "figure": form.FigureForm,
         "claim": form.Claim,
         "conclusion": form.Conclusion,
         "values": form.ConclusionValue,

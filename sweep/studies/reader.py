@@ -8,7 +8,7 @@ from typing import Any
 
 from sweep.contract import Experiment, SweepError, Value
 from sweep.load import absolute_reference, read_experiment
-from sweep.studies.claims import ClaimContext, checked_claim, checked_conclusion
+from sweep.studies.claims import ClaimContext, check_figure, checked_claim, checked_conclusion
 from sweep.studies.definitions import defined_values
 from sweep.studies.form import Form, Sampling
 from sweep.studies.form_reader import read_form
@@ -141,6 +141,7 @@ class _Reader:
         conclusion = None
         if form.conclusion is not None:
             conclusion = checked_conclusion(form.conclusion, context, self.problems.inside("conclusion"))
+        check_figure(form.figure, context, self.problems.inside("figure"))
         if self.problems.found:
             raise SweepError(self.problems.found, self.where)
         return Study(

@@ -33,7 +33,8 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     for axes, (stored, panel) in zip(grid, panels.items(), strict=True):
         factor, unit = readable(dataset["error"].values[:, panel], stored)
         for number, k in enumerate(panel[: len(COLOURS)]):
-            axes.plot(epochs[order], factor * errors_then[order, k], label=symbols[k], **series(number), **CURVE)
+            points = {**series(number), **CURVE, "linestyle": "none"}  # nothing was computed between the epochs
+            axes.plot(epochs[order], factor * errors_then[order, k], label=symbols[k], **points)
             for _, errors, line in stages:
                 axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
         each = figure.get_figwidth() / len(panels) - 0.4

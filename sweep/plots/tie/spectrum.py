@@ -8,6 +8,7 @@ from scipy.special import ndtri
 
 from sweep.contract import SweepError
 from sweep.plots.legends import legend_below
+from sweep.plots.lines import DASH, WIDEST_DASH
 from sweep.plots.scales import logarithmic
 from sweep.plots.style import figure_size, finish, series
 
@@ -34,8 +35,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
             kind = field.partition(" ")[2]
             signal, noise = (1000.0 * np.sqrt(one[name].values) for name in ("power", "power_noise"))
             upper.plot(degree + shift, signal, linestyle="none", label=kind, **style)
-            line = {"color": style["color"], "linestyle": "dashed", "linewidth": 1.0}
-            upper.plot(degree + shift, noise, label=f"noise, {kind}", **line)
+            upper.plot(degree, noise, color=style["color"], markersize=WIDEST_DASH, label=f"noise, {kind}", **DASH)
             significance = -ndtri(np.clip(one["power_probability"].values, 1e-300, 1.0))
             lower.plot(degree + shift, np.minimum(significance, MOST_SIGMA), linestyle="none", **style)
         shown = dataset[["power", "power_noise"]].sel(field=fields).to_array().values

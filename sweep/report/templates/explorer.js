@@ -4,8 +4,7 @@
   const MOST_SERIES = 14;
   const COLOURS = 7;
   const MARKERS = ["circle", "square", "diamond", "triangle", "inverted_triangle", "star", "x"];
-  const NEGLIGIBLE = 1e-5; // as in the sentences about what changes a quantity
-  const WIDE = 5; // positive numbers that span more than this factor are drawn on a logarithmic axis
+  const [WIDE, EVEN] = [5, 0.01]; // WIDE_RATIO and EVEN of the figures
 
   // For a text with these signs BokehJS would load a library for formulae from the network.
   const plain = (text) => String(text).replaceAll("$$", "$\u200b$").replaceAll("\\(", "\\\u200b(").replaceAll("\\[", "\\\u200b[");
@@ -37,16 +36,18 @@
     Bokeh.documents.splice(Bokeh.documents.indexOf(shownIn), 1);
   };
 
-  const isWide = (values) => {
-    const finite = values.filter(Number.isFinite);
-    return finite.length > 1 && Math.min(...finite) > 0 && Math.max(...finite) > WIDE * Math.min(...finite);
+  // How far ascending places are at most from equal steps, as a share of their range.
+  const unevenness = (places) => {
+    const [first, last] = [places[0], places.at(-1)];
+    return Math.max(...places.map((place, i) => Math.abs((place - first) / (last - first) - i / (places.length - 1))));
   };
 
-  // At most a quarter of the values are far below all others: a logarithmic axis would show mainly these few.
-  const isExtreme = (values) => {
-    const known = values.filter((value) => value > 0).sort((a, b) => a - b);
-    const low = known.slice(0, Math.floor(known.length / 4) + 1);
-    return low.some((value, i) => i > 0 && low[i - 1] < NEGLIGIBLE * value);
+  // The rule of the figures: whatever is nearer to equal steps.
+  const isLogarithmic = (values) => {
+    const known = [...new Set(values.filter(Number.isFinite))].sort((a, b) => a - b);
+    if (known.length < 3 || known[0] <= 0) return false;
+    const ofRatios = unevenness(known.map(Math.log));
+    return ofRatios < unevenness(known) && (ofRatios < EVEN || known.at(-1) > WIDE * known[0]);
   };
 
   // Over less than two decades BokehJS labels a logarithmic axis as a linear one: 5, 10, 15, 20.
@@ -222,8 +223,9 @@
       const everything = Array.from({ length: drawn }, (_, number) => this.columns(number));
       const flat = everything.flat();
       const positive = flat.every((row) => !(row.value <= 0));
-      const logY = choice.scale === "log" ? positive : choice.scale !== "linear" && isWide(flat.map((row) => row.value)) && !isExtreme(flat.map((row) => row.value));
-      const logX = numeric && !x.logarithmic && isWide(x.values);
+      const scale = choice.scale || quantity.scale || (isLogarithmic(flat.map((row) => row.value)) && !quantity.unit.match(/^(mag|dB|dex)$/) ? "log" : "linear");
+      const logY = scale === "log" && positive;
+      const logX = numeric && x.logarithmic;
       const ink = colour(this.element, "ink");
       const line = colour(this.element, "line");
       const page = colour(this.element, "page");
@@ -242,6 +244,10 @@
       });
       figure.toolbar.logo = null;
       figure.toolbar.active_scroll = null;
+      if (quantity.truth) {
+        [...figure.yaxis][0].ticker = [...figure.ygrid][0].ticker = new Bokeh.FixedTicker({ ticks: [0, 1] });
+        [...figure.yaxis][0].major_label_overrides = new Map([[0, "False"], [1, "True"]]);
+      }
       if (logX) labelShort([...figure.xaxis][0], [...figure.xgrid][0], x.values);
       if (logY) labelShort([...figure.yaxis][0], [...figure.ygrid][0], flat.map((row) => row.value));
       this.dress(figure, ink, line);
@@ -250,8 +256,7 @@
       this.drawn = [];
       everything.forEach((rows, number) => {
         const name = series ? String(series.values[number]) : quantity.name;
-        const joined = numeric && x.ordered;
-        const parts = this.series(figure, rows, { name, number, numeric, joined, factors, logY });
+        const parts = this.series(figure, rows, { name, number, numeric, joined: numeric && x.ordered && !quantity.truth, factors, logY });
         this.drawn[number] = parts.kinds;
         if (parts.renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers: parts.renderers }));
         values.push(...parts.values);
@@ -323,33 +328,24 @@
       const main = at("value", {
         name: () => name,
         place: (row) => (row.x === "" ? "" : String(row.x)),
-        value: (row) => withError(row.value, row.error),
+        value: (row) => (this.quantity.truth ? ["False", "True"][row.value] : withError(row.value, row.error)),
         predicted: (row) => shown(row.predicted),
         published: (row) => shown(row.published),
         low: (row) => lowest(row.value, row.error > 0 ? row.error : 0),
         high: (row) => row.value + (row.error > 0 ? row.error : 0),
       });
       const kinds = { predicted: [], published: [], error: [] };
-      const lineOf = (part, options) => {
-        if (!joined) return;
-        const y = rows.map((row) => (logY && row[part] <= 0 ? NaN : row[part]));
-        if (y.filter(Number.isFinite).length < 2) return;
-        const line = figure.line(rows.map(place), y, { line_color: tint, ...options });
-        renderers.push(line);
-        if (part === "predicted") kinds.predicted.push(line);
-      };
-      if (this.quantity.predicted) {
-        lineOf("predicted", { line_width: 1.4 });
-        if (!joined) {
-          const predicted = at("predicted");
-          if (predicted.data.x.length) {
-            const dash = figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 });
-            renderers.push(dash);
-            kinds.predicted.push(dash);
-          }
+      const heights = rows.map((row) => (logY && row.value <= 0 ? NaN : row.value));
+      if (joined && heights.filter(Number.isFinite).length > 1) {
+        renderers.push(figure.line(rows.map(place), heights, { line_color: tint, line_width: 1, line_alpha: 0.55 }));
+      }
+      if (this.quantity.predicted) { // known at the points alone
+        const predicted = at("predicted");
+        if (predicted.data.x.length) {
+          const dash = figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 });
+          renderers.push(dash);
+          kinds.predicted.push(dash);
         }
-      } else {
-        lineOf("value", { line_width: 1, line_alpha: 0.55 });
       }
       if (this.quantity.error && main.data.x.length) {
         const segments = figure.segment({ field: "x" }, { field: "low" }, { field: "x" }, { field: "high" }, { source: main, line_color: tint, line_width: 1.5 });
@@ -375,9 +371,8 @@
     // One sign in the legend for what all series have: theirs would be drawn over one another.  It is drawn nowhere else.
     sign(figure, part, renderers, ink, axis, factors) {
       const place = [axis && axis.numeric ? axis.values.find((value) => value !== null && value > 0) ?? 0 : factors[0]];
-      const dash = renderers[0].glyph.type === "Scatter";
       const styles = {
-        predicted: { marker: "dash", size: 22, line_width: dash ? 2 : 1.4 },
+        predicted: { marker: "dash", size: 22, line_width: 2 },
         published: { marker: "circle", size: 14, fill_alpha: 0, line_width: 1.5 },
         error: { marker: "cross", size: 14, line_width: 1.5 },
       };
@@ -398,12 +393,12 @@
       const parts = [];
       if (this.quantity.meaning) parts.push(`${this.quantity.name}: ${this.quantity.meaning}.`);
       if (this.quantity.error) parts.push("Bars are one-sigma errors.");
-      if (this.quantity.predicted) parts.push("The prediction is a line, or a dash where x has no numbers.");
+      if (this.quantity.predicted) parts.push("Dashes are predicted.");
       if (this.quantity.published) parts.push("Published values are large open symbols.");
       if (drawn < total) parts.push(`The first ${drawn} of ${total} series are drawn; exchange x and series to see all.`);
       const gone = flat.filter((row) => !Number.isFinite(row.value)).length;
       if (gone) parts.push(`${gone} of ${flat.length} values are missing and not drawn.`);
-      if (this.choice.scale === "log" && !logY) parts.push("There are values that are not above zero: the scale stays linear.");
+      if ((this.choice.scale || this.quantity.scale) === "log" && !logY) parts.push("There are values that are not above zero: the scale stays linear.");
       this.element.querySelector(".status").textContent = parts.join(" ");
     }
   }

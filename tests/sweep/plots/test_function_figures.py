@@ -36,9 +36,8 @@ def test_a_list_at_each_point_of_an_axis_is_a_map_over_both(decayed):
 def test_words_beside_a_picture_are_about_what_it_draws(decayed):
     figure = linksweep.plot(decayed, variables=["short"])
     assert caption_and_description(figure, decayed) == (
-        "decay. short: Over 6 points it goes from 0, at half_life=12, to 1, at half_life=1.\n\n"
-        "Alternative text: Short against half life. "
-        "short: Over 6 points it goes from 0, at half_life=12, to 1, at half_life=1.\n"
+        "decay. short: It is True at 4 of 6 points.\n\n"
+        "Alternative text: Short against half life. short: It is True at 4 of 6 points.\n"
     )
     words = description(linksweep.plot(decayed, variables=["rest"]), decayed)
     assert words.startswith("Rest dim 0 against half life, coloured by rest. rest: With 11 values along rest_dim_0")

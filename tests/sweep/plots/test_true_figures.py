@@ -1,0 +1,338 @@
+"""Figures that say nothing untrue: scales by the spacing of values, markers beside lines that stay, predictions at the
+points alone, truth values in one notation.
+"""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import LogNorm
+from matplotlib.container import ErrorbarContainer
+from matplotlib.contour import ContourSet
+
+import linksweep
+from sweep.analysis.quantity import standard_error
+from sweep.contract import SweepError
+from sweep.report.explorer import explorer
+from sweep.report.page import report_of
+
+LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
+
+
+def results(x, y=None, unit="", name="x", attributes=None):
+    """Results along one axis, as `linksweep.open` returns them."""
+    y = np.linspace(1.0, 2.0, len(x)) if y is None else np.asarray(y, dtype=float)
+    variables = {"y": ("x", y, {"headline": 1}), "status": ("x", np.ones(len(x), dtype=int))}
+    coords = {name: ("x", np.asarray(x), {"units": unit} if unit else {})}
+    return xr.Dataset(variables, coords, {"title": "", "function": "f", **(attributes or {})})
+
+
+def scales(dataset, **options):
+    [axes] = linksweep.plot(dataset, "lines", **options).axes
+    return axes.get_xscale(), axes.get_yscale()
+
+
+def in_explorer(dataset):
+    axes = explorer(dataset, ["y"], 10_000)[0]["axes"]
+    return next("log" if axis["logarithmic"] else "linear" for axis in axes if axis["name"] == "x")
+
+
+ordered = {"start": st.floats(1e-6, 1e6), "n": st.integers(3, 40), "shuffle": st.randoms(use_true_random=False)}
+
+
+@settings(max_examples=40, deadline=None)
+@given(step=st.floats(1e-4, 1e4), digits=st.integers(4, 15), **ordered)
+def test_an_axis_of_equal_steps_is_linear_however_far_it_goes(start, step, n, digits, shuffle):
+    x = [float(f"{start * (1.0 + step * i):.{digits}g}") for i in range(n)]
+    if len(set(x)) < n or (digits < 8 and step * n < 0.1):
+        return  # rounded to other steps
+    shuffle.shuffle(x)
+    assert (scales(results(x))[0], in_explorer(results(x))) == ("linear", "linear")
+
+
+@settings(max_examples=40, deadline=None)
+@given(ratio=st.floats(1.01, 100.0), **ordered)
+def test_an_axis_of_equal_ratios_is_logarithmic_however_short_it_is(start, ratio, n, shuffle):
+    x = [start * ratio**i for i in range(n)]
+    shuffle.shuffle(x)
+    assert (scales(results(x))[0], in_explorer(results(x))) == ("log", "log")
+
+
+@pytest.mark.parametrize(
+    ("x", "scale"),
+    [
+        ([1, 2, 5, 10, 20, 50], "log"),
+        ([10, 32, 100, 316, 1000], "log"),
+        ([1.0, 1.19, 1.41, 1.68, 2.0], "log"),
+        ([14.0, 15.0, 17.0, 20.0], "linear"),
+        ([1.0, 2.0, 2.5, 4.0, 5.5, 7.0], "linear"),
+        ([0.0, 1.0, 10.0, 100.0], "linear"),
+        ([-8.0, -4.0, -2.0, -1.0], "linear"),
+        ([1.0, 100.0], "linear"),
+        (LARGE, "linear"),
+    ],
+)
+def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
+    assert (scales(results(x))[0], in_explorer(results(x))) == (scale, scale)
+
+
+def test_magnitudes_are_logarithms_already():
+    assert scales(results([1.0, 2.0, 4.0, 8.0], unit="mag"))[0] == "linear"
+
+
+def test_results_have_the_scale_that_shows_them_all():
+    x = np.arange(10.0)
+    assert scales(results(x, LARGE))[1] == "linear"
+    assert scales(results(x, np.exp(x)))[1] == "log"
+    assert scales(results(x, [1e-9, 1e-9, *LARGE[2:]]))[1] == "linear"  # a corner where nothing is left
+    assert scales(results(x, [600.0, 610.0, 620.0, 630.0, 640.0, 1.7, 1.2, 0.9, 0.7, 0.5]))[1] == "log"
+    assert scales(results(x, 1.0 / (x - 20.0)))[1] == "linear"
+
+
+def test_colours_follow_the_same_rule():
+    def norm(z):
+        sizes = {"status": (("x", "y"), np.ones(z.shape, dtype=int)), "z": (("x", "y"), z, {"headline": 1})}
+        coords = {"x": np.arange(float(z.shape[0])), "y": np.arange(float(z.shape[1]))}
+        figure = linksweep.plot(xr.Dataset(sizes, coords, {"title": "", "function": "f"}), "map")
+        return figure.axes[0].collections[0].norm
+
+    steps = 1.0 + np.arange(36.0).reshape(6, 6)
+    assert not isinstance(norm(steps), LogNorm)
+    assert isinstance(norm(1.1**steps), LogNorm)
+
+
+def test_panels_that_share_an_axis_share_its_scale():
+    y = np.stack([np.linspace(1.0, 2.0, 6), np.geomspace(1.0, 60.0, 6), -np.linspace(1.0, 2.0, 6)])
+    variables = {"y": (("a", "x"), y, {"headline": 1}), "status": (("a", "x"), np.ones(y.shape, dtype=int))}
+    dataset = xr.Dataset(variables, {"a": ["u", "v", "w"], "x": np.arange(6.0)}, {"title": "", "function": "f"})
+    dataset = xr.concat([dataset, dataset], "b").assign_coords(b=["i", "j"])
+    axes = linksweep.plot(dataset, "lines", over=["x"]).axes
+    assert {one.get_yscale() for one in axes} == {"linear"}  # a part of the values is negative
+
+
+# The choice of a study, of a call, and of the command
+
+
+def area(width: float = 1.0):
+    return {"area": width**2}
+
+
+def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
+    study = {"experiment": area, "axes": {"width": [1.0, 2.0, 3.0, 4.0]}, "figure": {"log": ["width", "area"]}}
+    dataset = linksweep.run(study, tmp_path / "a.zarr", pool="serial")
+    assert scales(dataset) == ("log", "log")
+    assert scales(dataset, linear=["area"]) == ("log", "linear")
+    view = explorer(dataset, ["area"], 1000)[0]
+    assert (view["axes"][0]["logarithmic"], view["quantities"][0]["scale"]) == (True, "log")
+    again = linksweep.run(study | {"figure": {"linear": ["area"]}}, tmp_path / "a.zarr", pool="serial")
+    assert scales(again) == ("linear", "linear")
+    assert "scale" not in again["area"].attrs
+
+
+def test_the_command_chooses(tmp_path, sweep, store_of):
+    def drawn(*options):
+        code, _, err = sweep("plot", store_of("quasars"), *options, "-o", tmp_path / "a.svg")
+        return (tmp_path / "a.svg").read_text() if code == 0 else (code, err)
+
+    assert drawn("--log", "sigma_spin", "--log", "v_max") != drawn()
+    assert drawn("--linear", "v_max") == drawn()
+    for options, message in [
+        (["--log", "v_maxx"], "'v_maxx' has no scale to choose; did you mean 'v_max'?"),
+        (["--linear", "model"], "'model' has no scale to choose"),
+        (["--log", "v_max", "--linear", "v_max"], "v_max cannot have both a logarithmic and a linear axis"),
+        (
+            ["--kind", "law", "--over", "v_max", "--at", "model=gaia", "--linear", "v_max"],
+            "a law is drawn on logarithmic",
+        ),
+        (["--kind", "sky", "--log", "v_max"], "nor do --log and --linear"),
+    ]:
+        code, err = drawn(*options)
+        assert code == 2
+        assert message in err
+
+
+def test_a_logarithm_needs_numbers_above_zero(tmp_path):
+    dataset = results([0.0, 1.0, 10.0])
+    with pytest.raises(SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
+        linksweep.plot(dataset, log=["x"])
+    wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["sky_contrast", "n_obi"]}}
+    with pytest.raises(SweepError) as raised:
+        linksweep.run(wrong, tmp_path / "a.zarr")
+    assert raised.value.problems == [
+        "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero",
+        "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?",
+    ]
+    with pytest.raises(SweepError, match=r"figure\.linear\.0: 'n_obj' is in log too"):
+        linksweep.run({"title": "a", "figure": {"log": ["n_obj"], "linear": ["n_obj"]}}, tmp_path / "a.zarr")
+
+
+# Series that cover each other
+
+
+def several(curves, x):
+    variables = {
+        "y": (("kind", "x"), np.asarray(curves)),
+        "status": (("kind", "x"), np.ones((len(curves), len(x)), int)),
+    }
+    variables["y_mc_error"] = ("kind", "x"), 0.01 * np.asarray(curves)
+    variables["y_predicted"] = ("kind", "x"), 1.1 * np.asarray(curves)
+    coords = {"kind": [f"k{i}" for i in range(len(curves))], "x": x}
+    return xr.Dataset(variables, coords, {"title": "A", "function": "f"})
+
+
+@pytest.mark.parametrize("number", [2, 3, 4, 7])
+def test_only_markers_are_moved_aside_and_the_figure_says_so(number):
+    x = np.geomspace(1e-6, 100.0, 5)
+    figure = linksweep.plot(several([x**2] * number, x), "lines")
+    figure.draw_without_rendering()
+    [axes] = figure.axes
+    true = axes.transData.transform(np.stack([x, x**2], axis=1))
+
+    def pixels(artist):
+        return artist.get_transform().transform(np.stack([artist.get_xdata(), artist.get_ydata()], axis=1))
+
+    marks = [one for one in axes.containers if isinstance(one, ErrorbarContainer)]
+    aside = [pixels(one.lines[0]) - true for one in marks]
+    assert all(np.allclose(one[:, 1], 0.0) for one in aside)
+    shifts = [one[0, 0] / figure.dpi * 72.0 for one in aside]
+    assert np.all(np.diff(shifts) > 1.0)
+    assert np.abs(shifts).max() < 6.0
+    for one, shift in zip(marks, aside, strict=True):  # the bars go with their markers
+        [bars] = one.lines[2]
+        assert np.allclose(
+            bars.get_transform().transform([[x[1], 1.0]]) - axes.transData.transform([[x[1], 1.0]]), shift[0]
+        )
+    joined = [line for line in axes.lines if line.get_linestyle() == "-" and len(line.get_xdata()) == 5]
+    assert len(joined) == number
+    assert all(np.allclose(pixels(line), true) for line in joined)
+    said = [text.get_text() for text in (axes.get_legend() or figure.legends[0]).get_texts()]
+    assert "markers moved sideways, lines not" in said
+
+
+def test_series_apart_are_not_moved():
+    x = np.linspace(1.0, 2.0, 5)
+    figure = linksweep.plot(several([x, 2.0 * x + 3.0], x), "lines")
+    said = [text for axes in figure.axes for text in axes.get_legend_handles_labels()[1]]
+    assert not any("moved" in text for text in said)
+
+
+# Predictions
+
+
+@pytest.mark.parametrize("name", ["quasars", "error-surface"])
+def test_nothing_is_drawn_between_the_points_of_a_prediction(dataset_of, name):
+    dataset = dataset_of(name)
+    figure = linksweep.plot(dataset, "lines")
+    predicted = []
+    for axes in figure.axes:
+        for line in axes.lines:
+            wanted = dataset["sigma_spin_rms_predicted"].values
+            heights = np.asarray(line.get_ydata(), dtype=float)
+            is_prediction = heights.size > 1 and any(
+                np.allclose(row * factor, heights)
+                for row in wanted.reshape(-1, wanted.shape[-1])
+                for factor in (1.0, 1e3)
+            )
+            predicted += [line] if is_prediction else []
+        assert not any(isinstance(one, PolyCollection) for one in axes.collections)  # no band goes from point to point
+    assert len(predicted) >= 2
+    assert {line.get_linestyle() for line in predicted} == {"None"}
+    assert {line.get_marker() for line in predicted} == {"_"}
+
+
+def test_errors_of_predictions_stand_at_their_points(dataset_of):
+    one = dataset_of("quasars").sel(model="amex")
+    [axes] = linksweep.plot(one, "lines").axes
+    middle, half = one["sigma_spin_rms_predicted"].values, one["sigma_spin_catalogue_error"].values
+    lines = [c for c in axes.collections if isinstance(c, LineCollection)]
+    bars = np.array([segment for c in lines for segment in c.get_segments() if np.shape(segment) == (2, 2)])
+    for x, low, high in zip(one["v_max"].values, middle - half, middle + half, strict=True):
+        assert any(np.allclose(bar, [[x, low], [x, high]]) for bar in bars)
+
+
+def test_a_map_has_no_contours_between_predictions(dataset_of):
+    dataset = dataset_of("error-surface")
+    figure = linksweep.plot(dataset, "map")
+    assert sum(isinstance(one, ContourSet) for axes in figure.axes for one in axes.collections) == 1
+    error = standard_error(dataset, "sigma_spin")
+    worst = float((abs(dataset["sigma_spin"] - dataset["sigma_spin_rms_predicted"]) / error.where(error > 0.0)).max())
+    relative = 100.0 * float((error / abs(dataset["sigma_spin"].where(dataset["sigma_spin"] != 0.0))).max())
+    assert figure.get_supxlabel() == (f"errors (1σ) at most {relative:.2g} %; at most {worst:.1f}σ from the prediction")
+
+
+# Truth values
+
+
+def weigh(load: float = 1.0, strong: bool = True):
+    """How a beam stands."""
+    if load == 3.0 and strong:
+        raise ValueError("too heavy to know")
+    return {"stands": load < (3.5 if strong else 1.5), "spare": 5.0 - load + strong, "over": [load > 1.0, load > 2.0]}
+
+
+@pytest.fixture(scope="module", params=["whole", "with a failure"])
+def weighed(request, tmp_path_factory):
+    path = tmp_path_factory.mktemp("truth") / "s.zarr"
+    loads = [1.0, 2.0, 4.0] if request.param == "whole" else [1.0, 2.0, 3.0, 4.0]
+    linksweep.run(weigh, path, axes={"load": loads, "strong": [True, False]}, pool="serial")
+    return path
+
+
+def test_tables_have_true_and_false(weighed, sweep):
+    code, out, _ = sweep("show", weighed, "--format", "csv")
+    assert code == 0
+    for row in csv.DictReader(out.splitlines()):
+        assert row["strong"] in ("True", "False")
+        wanted = str(float(row["load"]) < (3.5 if row["strong"] == "True" else 1.5))
+        assert row["stands"] == (wanted if row["status"] == "done" else "")
+    _, text, _ = sweep("show", weighed)
+    rows = [line.split() for line in text.splitlines() if re.match(r" +\d ", line)]
+    assert {row[1] for row in rows} == {"True", "False"} >= {row[2] for row in rows if "failed" not in row}
+
+
+@pytest.mark.parametrize("over", ["load", "strong"])
+def test_figures_and_their_words_have_true_and_false(weighed, over):
+    from sweep.plots.caption import caption_and_description
+
+    dataset = linksweep.open(weighed)
+    figure = linksweep.plot(dataset, "lines", variables=["stands"], over=[over])
+    figure.draw_without_rendering()
+    [axes] = figure.axes
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["False", "True"]
+    assert axes.get_yticks().tolist() == [0.0, 1.0]
+    assert not [line for line in axes.lines if line.get_linestyle() == "-"]  # nothing is half true
+    if over == "load":
+        said = axes.get_legend_handles_labels()[1]
+        assert {"strong = True", "strong = False"} <= set(said)
+    else:
+        assert [text.get_text() for text in axes.get_xticklabels()] == ["True", "False"]
+    words = caption_and_description(figure, dataset)
+    assert "stands: It is True at 3 of" in words
+    assert not re.search(r"\b(yes|no|goes from 0)\b", words)
+
+
+def test_one_point_and_a_map_have_true_and_false(weighed):
+    dataset = linksweep.open(weighed)
+    one = dataset.isel(load=[0], strong=[0])
+    [axes] = linksweep.plot(one, variables=["stands"]).axes
+    assert "True" in [text.get_text() for text in axes.texts]
+    many = linksweep.plot(dataset.isel(strong=1), "map", variables=["over"])
+    bar = next(axes for axes in many.axes if axes.get_label() == "<colorbar>")
+    assert [text.get_text() for text in bar.get_yticklabels()] == ["False", "True"]
+
+
+def test_the_report_has_true_and_false(weighed):
+    page = report_of([weighed])
+    view = json.loads(re.search(r'<script type="application/json" id="data-1">(.*?)</script>', page, re.S)[1])
+    axis = next(axis for axis in view["axes"] if axis["name"] == "strong")
+    assert axis["values"] == ["True", "False"]
+    assert next(one["truth"] for one in view["quantities"] if one["name"] == "stands")
+    text = re.sub(r"<script.*?</script>|<[^>]*>", " ", page, flags=re.S)
+    assert "It is True at 3 of" in text
+    assert not re.search(r"strong: (yes|no)|goes from 0, at", text)
