@@ -49,7 +49,8 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         yield "No point has a value yet."
         return
     if is_truth(part[variable]):
-        yield _truths(values[finite])
+        true, count = int(values[finite].sum()), int(finite.sum())
+        yield f"It is True at {true:,} of {counted(count, 'point')}." if count > 1 else f"It is {bool(true)}."
         return
     values = np.where(finite, values, np.nan)
     of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
@@ -92,13 +93,6 @@ def _range(part: xr.Dataset, variable: str, finite: NDArray[np.bool_], errors: A
         f"Over {count:,} points it goes from {number(low)}, at {_place(part, low)}, "
         f"to {number(high)}, at {_place(part, high)}."
     )
-
-
-def _truths(values: Array) -> str:
-    count, true = len(values), int(values.sum())
-    if 0 < true < count:
-        return f"It is True at {true:,} of {count:,} points."
-    return f"It is {bool(true)}." if count == 1 else f"It is {bool(true)} at {_all(count, 'point')}."
 
 
 def _place(part: xr.Dataset, index: tuple[Any, ...]) -> str:
