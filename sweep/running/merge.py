@@ -21,12 +21,13 @@ from sweep.running.reproduce import study_of
 from sweep.running.writer import Writer
 from sweep.stores import failures
 from sweep.stores.code import CodeRecord, as_json, records_of
-from sweep.stores.create import create_store, find_store
+from sweep.stores.create import create_store, find_store, replace_store
 from sweep.stores.identity import differences
 from sweep.stores.ledger import Ledger
 from sweep.stores.location import Location, Where, located
-from sweep.stores.lock import holder, locked
+from sweep.stores.lock import holder, is_left_over, locked
 from sweep.stores.opened import OpenStore
+from sweep.stores.root import is_new
 from sweep.stores.store import Store
 from sweep.stores.texts import Texts
 from sweep.studies.provenance import provenance
@@ -74,15 +75,17 @@ def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, t
     _require_alike(first, second, accept_code)
     place = located(into)
     study = _study(first, second, str(place))
-    if find_store(place, study) is not None:
-        raise SweepError("holds a store already; give a free place with -o", str(place))
+    told = {MERGED: json.dumps([_about(source) for source in sources])}
+    found = _require_free(place, study, told)
     rows = _rows(first, second)
     failed = _failures(first, second)
     plan = Plan(Grid(study))
-    told = {MERGED: json.dumps([_about(source) for source in sources])}
     with locked(place):
         made = {**provenance(study), **told, RECORD: recorded(study, plan.costs())}
-        store = Store(create_store(place, study, made), study)
+        if found is not None and not is_new(found.root):
+            return found.dataset()
+        store = Store(replace_store(place, study, made) or create_store(place, study, made), study)
+        store.keep_copy()
         _fill(store, sources, rows)
         for digest, record in failed.items():
             store.fail(digest, record)
@@ -93,6 +96,17 @@ def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, t
         return Writer(accumulator, store, further=told).write(final=True)
 
 
+def _require_free(place: Location, study: Study, told: Mapping[str, str]) -> OpenStore | None:
+    """Return what a merge of the same stores that was killed has left; raises SweepError where anything else is."""
+    found = find_store(place, study)
+    if found is None:
+        return None
+    was_killed = is_new(found.root) or is_left_over(place)
+    if not was_killed or any(found.attributes.get(key) != value for key, value in told.items()):
+        raise SweepError("holds a store already; give a free place with -o", str(place))
+    return found
+
+
 def _source(location: Location, trust: bool) -> _Source:
     if (runs := holder(location)) is not None:
         raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
@@ -100,8 +114,8 @@ def _source(location: Location, trust: bool) -> _Source:
     plain = "function" in _record(opened.attributes)
     study = recorded_study(opened.attributes, str(location)) if plain else study_of(location, trust=trust)
     read = opened.ledger()
-    texts = Texts(location, read.keys)
-    return _Source(location, opened.attributes, study, read.ledger, read.failures, read.ledger.sums(), texts)
+    texts = opened.texts_of(read)
+    return _Source(location, opened.attributes, study, read, read.failures, read.sums(), texts)
 
 
 def _record(attributes: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,9 +19,10 @@ from sweep.planning.point_status import Status, count_status
 from sweep.running.axis_progress import by_axis
 from sweep.running.run import plan_study
 from sweep.running.writer import MAX_FAILURES_NAMED, failures_by_place
+from sweep.stores.ledger import Ledger
 from sweep.stores.location import Where
 from sweep.stores.lock import holder
-from sweep.stores.opened import UNFINISHED, OpenLedger, OpenStore
+from sweep.stores.opened import UNFINISHED, OpenStore
 from sweep.stores.root import is_new
 from sweep.stores.store import BLOCKS
 from sweep.studies.record import recorded_study
@@ -39,10 +40,8 @@ def status_report(store: Where) -> dict[str, Any]:
     """
     opened = OpenStore(store)
     attributes = opened.attributes
-    ledger = opened.ledger(compared=not attributes.get("complete"))
-    whole = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(ledger.ledger.rows)
-    if attributes.get("complete") and not whole:
-        ledger = opened.ledger()
+    ledger = opened.ledger()
+    whole = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(ledger.rows)
     dataset = None if is_new(opened.root) else opened.dataset()
     note: dict[str, str] = {} if dataset is not None else {"note": UNFINISHED}
     try:
@@ -64,7 +63,7 @@ def status_report(store: Where) -> dict[str, Any]:
         "running": str(holder(opened.location) or "no"),
         "last written": attributes.get("finished", "never"),
         "points": {code.word: n for code, n in count_status(status).items()},
-        "blocks in the ledger": len(ledger.ledger.rows),
+        "blocks in the ledger": len(ledger.rows),
         **({"realisations done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),
         "units": units,
@@ -77,7 +76,7 @@ Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int
 """The values along each dimension, the units of the axes, and the status and the realisations of each point."""
 
 
-def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -> tuple[*Progress, dict[str, str]]:
+def _of_ledger(opened: OpenStore, ledger: Ledger, same: xr.Dataset | None) -> tuple[*Progress, dict[str, str]]:
     """Return the progress by the ledger, or by a dataset that says the ``same``, which takes less time, and the points
     that failed by their place.
 
@@ -95,7 +94,7 @@ def _of_ledger(opened: OpenStore, ledger: OpenLedger, same: xr.Dataset | None) -
     if study.sampling.precision is not None:
         raise SweepError("only the experiment can say how many realisations reach a precision")
     try:
-        accumulator = Accumulator(Plan(grid), ledger.ledger.rows, ledger.ledger.sums(), ledger.failures)
+        accumulator = Accumulator(Plan(grid), ledger.rows, ledger.sums(), ledger.failures)
     except (KeyError, TypeError, ValueError) as error:
         raise SweepError(f"the record of its experiment does not fit its points ({error})") from error
     status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)

@@ -142,6 +142,9 @@ class Bucket:
         with self._errors():
             return sorted(entry["path"] for page in obstore.list(self.objects, under or None) for entry in page)
 
+    def require_plain(self) -> None:
+        """Do nothing, since a bucket has no links."""
+
     def is_free(self) -> bool:
         """Return whether there is no object."""
         with self._errors():

@@ -10,8 +10,6 @@ from typing import Any
 
 SEAL = "checksum"
 BYTES = 16
-BYTES_UNBOUND = 8
-"""Bytes of the checksums of store format 2, which do not include the name of the file."""
 
 
 class DamagedError(ValueError):
@@ -49,12 +47,15 @@ def unsealed(content: bytes | None, file: str) -> dict[str, Any]:
     """
     if content is None:
         raise ValueError("it is missing")
-    document = json.loads(content)
     try:
+        document = json.loads(content)
         seal = document["attributes"].pop(SEAL)
+        same = seal == _digest(f"{file}\n", document)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
     except (TypeError, KeyError, AttributeError) as error:
         raise ValueError("it has no checksum") from error
-    if seal not in (_digest(f"{file}\n", document), _digest("", document, BYTES_UNBOUND)):
+    if not same:
         raise ValueError("its checksum does not match its content and name")
     document["attributes"][SEAL] = seal
     return dict(document)
@@ -70,5 +71,5 @@ def content_checksum(content: bytes) -> str:
     return blake2b(content, digest_size=BYTES).hexdigest()
 
 
-def _digest(before: str, document: Mapping[str, Any], size: int = BYTES) -> str:
-    return blake2b(f"{before}{json.dumps(document, sort_keys=True)}".encode(), digest_size=size).hexdigest()
+def _digest(before: str, document: Mapping[str, Any]) -> str:
+    return content_checksum(f"{before}{json.dumps(document, sort_keys=True)}".encode())

@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from typing import Any
+from uuid import uuid4
 
 from sweep.contract import SweepError
 from sweep.stores import chunk_names, snapshot
 from sweep.stores.checksums import sealed
 from sweep.stores.identity import changed_points, differences, identity
-from sweep.stores.location import Where, located, writing
+from sweep.stores.location import Location, Where, located, writing
+from sweep.stores.manifest import MANIFEST, STORE
 from sweep.stores.opened import OpenStore
 from sweep.stores.origin import ORIGIN, origin
-from sweep.stores.root import ROOT, find_root
+from sweep.stores.root import LEDGER_THEN, ROOT, find_root
 from sweep.studies.study import Study
 
 RESERVED = {"blocks", "failures"}
@@ -55,10 +57,8 @@ def check_points(found: OpenStore, study: Study) -> None:
 def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:
     """Make a store at a free place, in one step, in which nothing is done yet."""
     location = located(where)
-    told = {**attributes, **identity(study), ORIGIN: origin(location), "complete": 0, "generation": 0}
-    root = snapshot.root_document(told, {})
     with writing(location):
-        location.put(ROOT, sealed(root, ROOT))
+        root = put_root(location, {**attributes, **identity(study), ORIGIN: origin(location), STORE: uuid4().hex})
     return OpenStore(location, root)
 
 
@@ -71,11 +71,20 @@ def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> 
     root = find_root(location)
     if root is None:
         return None
+    emptied = {key: value for key, value in root["attributes"].items() if key not in (LEDGER_THEN, snapshot.CHECKSUMS)}
     with writing(location):
         keys = location.keys()
         arrays = chunk_names.leftovers(keys, snapshot.arrays_of(root))
-        ours = {*arrays, *(key for key in keys if key.partition("/")[0] in RESERVED)}
-        # The index first: if the process is killed after this, the old store has merely lost its blocks.
-        for key in sorted(ours, key=lambda key: not key.startswith("blocks/index/c/")):
+        ours = {*arrays, *(key for key in keys if key.partition("/")[0] in RESERVED)} - {MANIFEST}
+        # If the process is killed after any of these, the old store has merely lost its results, then its blocks.
+        put_root(location, emptied)
+        for key in (MANIFEST, *sorted(ours)):
             location.delete(key)
         return create_store(location, study, attributes)
+
+
+def put_root(location: Location, attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the root document of a store without results."""
+    root = snapshot.root_document({**attributes, "complete": 0, "generation": 0}, {})
+    location.put(ROOT, sealed(root, ROOT))
+    return root

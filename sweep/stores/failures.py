@@ -1,8 +1,7 @@
 """Records failed points by digest, so that a later run, a report or a retry knows of them."""
 
 from collections.abc import Mapping
-
-from sweep.stores.checksums import unsealed
+from typing import Any
 
 FILE = "failures/zarr.json"
 MAX_TRACEBACKS = 1000
@@ -25,13 +24,9 @@ def as_json(failures: Mapping[bytes, Record]) -> dict[str, Record]:
     return kept
 
 
-def read(content: bytes | None) -> dict[bytes, Record]:
-    """Return the failures that a stored document records, none where there is none; raises ValueError for a damaged
-    one.
-    """
-    if content is None:
-        return {}
-    recorded = unsealed(content, FILE)["attributes"].get("failures")
+def read(attributes: Mapping[str, Any] | None) -> dict[bytes, Record]:
+    """Return the failures that the attributes of a document record, none where there is none; raises ValueError."""
+    recorded = {} if attributes is None else attributes.get("failures")
     if not isinstance(recorded, dict):
         raise ValueError("it is no record of failed points")
     try:

@@ -2,11 +2,16 @@
 
 import fcntl
 import os
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
+
+TAKING = ".taking"
+"""Ends the name of the file that stands for the system's lock where there is none."""
 
 UNFINISHED = ".partial"
 """Ends the name of a file that is being written."""
@@ -39,7 +44,7 @@ class Folder:
     def get(self, key: str) -> bytes | None:
         """Return the content of a file, None where there is none."""
         try:
-            return (self.path / key).read_bytes()
+            return self._at(key).read_bytes()
         except (FileNotFoundError, NotADirectoryError):
             return None
 
@@ -63,7 +68,7 @@ class Folder:
 
     def create(self, key: str, content: bytes) -> bool:
         """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
-        path = self.path / key
+        path = self._at(key)
         path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError), _finished(path, content, durable=True) as temporary:
             try:
@@ -81,9 +86,8 @@ class Folder:
 
         Return whether it was replaced; of two processes that try, only one succeeds.
         """
-        path = self.path / key
-        with suppress(FileNotFoundError), path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+        path = self._at(key)
+        with suppress(FileNotFoundError, FileExistsError), path.open("rb") as file, _alone(file, path):
             if self.get(key) == old and os.path.samestat(os.fstat(file.fileno()), path.stat()):
                 self._write(key, new, durable=True)
                 return True
@@ -91,15 +95,23 @@ class Folder:
 
     def delete(self, key: str) -> None:
         """Remove a file if there is one."""
-        (self.path / key).unlink(missing_ok=True)
+        self._at(key).unlink(missing_ok=True)
 
     def keys(self, under: str = "") -> list[str]:
         """Return the names of all finished files that begin with ``under``, a name with a slash at its end or empty."""
         found: list[str] = []
-        for folder, _, names in os.walk(self.path / under, onerror=_raise_unless_missing):
+        for folder, folders, names in os.walk(self._at(under), onerror=_raise_unless_missing):
             relative = Path(folder).relative_to(self.path)
+            for name in (*folders, *names):
+                _refuse_special(os.path.join(folder, name), (relative / name).as_posix())
             found += [(relative / name).as_posix() for name in names if not name.endswith(UNFINISHED)]
         return sorted(found)
+
+    def require_plain(self) -> None:
+        """Raise OSError where something inside is neither a file nor a folder: who follows a link reads, and writes,
+        what lies outside.
+        """
+        self.keys()
 
     def is_free(self) -> bool:
         """Return whether nothing is there, or a folder with nothing but files that a killed process did not finish."""
@@ -128,8 +140,16 @@ class Folder:
                 for folder in missing:
                     folder.rmdir()
 
+    def _at(self, key: str) -> Path:
+        """Return where a file is or will be; raises OSError where that, or a folder on the way to it, is special."""
+        names = key.rstrip("/").split("/")
+        for number in range(1, len(names) + 1):
+            name = "/".join(names[:number])
+            _refuse_special(os.path.join(self.path, name), name)
+        return self.path / key
+
     def _write(self, key: str, content: bytes, *, durable: bool) -> Path:
-        path = self.path / key
+        path = self._at(key)
         path.parent.mkdir(parents=True, exist_ok=True)
         with _finished(path, content, durable=durable) as temporary:
             temporary.replace(path)
@@ -149,6 +169,34 @@ def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _alone(file: BinaryIO, path: Path) -> Iterator[None]:
+    """Hold the system's lock on an open file; where there are none, as on some network disks, a file beside ``path``
+    that only one process can make.  Raises FileExistsError where another has made that.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX)
+    except OSError:
+        guard = path.with_name(f"{path.name}{TAKING}")
+        guard.touch(exist_ok=False)
+        try:
+            yield
+        finally:
+            guard.unlink(missing_ok=True)
+    else:
+        yield
+
+
+def _refuse_special(path: str, name: str) -> None:
+    try:
+        mode = os.lstat(path).st_mode
+    except OSError:  # nothing is there, or reading it will say why it cannot be
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        kind = "a symbolic link" if stat.S_ISLNK(mode) else "a pipe, a socket or a device"
+        raise OSError(f"{name} is {kind}, which is neither read nor written through; remove it")
 
 
 def _raise_unless_missing(error: OSError) -> None:

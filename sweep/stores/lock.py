@@ -6,6 +6,7 @@ here, so its lock is broken only on request.
 
 import json
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -14,10 +15,11 @@ from typing import Literal
 from uuid import uuid4
 
 from sweep.contract import SweepError
+from sweep.stores.folder import TAKING
 from sweep.stores.location import Location, Where, located, reading, writing
 from sweep.studies.provenance import command_line, host, now
 
-ATTEMPTS = 100
+ATTEMPTS, PAUSE_S = 100, 0.02
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,13 @@ def holder(where: Where) -> Holder | None:
     return None if found is None or found.state() == "has ended" else found
 
 
+def is_left_over(where: Where) -> bool:
+    """Return whether a process that has ended left its lock: it was killed."""
+    location = located(where)
+    with reading(location):
+        return _read(location) is not None and holder(location) is None
+
+
 def _take(location: Location, mine: Holder, break_lock: bool) -> None:
     key, content = _key(location), json.dumps(asdict(mine), indent=1).encode()
     for _ in range(ATTEMPTS):
@@ -91,7 +100,11 @@ def _take(location: Location, mine: Holder, break_lock: bool) -> None:
         _refuse_unless_free(location, _parsed(held), break_lock)
         if location.parent.swap(key, held, content):
             return
-    raise SweepError(f"its lock {key} keeps changing hands", str(location))
+        time.sleep(PAUSE_S)  # another process takes it over
+    raise SweepError(
+        f"its lock {key} keeps changing hands; if no other process runs there, remove {key} and {key}{TAKING}",
+        str(location),
+    )
 
 
 def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bool) -> None:

@@ -6,16 +6,15 @@ Nothing here writes, and nothing imports what a store names.
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sweep.contract import SweepError
-from sweep.stores import chunk_names, failures, snapshot
-from sweep.stores.checksums import DamagedError, noting, unsealed
+from sweep.stores import chunk_names, snapshot
+from sweep.stores.checksums import DamagedError
 from sweep.stores.ledger import Ledger
-from sweep.stores.ledger_arrays import columns_of
 from sweep.stores.location import Location, Where, located, reading
-from sweep.stores.root import COPY, REPAIR, is_bound, is_new, read_root
+from sweep.stores.root import REPAIR, is_new, manifest_of, read_root
+from sweep.stores.texts import Texts
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,16 +26,6 @@ UNFINISHED = (
     "is unfinished: its run has just begun, or ended before it wrote results; nothing is damaged, "
     "and the same `sweep run` goes on"
 )
-
-
-@dataclass(frozen=True)
-class OpenLedger:
-    """The ledger with the failures beside it, the copy of the root's attributes in it, and all files of the store."""
-
-    ledger: Ledger
-    failures: dict[bytes, failures.Record]
-    copy: dict[str, Any] | None
-    keys: list[str]
 
 
 class OpenStore:
@@ -67,7 +56,7 @@ class OpenStore:
                     dataset = snapshot.decode(self.root, chunks)
             except ValueError as error:
                 problem = error
-            if problem is None and is_bound(self.root):
+            if problem is None:
                 break  # these are the very chunks that the root document means
             before, self.root = self.root, read_root(self.location)
             if self.root == before:
@@ -82,31 +71,21 @@ class OpenStore:
             raise SweepError(words, str(self.location))
         return dataset
 
-    def ledger(self, compared: bool = True) -> OpenLedger:
-        """Return the ledger, its rows ``compared`` with their digests.
+    def ledger(self) -> Ledger:
+        """Return the ledger; raises SweepError that names the damaged files of it."""
+        with reading_ledger(self.location):
+            ledger = Ledger(self.location, json.loads(self.attributes["ledger"]), manifest_of(self.root))
+            if ledger.damaged:
+                raise DamagedError(ledger.damaged)
+            return ledger
 
-        Raises SweepError that names the damaged files of the ledger.
-        """
-        damaged: dict[str, str] = {}
-        copy: dict[str, Any] | None = None
-        with reading(self.location):
-            keys = self.location.keys()
-            columns = columns_of(self.location, json.loads(self.attributes["ledger"]), keys)
-            files = [COPY, failures.FILE, *(column.description for column in columns.values())]
-            documents = self.location.get_all(files)
-            for column in columns.values():
-                with noting(damaged, column.description):
-                    column.check_description(documents[column.description])
-            with noting(damaged, COPY):
-                if documents[COPY] is not None:
-                    copy = unsealed(documents[COPY], COPY)["attributes"]
-            with noting(damaged, failures.FILE):
-                found = failures.read(documents[failures.FILE])
-            with noting(damaged):
-                ledger = Ledger(columns, compared)
-        if damaged:
-            raise damaged_ledger(self.location, damaged)
-        return OpenLedger(ledger, found, copy, keys)
+    def texts_of(self, ledger: Ledger) -> Texts:
+        """Return the texts in a ledger; raises SweepError that names damaged files."""
+        with reading_ledger(self.location):
+            texts = Texts(self.location, ledger)
+            if texts.damaged:
+                raise DamagedError(texts.damaged)
+            return texts
 
 
 def damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:

@@ -6,12 +6,14 @@ from contextlib import suppress
 from typing import Any
 
 from sweep.contract import SweepError
-from sweep.stores.checksums import unsealed
+from sweep.stores.checksums import SEAL, unsealed
 from sweep.stores.location import Location, reading
+from sweep.stores.manifest import REVISION, STORE, Manifest
 
-FORMAT = 3
-UNBOUND = 2
-"""The previous format, which does not record which chunk belongs where.  The next writing makes a store `FORMAT`."""
+FORMAT = 4
+
+LEDGER_THEN = "manifest"
+"""The attribute with the manifest of the ledger at the time of writing."""
 
 ROOT, COPY = "zarr.json", "blocks/zarr.json"
 
@@ -32,6 +34,7 @@ def find_root(location: Location) -> dict[str, Any] | None:
     """Return the root document, None where nothing is; raises SweepError as `read_root`."""
     where = str(location)
     with reading(location):
+        location.require_plain()
         content = location.get(ROOT)
         if content is None:
             if location.is_free():
@@ -63,18 +66,21 @@ def _without_meaning(location: Location, content: bytes) -> str:
 def check_format(attributes: Mapping[str, Any], where: str) -> None:
     """Raise SweepError for a store of a format that this version does not read; KeyError for what is no store."""
     version = attributes["linksweep_format"]
-    if version not in (FORMAT, UNBOUND):
+    if version != FORMAT:
         age = "newer: upgrade with `pip install -U linksweep`" if isinstance(version, int) and version > FORMAT else ""
         age = age or "older, from before the first release: run the study into a new store with -o"
         raise SweepError(
-            f"has store format {version}; this version of linksweep reads formats {UNBOUND} and {FORMAT}. It is {age}",
+            f"has store format {version}; this version of linksweep reads format {FORMAT}. It is {age}",
             where,
         )
 
 
-def is_bound(root: Mapping[str, Any]) -> bool:
-    """Return whether a store records where each of its chunks belongs."""
-    return bool(root["attributes"]["linksweep_format"] != UNBOUND)
+def manifest_of(root: Mapping[str, Any]) -> Manifest:
+    """Return what the ledger held when a root document was written."""
+    attributes = root["attributes"]
+    if LEDGER_THEN not in attributes:
+        return Manifest(store=attributes[STORE])
+    return Manifest.model_validate_json(attributes[LEDGER_THEN])
 
 
 def is_new(root: Mapping[str, Any]) -> bool:
@@ -88,7 +94,14 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
         attributes = unsealed(location.get(COPY), COPY)["attributes"]
     except ValueError:
         return None
-    return dict(attributes) if attributes.get("linksweep_format") in (FORMAT, UNBOUND) else None
+    attributes = {key: value for key, value in attributes.items() if key not in (SEAL, REVISION)}
+    return attributes if attributes.get("linksweep_format") == FORMAT else None
+
+
+def copied(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes that the ledger's copy has: all but those about one writing."""
+    left_out = ("failures", "generation", "blocks", "chunk_checksums", LEDGER_THEN, SEAL)
+    return {key: value for key, value in attributes.items() if key not in left_out}
 
 
 def _refuse_other_formats(content: bytes, where: str) -> None:

@@ -14,9 +14,10 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
 from sweep.executing.upstream import dask_arrays_only_where_imported
-from sweep.stores.checksums import SEAL, DamagedError, content_checksum, unsealed
+from sweep.stores.checksums import SEAL, DamagedError, content_checksum, sealed, unsealed
 from sweep.stores.chunk_names import ENCODINGS, chunk_key, chunk_places
-from sweep.stores.root import is_bound
+from sweep.stores.manifest import ANOTHER, REVISION, STORE, checked_revision
+from sweep.stores.root import LEDGER_THEN
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -108,7 +109,8 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     except Exception as error:  # each codec of Zarr raises its own
         damaged = damaged_chunks(root, contents)
         raise (DamagedError(damaged) if damaged else ValueError(str(error))) from error
-    dataset.attrs.pop(CHECKSUMS, None)
+    for name in (CHECKSUMS, LEDGER_THEN, STORE):
+        dataset.attrs.pop(name, None)
     return dataset
 
 
@@ -139,11 +141,11 @@ def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]
 
 
 def _is_meant(content: bytes | None, checksum: str | None) -> bool:
-    return content is not None and checksum in (None, content_checksum(content))
+    return content is not None and checksum == content_checksum(content)
 
 
 def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:
-    """Return the checksum of each chunk by the name of its file; nothing for a store of format 2."""
+    """Return the checksum of each chunk by the name of its file."""
     by_name = json.loads(root["attributes"].get(CHECKSUMS, "{}"))
     return {
         chunk_key(name, document, place): checksum
@@ -159,16 +161,26 @@ def root_document(attributes: Mapping[str, Any], documents: Mapping[str, Any]) -
     return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes), "consolidated_metadata": copies}
 
 
-def array_document(content: bytes, file: str, root: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the document that a file ``NAME/zarr.json`` holds, which is for those who read without the root document.
+def array_document(content: bytes | None, file: str, root: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document that a file ``NAME/zarr.json`` holds, which is for those who read without the root document;
+    it may be of a writing that a root document does not know yet.
 
-    Raises ValueError where it is not what was written there.
+    Raises ValueError where it is not what was written there, or is of an earlier writing.
     """
-    if not is_bound(root) and json.loads(content) == arrays_of(root).get(file.removesuffix("/zarr.json")):
-        return dict(json.loads(content))  # of format 2, and has no checksum
     document = unsealed(content, file)
-    del document["attributes"][SEAL]
+    known = arrays_of(root).get(file.removesuffix("/zarr.json"))
+    told = document["attributes"]
+    revision = checked_revision(told, root["attributes"][STORE], 1)
+    document["attributes"] = {key: value for key, value in told.items() if key not in (SEAL, STORE, REVISION)}
+    if document != known and revision <= root["attributes"]["generation"]:
+        raise ValueError(ANOTHER)
     return document
+
+
+def described(document: Mapping[str, Any], file: str, attributes: Mapping[str, Any]) -> bytes:
+    """Return the content of a file ``NAME/zarr.json``, written together with a root document of these attributes."""
+    own = {STORE: attributes[STORE], REVISION: attributes["generation"]}
+    return sealed({**document, "attributes": {**document["attributes"], **own}}, file)
 
 
 def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 from sweep.contract import Array, SweepError
 from sweep.functions.values import TEXT_BYTES
 from sweep.stores import chunk_names, failures, snapshot
-from sweep.stores.checksums import group_document, sealed
+from sweep.stores.checksums import DamagedError, sealed
 from sweep.stores.identity import identity
-from sweep.stores.ledger_arrays import columns_of
 from sweep.stores.location import Where, writing
+from sweep.stores.manifest import STORE
 from sweep.stores.opened import OpenStore, reading_ledger
 from sweep.stores.origin import ORIGIN, origin
-from sweep.stores.root import COPY, ROOT, is_bound
-from sweep.stores.texts import Texts
+from sweep.stores.root import COPY, LEDGER_THEN, ROOT, copied
 from sweep.studies.study import Study
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ class Store(OpenStore):
         super().__init__(opened.location, opened.root)
         self.study = study
         widths, expected = (
-            {name: width for name, (_, width) in json.loads(told["ledger"]).items() if name != "digests"}
+            {name: width for name, (_, width) in json.loads(told["ledger"]).items()}
             for told in (self.attributes, identity(study))
         )
         if widths != expected:
@@ -50,11 +49,9 @@ class Store(OpenStore):
                 "but to compute more run the study into a new store with -o",
                 str(self.location),
             )
-        self._is_bound = is_bound(self.root)
-        ledger = self.ledger()
-        self._ledger, self.failures, self._copied, keys = ledger.ledger, ledger.failures, ledger.copy, ledger.keys
-        self.rows = self._ledger.rows
-        self.texts = Texts(self.location, keys)
+        self._ledger = self.ledger()
+        self.failures, self._copied, self.rows = self._ledger.failures, self._ledger.copy, self._ledger.rows
+        self.texts = self.texts_of(self._ledger)
         self._leave_out_rows_without_texts()
         self._failures_changed = False
         self._unwritten = 0
@@ -63,7 +60,7 @@ class Store(OpenStore):
         except ValueError as error:
             raise SweepError(str(error), str(self.location)) from error
         self._digests: dict[str, bytes] = {}
-        self._files = chunk_names.leftovers(keys, self._documents)
+        self._files = chunk_names.leftovers(self._ledger.keys, self._documents)
 
     def _leave_out_rows_without_texts(self) -> None:
         """Count rows as missing if their texts are missing, so that these points are computed again."""
@@ -93,6 +90,8 @@ class Store(OpenStore):
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
         with reading_ledger(self.location):
             self._ledger.verify()
+            if self._ledger.damaged:
+                raise DamagedError(self._ledger.damaged)
 
     def append(self, keys: Sequence[bytes], sums: Array, samples: Sequence[Array], texts: Mapping[bytes, str]) -> None:
         """Add finished blocks, with their samples if the study keeps them, and the texts in them by their digests; they
@@ -120,8 +119,7 @@ class Store(OpenStore):
         """Make everything appended so far durable; raises SweepError where that is not possible."""
         with writing(self.location):
             if self._failures_changed:
-                document = group_document({"failures": failures.as_json(self.failures)})
-                self.location.put(failures.FILE, sealed(document, failures.FILE))
+                self._ledger.put(failures.FILE, {"failures": failures.as_json(self.failures)})
                 self._failures_changed = False
             self.texts.flush()  # before the rows that refer to them
             self._ledger.flush()
@@ -132,14 +130,12 @@ class Store(OpenStore):
         attributes, arrays = snapshot.encode(dataset)
         digests = {name: array.digest() for name, array in arrays.items()}
         named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
-        meaning = identity(self.study)
-        new_shapes, shapes = (json.loads(told["ledger"]) for told in (meaning, self.attributes))
-        shapes = {"digests": new_shapes["digests"]} | shapes  # in format 2 there are none
-        attributes |= meaning | {
+        attributes |= identity(self.study) | {
             ORIGIN: origin(self.location),
-            "ledger": json.dumps(shapes),
+            "ledger": self.attributes["ledger"],
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
-            "generation": self.attributes.get("generation", 0) + 1,
+            "generation": self.attributes["generation"] + 1,
+            STORE: self.attributes[STORE],
             BLOCKS: len(self.rows),
             snapshot.CHECKSUMS: json.dumps({name: array.checksums() for name, array in named.items()}),
         }
@@ -149,27 +145,17 @@ class Store(OpenStore):
             {f"{n}/zarr.json" for n in names} for names in (documents, set(self._documents) - set(documents))
         )
         with writing(self.location):
-            self._bind(shapes)
             self.keep_copy(attributes)
+            self.flush()
             self._delete(self._files - in_use - described - gone)
-            self._write_arrays({name: named[name] for name in named if self._digests.get(name) != digests[name]})
+            changed = {name: named[name] for name in named if self._digests.get(name) != digests[name]}
+            self._write_arrays(changed, attributes)
+            attributes[LEDGER_THEN] = self._ledger.manifest.model_dump_json()
             root = snapshot.root_document(attributes, documents)
             self.location.put(ROOT, sealed(root, ROOT))
             self._delete(gone)
         self._files = in_use | described
         self._documents, self._digests, self.root = documents, digests, root
-
-    def _bind(self, shapes: Mapping[str, Sequence[int]]) -> None:
-        """Add what a store of format 2 lacks, before its root document changes to the present format."""
-        if not self._is_bound:
-            columns = columns_of(self.location, shapes, self.location.keys("blocks/"))
-            self._ledger.bind(columns["digests"])
-            for column in columns.values():
-                if column.chunks:
-                    self.location.put(column.description, column.described(column.end))
-            self._failures_changed = bool(self.failures)
-            self.flush()
-            self._is_bound = True
 
     def _delete(self, keys: Iterable[str]) -> None:
         for key in keys:
@@ -182,12 +168,12 @@ class Store(OpenStore):
         last = chunk_names.encoding_of(self._documents[name])
         return array.named(last if self._digests.get(name) == digest else 1 - last)
 
-    def _write_arrays(self, arrays: Mapping[str, snapshot.Encoded]) -> None:
+    def _write_arrays(self, arrays: Mapping[str, snapshot.Encoded], attributes: Mapping[str, Any]) -> None:
         """Write the values first and the status last, for those who read without the root document."""
         for names in (set(arrays) - {"status"}, {"status"} & set(arrays)):
             self.location.put_all({k: content for name in names for k, content in arrays[name].files(name).items()})
-            described = {f"{name}/zarr.json": arrays[name].document for name in names}
-            self.location.put_all({file: sealed(document, file) for file, document in described.items()})
+            files = {f"{name}/zarr.json": arrays[name].document for name in names}
+            self.location.put_all({file: snapshot.described(told, file, attributes) for file, told in files.items()})
 
     @property
     def next_row(self) -> int:
@@ -211,11 +197,9 @@ class Store(OpenStore):
         attributes = self.attributes if attributes is None else attributes
         decisive = ("study_digest", "linksweep_format", "ledger")
         if self._copied is None or any(self._copied.get(key) != attributes.get(key) for key in decisive):
-            left_out = ("failures", "generation", BLOCKS, snapshot.CHECKSUMS)
-            copied = {key: value for key, value in attributes.items() if key not in left_out}
+            self._copied = copied(attributes)
             with writing(self.location):
-                self.location.put(COPY, sealed(group_document(copied), COPY))
-            self._copied = copied
+                self._ledger.put(COPY, self._copied)
 
 
 def open_dataset(where: Where) -> "xr.Dataset":

@@ -1,10 +1,12 @@
 """Stores the texts in results by the digests that stand for them in the ledger's rows, in documents of limited size."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
+from typing import Any
 
 from sweep.functions.values import text_digest
-from sweep.stores.checksums import group_document, noting, sealed, unsealed
+from sweep.stores.checksums import noting
+from sweep.stores.ledger import Ledger
 from sweep.stores.location import Location
 
 FOLDER = "blocks/texts"
@@ -15,20 +17,22 @@ _FILE = re.compile(rf"{FOLDER}/(\d+)/zarr\.json")
 
 
 class Texts(dict[bytes, str]):
-    """The texts of a store, by digest.  Those that `add` takes are durable after `flush`."""
+    """The texts of a store, by digest.  Those that `add` takes are durable after `flush`, and that of the ledger."""
 
-    def __init__(self, location: Location, keys: Collection[str]) -> None:
-        """Read the documents among ``keys``, the names of all files of the store; a damaged one counts as missing."""
+    def __init__(self, location: Location, ledger: Ledger) -> None:
+        """Read the documents of a ledger; a damaged one counts as missing."""
         super().__init__()
-        self._location = location
+        self._ledger = ledger
         self._last: dict[str, str] = {}
         self._bytes = 0
         self._new = False
         self.damaged: dict[str, str] = {}
-        numbers = {key: int(match[1]) for key in sorted(keys) if (match := _FILE.fullmatch(key))}
-        for file, content in location.get_all(numbers).items():
+        numbers = {
+            key: int(match[1]) for key in ledger.keys | ledger.documents.known.keys() if (match := _FILE.fullmatch(key))
+        }
+        for file, content in location.get_all(sorted(numbers)).items():
             with noting(self.damaged, file):
-                self.update(read(content, file))
+                self.update(_texts(ledger.documents.read(file, content) or {}))
         self._number = 1 + max(numbers.values(), default=-1)
 
     def add(self, texts: Mapping[bytes, str]) -> None:
@@ -46,14 +50,13 @@ class Texts(dict[bytes, str]):
     def flush(self) -> None:
         """Write what is new."""
         if self._new:
-            file = f"{FOLDER}/{self._number}/zarr.json"
-            self._location.put(file, sealed(group_document({"texts": self._last}), file))
+            self._ledger.put(f"{FOLDER}/{self._number}/zarr.json", {"texts": self._last})
             self._new = False
 
 
-def read(content: bytes | None, file: str) -> dict[bytes, str]:
-    """Return the texts in a document; raises ValueError where it is damaged or holds something else."""
-    told = unsealed(content, file)["attributes"].get("texts")
+def _texts(attributes: Mapping[str, Any]) -> dict[bytes, str]:
+    """Return the texts in a document; raises ValueError where it holds something else."""
+    told = attributes.get("texts")
     if not isinstance(told, dict):
         raise ValueError("it holds no texts")
     found = {bytes.fromhex(key): str(text) for key, text in told.items()}

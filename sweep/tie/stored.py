@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sweep.contract import SweepError
+from sweep.stores.folder import Folder
+from sweep.stores.location import reading
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -19,14 +21,15 @@ def result_at(where: Any) -> "xr.Dataset | None":
     """
     folder = Path(str(where))
     try:
-        with (folder / "zarr.json").open(encoding="utf-8") as file:
-            attributes = json.load(file).get("attributes", {})
-    except (OSError, ValueError, AttributeError):
+        attributes = json.loads(Folder(folder).get("zarr.json") or b"{}").get("attributes", {})
+    except (OSError, ValueError, AttributeError, RecursionError):
         return None
     if not isinstance(attributes, dict) or attributes.get("result") not in RESULTS:
         return None
     import xarray as xr
 
+    with reading(Folder(folder)):
+        Folder(folder).require_plain()
     try:
         with xr.open_zarr(folder) as stored:
             result: xr.Dataset = stored.load()

@@ -35,7 +35,7 @@ class Watcher(Silent):
 
 def _finished(store):
     """Return how many blocks the ledger holds."""
-    return len(OpenStore(store).ledger().ledger.rows) if (store / "zarr.json").exists() else 0
+    return len(OpenStore(store).ledger().rows) if (store / "zarr.json").exists() else 0
 
 
 @pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])

@@ -1,6 +1,7 @@
 """Two stores become one: the points of both, each once, and nothing that does not belong together."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 import linksweep
 from linksweep import SweepError
 from sweep.running.merge import MERGED, merge
+from sweep.stores.folder import Folder
 from sweep.stores.opened import OpenStore
 from sweep.stores.repair import check
+from tests.tiers import slow
 
 MODEL = (
     "def model(x: float = 1.0, k: int = 1):\n"
@@ -41,13 +44,13 @@ def test_two_halves_of_a_grid_are_the_grid(run, tmp_path):
     assert dict(ds.sizes) == {"x": 4, "k": 2}
     assert same(ds, whole)
     assert not check(tmp_path / "c.zarr")
-    assert len(OpenStore(tmp_path / "c.zarr").ledger().ledger.rows) == 8
+    assert len(OpenStore(tmp_path / "c.zarr").ledger().rows) == 8
     told = json.loads(ds.attrs[MERGED])
     assert [one["store"].rpartition("/")[2] for one in told] == ["a.zarr", "b.zarr"]
     assert told[0]["study_digest"] == OpenStore(tmp_path / "a.zarr").attributes["study_digest"]
     more = run("c.zarr", axes={"x": [1.0, 2.0, 3.0, 4.0, 5.0], "k": [1, 2]})  # it goes on as any other
     assert more.attrs["complete"] == 1
-    assert len(OpenStore(tmp_path / "c.zarr").ledger().ledger.rows) == 10
+    assert len(OpenStore(tmp_path / "c.zarr").ledger().rows) == 10
     assert json.loads(linksweep.open(tmp_path / "c.zarr").attrs[MERGED]) == told
 
 
@@ -164,3 +167,75 @@ def test_the_command_merges_and_the_result_is_reproduced(run, tmp_path, sweep):
     code, out, err = sweep("merge", "a.zarr", "b.zarr", "-o", "c.zarr", cwd=tmp_path)
     assert (code, out) == (2, "")
     assert "holds a store already" in err
+
+
+class Killed(BaseException):
+    """The end of a process before an operation on a file."""
+
+
+def left_by_another(store):
+    """Make a lock that this process has left one of a process that has ended."""
+    lock = store.with_name(f"{store.name}.lock")
+    if lock.exists():
+        lock.write_text(json.dumps(json.loads(lock.read_text()) | {"pid": 2**22 + 1}))
+
+
+@pytest.mark.parametrize("step", [4, slow(1)])
+def test_a_merge_that_was_killed_at_any_instant_goes_on(run, tmp_path, monkeypatch, step):
+    """Before each operation on a file in turn, in the merge and in the one that goes on."""
+    run("a.zarr", axes={"k": [1, 9]})
+    run("b.zarr", axes={"k": [1, 2, 3]})
+    one, other, into = (tmp_path / name for name in ("a.zarr", "b.zarr", "c.zarr"))
+    wanted = merge(one, other, tmp_path / "w.zarr")
+    before = {name: getattr(Folder, name) for name in ("put", "put_all", "create", "swap", "delete")}
+    left = [10**9]
+
+    def counted(name):
+        def operation(place, *arguments):
+            left[0] -= 1
+            if left[0] < 0:
+                raise Killed
+            return before[name](place, *arguments)
+
+        return operation
+
+    for name in before:
+        monkeypatch.setattr(Folder, name, counted(name))
+    for number in range(0, 10**9, step):
+        killed = 0
+        for steps in (number, number // 2, 10**9):
+            left[0] = steps
+            try:
+                merged = merge(one, other, into)
+                break
+            except Killed:
+                killed += 1
+                left[0] = 10**9
+                left_by_another(into)
+                if (into / "zarr.json").exists():
+                    assert not check(into), number
+        assert merged.equals(wanted), number
+        assert merged.attrs["failures"] == wanted.attrs["failures"]
+        assert not check(into)
+        assert not check(into).ledger
+        assert not (tmp_path / "c.zarr.lock").exists()
+        if not killed:
+            break
+        shutil.rmtree(into)
+    assert number > 10
+
+
+def test_what_another_merge_has_left_is_not_replaced(run, tmp_path, monkeypatch):
+    for name, k in (("a.zarr", 1), ("b.zarr", 2), ("d.zarr", 3)):
+        run(name, axes={"k": [k]})
+
+    def killed(*_):
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        patch.setattr("sweep.running.merge.Writer.write", killed)
+        with pytest.raises(Killed):
+            merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    with pytest.raises(SweepError, match="holds a store already"):
+        merge(tmp_path / "a.zarr", tmp_path / "d.zarr", tmp_path / "c.zarr")
+    assert merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr").k.values.tolist() == [1, 2]

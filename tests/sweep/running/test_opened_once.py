@@ -7,6 +7,7 @@ from collections import Counter
 
 import pytest
 
+from sweep.contract import SweepError
 from sweep.executing import choose
 from sweep.executing.choose import Resources
 from sweep.planning.accumulator import Accumulator
@@ -16,6 +17,7 @@ from sweep.running.reproduce import reproduce
 from sweep.running.run import Silent, plan_study, run_study
 from sweep.running.status import status_report
 from sweep.stores.folder import Folder
+from sweep.stores.repair import repair
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 
@@ -205,9 +207,11 @@ def test_the_status_of_a_complete_store_asks_no_point_unless_its_ledger_has_lost
     assert status_report(tmp_path / "s.zarr") == whole
     assert asked
     monkeypatch.undo()
-    for chunk in (tmp_path / "s.zarr" / "blocks" / "index" / "c").rglob("0"):
-        if chunk.is_file():
-            chunk.unlink()
+    chunk = tmp_path / "s.zarr" / "blocks" / "index" / "c" / "0" / "0"
+    chunk.unlink()
+    with pytest.raises(SweepError, match="blocks/index/c/0/0 is damaged"):
+        status_report(tmp_path / "s.zarr")
+    repair(tmp_path / "s.zarr")
     lost = status_report(tmp_path / "s.zarr")
     assert not lost["complete"]
     assert lost["points"]["done"] == 0

@@ -6,7 +6,6 @@ import os
 import shutil
 import subprocess
 import sys
-from hashlib import blake2b
 
 import numpy as np
 import pytest
@@ -32,7 +31,7 @@ SERIAL = Resources(pool="serial")
 
 def small_chunks(monkeypatch, rows=4):
     monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", rows)
-    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "digests": 16, "sums": 16, "samples": 2**15})
+    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**15})
 
 
 @pytest.fixture
@@ -120,77 +119,11 @@ def test_samples_of_another_block_are_found(tmp_path, monkeypatch):
     assert "blocks/samples/c/0/0" in check(tmp_path / "s.zarr").ledger
     with pytest.raises(SweepError, match="blocks/samples/c/0/0 is damaged"):
         existing_store(tmp_path / "s.zarr", study).verify()
-    (chunks / "0" / "0").unlink()  # rows whose samples are lost do not count as done
+    (chunks / "0" / "0").unlink()
+    repair(tmp_path / "s.zarr")  # rows whose samples are lost do not count as done
     held = existing_store(tmp_path / "s.zarr", study).rows
     assert 0 < len(held) < len(json.loads((tmp_path / "s.zarr" / "zarr.json").read_text())) + 10
     assert all(len(existing_store(tmp_path / "s.zarr", study).samples(key)) for key in held)
-
-
-def as_format_2(store):
-    """Turn a store into what the version before wrote, by its own rules."""
-
-    def old_seal(document):
-        document["attributes"].pop("checksum", None)
-        plain = json.dumps(document, sort_keys=True).encode()
-        document["attributes"]["checksum"] = blake2b(plain, digest_size=8).hexdigest()
-        return json.dumps(document).encode()
-
-    shutil.rmtree(store / "blocks" / "digests")
-    for file in store.rglob("zarr.json"):
-        document = json.loads(file.read_text())
-        attributes = document["attributes"]
-        if "linksweep_format" in attributes:
-            attributes["linksweep_format"] = 2
-            shapes = json.loads(attributes["ledger"])
-            del shapes["digests"]
-            attributes["ledger"] = json.dumps(shapes)
-            for name in ("chunk_checksums", "experiment_record", "written_by"):
-                attributes.pop(name, None)
-        is_of_the_dataset = document["node_type"] == "array" and file.parent.parent == store
-        if is_of_the_dataset:
-            attributes.pop("checksum", None)
-        file.write_bytes(json.dumps(document).encode() if is_of_the_dataset else old_seal(document))
-
-
-def test_a_store_of_format_2_is_read_and_bound_by_the_next_writing(two_writings, coins):
-    study, store = two_writings
-    wanted = open_dataset(store)
-    as_format_2(store)
-    report = check(store)
-    assert not report
-    assert any("store format 2" in remark and "format 3" in remark for remark in report.remarks)
-    xr.testing.assert_identical(open_dataset(store).drop_attrs(deep=False), wanted.drop_attrs(deep=False))
-    rows = existing_store(store, study).rows
-    again, _ = run_study(study, store, SERIAL)
-    xr.testing.assert_identical(again.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
-    assert existing_store(store, study).rows == rows
-    report = check(store)
-    assert not report
-    assert not report.remarks
-    chunk = store / "blocks" / "sums" / "c" / "0" / "0"
-    shutil.copy(store / "blocks" / "sums" / "c" / "1" / "0", chunk)
-    assert "blocks/sums/c/0/0" in check(store).ledger
-
-
-@pytest.mark.slow
-def test_exchanged_documents_of_format_2_give_a_sentence(two_writings):
-    study, store = two_writings
-    as_format_2(store)
-    documents = sorted(store.rglob("zarr.json"))
-    problems: list[str] = []
-    for one, other in itertools.combinations(documents, 2):
-        contents = one.read_bytes(), other.read_bytes()
-        one.write_bytes(contents[1])
-        other.write_bytes(contents[0])
-        for read in (check, open_dataset, lambda path: existing_store(path, study)):
-            try:
-                read(store)
-            except SweepError as error:
-                problems += error.problems
-        one.write_bytes(contents[0])
-        other.write_bytes(contents[1])
-    assert problems
-    assert all(" " in problem for problem in problems)
 
 
 COPIES = 100

@@ -1,5 +1,6 @@
 """One run at a time writes to a store.  Holders are real processes."""
 
+import errno
 import json
 import os
 import signal
@@ -14,7 +15,7 @@ import xarray as xr
 import zarr
 
 from sweep.contract import SweepError
-from sweep.stores import lock
+from sweep.stores import folder, lock
 from sweep.stores.location import located
 from sweep.stores.lock import Holder, holder, locked
 from tests.patience import PATIENCE_S
@@ -137,9 +138,46 @@ def test_a_damaged_lock_is_broken_only_on_request(place, content):
         assert holder(place).pid == os.getpid()
 
 
+def without_flock(monkeypatch, number=errno.ENOLCK):
+    def refuse(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(folder.fcntl, "flock", refuse)
+
+
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_without_locks_of_the_system_a_killed_run_is_resumed_too(tmp_path, hold, monkeypatch, number):
+    without_flock(monkeypatch, number)
+    place = str(tmp_path / "s.zarr")
+    process = hold(place)
+    process.kill()
+    process.wait()
+    with locked(place):
+        assert holder(place).pid == os.getpid()
+    held_by(place, host="elsewhere")
+    with locked(place, break_lock=True):
+        assert holder(place).pid == os.getpid()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_process_that_was_killed_while_it_took_over_is_named(tmp_path, monkeypatch):
+    without_flock(monkeypatch)
+    monkeypatch.setattr(lock, "PAUSE_S", 0.0)
+    held_by(str(tmp_path / "s.zarr"))
+    (tmp_path / "s.zarr.lock.taking").touch()
+    with (
+        pytest.raises(SweepError, match=r"remove s\.zarr\.lock and s\.zarr\.lock\.taking"),
+        locked(tmp_path / "s.zarr"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize("flock", [True, False], ids=["flock", "no flock"])
 @pytest.mark.parametrize("rounds", [2, slow(10)])
-def test_of_many_that_find_a_stale_lock_one_gets_it(place, rounds):
+def test_of_many_that_find_a_stale_lock_one_gets_it(place, rounds, flock, monkeypatch):
     """Each leaves its mark while it holds the lock: no two are ever inside at once."""
+    if not flock:
+        without_flock(monkeypatch)
     inside, most, refused = [], [], []
 
     def enter(number):

@@ -66,12 +66,22 @@ def test_the_ledger_grows_over_chunks_in_few_files(tmp_path, study):
     assert len([p for p in (tmp_path / "s.zarr").rglob("*") if p.is_file()]) < 40  # of 262,156 blocks
 
 
-def test_an_index_whose_sums_did_not_reach_the_disk_does_not_count(tmp_path, study):
+def test_rows_that_the_manifest_does_not_know_do_not_count(tmp_path, study):
+    """As a process leaves them that is killed before it writes the manifest."""
+    manifest = tmp_path / "s.zarr" / "blocks" / "manifest" / "zarr.json"
     store = open_store(tmp_path / "s.zarr", study)
-    store.append(*rows(4), [], {})
+    keys, sums = rows(6)
+    store.append(keys[:2], sums[:2], [], {})
     store.flush()
-    shutil.rmtree(tmp_path / "s.zarr" / "blocks" / "sums" / "c")
-    assert open_store(tmp_path / "s.zarr", study).rows == {}
+    before = manifest.read_bytes()
+    store.append(keys[2:], sums[2:], [], {})
+    store.flush()
+    manifest.write_bytes(before)
+    again = open_store(tmp_path / "s.zarr", study)
+    assert set(again.rows) == set(keys[:2])
+    again.append(keys[4:], sums[4:], [], {})
+    again.flush()
+    assert np.array_equal(open_store(tmp_path / "s.zarr", study).sums(), sums[[0, 1, 4, 5]])
 
 
 def test_a_flipped_bit_is_noticed(tmp_path, study):
@@ -165,9 +175,7 @@ def test_a_newer_format_is_refused_politely(tmp_path, study):
     document["attributes"]["linksweep_format"] = 99
     root.write_text(json.dumps(document))
     (tmp_path / "s.zarr" / "blocks" / "zarr.json").unlink()
-    with pytest.raises(
-        SweepError, match=r"format 99; this version of linksweep reads formats 2 and 3. It is newer: upgrade"
-    ):
+    with pytest.raises(SweepError, match=r"format 99; this version of linksweep reads format 4. It is newer: upgrade"):
         open_store(tmp_path / "s.zarr", study)
 
 
