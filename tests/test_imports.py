@@ -25,7 +25,7 @@ ONLY_IN = {
     "matplotlib": {"sweep.plots", "sweep.report", "sweep.search", "sweep.api"},  # there for a type
     "bokeh": {"sweep.report"},
     "jinja2": {"sweep.report"},
-    "pydantic": {"sweep.studies"},
+    "pydantic": {"sweep.studies", "sweep.stores"},
     "astropy": {
         *("sweep.contract.units", "sweep.tables", "sweep.readable", "sweep.analysis", "sweep.search", "sweep.tie"),
     },

@@ -582,7 +582,7 @@ FOREIGN: dict[Callable[[Path], None], str] = {
     half_made: "zarr.json and its copy blocks/zarr.json are both damaged",
     truncated_metadata: "is not a store of linksweep (foreign or half-made)",
     foreign_zarr: "is not a store of linksweep (foreign or half-made)",
-    newer_format: "has store format 99; this version of linksweep reads formats 2 and 3. It is newer",
+    newer_format: "has store format 99; this version of linksweep reads format 4. It is newer",
 }
 
 

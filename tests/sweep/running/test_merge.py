@@ -229,7 +229,7 @@ def test_what_another_merge_has_left_is_not_replaced(run, tmp_path, monkeypatch)
     for name, k in (("a.zarr", 1), ("b.zarr", 2), ("d.zarr", 3)):
         run(name, axes={"k": [k]})
 
-    def killed(*_):
+    def killed(*_, **__):
         raise Killed
 
     with monkeypatch.context() as patch:
