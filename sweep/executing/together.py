@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Experiment, Point, check_finite, checked
+from sweep.contract import Experiment, Point, check_finite, checked, shown
 from sweep.executing.captured import captured
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.own_process import forks_ended, is_interruption
@@ -21,13 +21,8 @@ from sweep.planning.streams import block_generators
 MOST_CATALOGUES = 256
 """Most catalogues in one call."""
 
-APART = 0.01
-"""Relative difference above which two numbers are not the same result.  A solver of many equations together stops when
-all are within its tolerance, so that the last digits differ from those of one equation alone.
-"""
-
-ROUNDING = 1e-9
-"""Difference, relative to the largest number of all points, that counts as rounding."""
+CHECKED = 3
+"""Points of a process's first call of a vectorised function for more than these that are also computed alone."""
 
 _DEPENDENCE: dict[tuple[str, str | None], str] = {}
 """How points of vectorised functions depend on those beside them, by the reference and the digest of the function."""
@@ -36,28 +31,29 @@ _DEPENDENCE: dict[tuple[str, str | None], str] = {}
 def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
     """Return the results of all points of a task from one call of a vectorised function, or None where it raises.
 
-    The first call in a process also computes the first and the last point alone; where a result differs, all points
-    fail, in this call and later ones.
+    The first call in a process also computes some points alone; where a result differs, all points fail, in this call
+    and later ones.
     """
     defaults = experiment.defaults()
     points = [defaults | unit.points[0] for unit in task.units]
     who = task.experiment_reference, task.source_digest
-    if wrong := _DEPENDENCE.get(who):
+    if wrong := _DEPENDENCE.get(who, ""):
         return failed(len(points), experiment.sums_width, Failure("exception", wrong))
     begun = time.perf_counter()
     with captured() as said:
         try:
-            limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
+            limit = None if task.time_limit_s is None else task.time_limit_s * (len(points) + CHECKED)
             with forks_ended(), deadlines.within(limit):
                 values = experiment.many(points)
                 if who not in _DEPENDENCE:
-                    _DEPENDENCE[who] = dependence(experiment, points, values)
+                    wrong = dependence(experiment, points, values, [unit.stream for unit in task.units])
+                    if wrong or len(points) > CHECKED:
+                        _DEPENDENCE[who] = wrong
         except BaseException as error:  # which point is to blame is found out one by one
             if is_interruption(error):
                 raise
             return None
         told = said.taken()
-    wrong = _DEPENDENCE[who]
     result = failed(len(points), experiment.sums_width, Failure("exception", wrong) if wrong else None)
     if not wrong:
         result.values.update(enumerate(values))
@@ -67,23 +63,28 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
     return result
 
 
-def dependence(experiment: FunctionExperiment, points: Sequence[Point], values: Sequence[Flat]) -> str:
-    """Return how the first or the last of many points differs from the result of that point alone, in words; '' where
-    neither does.
+def dependence(
+    experiment: FunctionExperiment, points: Sequence[Point], values: Sequence[Flat], digests: Sequence[bytes]
+) -> str:
+    """Return how one of many points differs from the result of that point alone, in words; '' where none does.
 
-    Raises whatever the function raises.
+    The points with the least digests are compared: the same of the same points, whatever their order, and at least one
+    that is neither the first nor the last.  Raises whatever the function raises.
     """
     among = _columns(values[0].layout, values)
-    for place in (0, len(points) - 1):
+    for place in sorted(range(len(points)), key=digests.__getitem__)[:CHECKED]:
         (own,) = experiment.many([points[place]])
         alone = _columns(own.layout, [own])
         for name in among.keys() & alone.keys():
             there, here = among[name][place], alone[name][0]
-            if there.shape != here.shape or np.any(_differ(there, here, among[name])):
+            differ = _differ(there, here, among[name], experiment.tolerance)
+            if differ.any():
+                where = ", ".join(f"{parameter}={shown(value)}" for parameter, value in points[place].items())
                 return (
-                    f"{experiment.name}: {name!r} is {_shown(there, here)} in a call for {len(points):,} points, but "
-                    f"{_shown(here, there)} for the same point alone; what a vectorised function returns for a point "
-                    "must not depend on the others"
+                    f"{experiment.name}: {name!r} is {_shown(there, differ)} in a call for {len(points):,} points, but "
+                    f"{_shown(here, differ)} for the same point ({where}) alone; what a vectorised function returns "
+                    "for a point must not depend on the others. A solver of all points together may declare by how "
+                    "much it does: experiment(vectorised=True, tolerance=1e-6)"
                 )
     return ""
 
@@ -93,25 +94,28 @@ def _columns(layout: Layout, values: Sequence[Flat]) -> dict[str, NDArray[Any]]:
     return layout.values(rows)
 
 
-def _differ(one: NDArray[Any], other: NDArray[Any], everything: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return which numbers are more than rounding apart, and which other values differ."""
-    if one.dtype.kind not in "fi" or other.dtype.kind not in "fi":
+def _differ(one: NDArray[Any], other: NDArray[Any], everything: NDArray[Any], tolerance: float) -> NDArray[np.bool_]:
+    """Return which values differ, or that the shapes do; floats by more than the tolerance, relative to them or to a
+    hundredth of the largest that another point has in their place, as for those that are zero but for rounding.
+    """
+    if one.shape != other.shape:
+        return np.array(True)
+    if one.dtype.kind != "f" or other.dtype.kind != "f":
         return np.asarray(one != other)
     finite = np.isfinite(one) & np.isfinite(other)
-    size = np.max(np.abs(everything), where=np.isfinite(everything), initial=0.0)
-    apart = np.abs(np.where(finite, one, 0.0) - np.where(finite, other, 0.0))
-    far = (apart > APART * np.maximum(np.abs(one), np.abs(other))) & (apart > ROUNDING * size)
+    size = 0.01 * np.max(np.abs(everything), axis=0, where=np.isfinite(everything), initial=0.0)
+    largest = np.maximum(np.maximum(np.abs(one), np.abs(other)), size)
+    far = np.abs(np.where(finite, one, 0.0) - np.where(finite, other, 0.0)) > tolerance * largest
     same = (one == other) | (np.isnan(one) & np.isnan(other))
     return np.asarray(np.where(finite, far, ~same))
 
 
-def _shown(one: NDArray[Any], other: NDArray[Any]) -> str:
-    """Return the first value in which two results differ, or a shape where these do."""
-    if one.shape != other.shape:
-        return f"of the shape {one.shape}"
-    differ = np.atleast_1d(_differ(one, other, one))
-    first = np.atleast_1d(one).reshape(-1)[int(np.argmax(differ.reshape(-1)))]
-    return "another text" if one.dtype.kind == "V" else str(first)
+def _shown(value: NDArray[Any], differ: NDArray[np.bool_]) -> str:
+    """Return the first of the values that differ, or the shape where these do."""
+    if value.shape != differ.shape:
+        return f"of the shape {value.shape}"
+    first = value.reshape(-1)[int(np.argmax(differ))]
+    return "another text" if value.dtype.kind == "V" else str(first)
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:

@@ -86,6 +86,11 @@ class FunctionExperiment(Experiment):
         """Whether the function takes many points at once."""
         return self.function is not None and self.function.declaration.vectorised
 
+    @property
+    def tolerance(self) -> float:
+        """How far the result of a point among others may be from that of the point alone, relative to it."""
+        return 0.0 if self.function is None else self.function.declaration.tolerance
+
     def with_layout(self, layout: Layout) -> "FunctionExperiment":
         """Return the experiment with a known layout of its results."""
         random = Realisations(layout, self.declared)

@@ -16,6 +16,9 @@ from sweep.functions.values import coordinate_of
 ATTRIBUTE = "__linksweep__"
 """The attribute of a function that holds its declaration."""
 
+ROUNDING = 1e-12
+"""Relative difference of two results of the same point that differ by rounding only."""
+
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
 
@@ -27,6 +30,7 @@ class Declaration:
     vectorised: bool = False
     packages: tuple[str, ...] = ()
     citation: tuple[str, ...] = ()
+    tolerance: float = ROUNDING
 
 
 def experiment(
@@ -35,6 +39,7 @@ def experiment(
     vectorised: bool = False,
     packages: Sequence[str] = (),
     citation: str | Sequence[str] = (),
+    tolerance: float = ROUNDING,
 ) -> Callable[[AnyFunction], AnyFunction]:
     """Declare more about a function than its signature says.  The function can be called as before.
 
@@ -45,6 +50,8 @@ def experiment(
             length; it is then called for many points at once.
         packages: distributions whose versions determine the results; a store is not continued with another version.
         citation: what users of the results should cite, for reports.
+        tolerance: how far the results of a vectorised function for one point alone and among others may differ,
+            relative to them; by default only by rounding.
 
     Returns:
         A decorator that returns the function.  If that is already defined, for example in another package, it returns
@@ -64,7 +71,7 @@ def experiment(
 
     def declare(function: AnyFunction) -> AnyFunction:
         given = [_output(one) for one in _sequence(outputs)]
-        declaration = Declaration(tuple(given), vectorised, _sequence(packages), _sequence(citation))
+        declaration = Declaration(tuple(given), vectorised, _sequence(packages), _sequence(citation), tolerance)
         if found := problems(function, declaration):
             name = getattr(function, "__name__", type(function).__name__)
             raise SweepError(found, f"function {name}")
@@ -133,6 +140,13 @@ def problems(function: Callable[..., Any], declaration: Declaration) -> list[str
         known.add(output.name)
     found += _problems_of_coordinates([o for o in declaration.outputs if isinstance(o, Output)], names)
     found += packages_problems(declaration.packages)
+    tolerance = declaration.tolerance
+    if type(tolerance) not in (int, float) or not 0.0 <= tolerance < 1.0:
+        found.append(f"tolerance = {shown(tolerance)}: must be a number from 0 to below 1")
+    elif tolerance != ROUNDING and not declaration.vectorised:
+        found.append(
+            f"tolerance = {shown(tolerance)}: is for vectorised functions; declare vectorised=True or leave it out"
+        )
     if declaration.vectorised and signature.rng:
         found.append(
             "vectorised: a function of rng is called for one point; take n_sim to get all realisations of it at once"

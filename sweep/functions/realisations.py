@@ -11,7 +11,7 @@ from sweep.contract import Array, Output, ResultError
 from sweep.functions.layout import NUMBERS, Field, Layout, as_floats, differences
 from sweep.functions.named_results import Declared
 from sweep.functions.results import Flat
-from sweep.functions.statistics import DEFAULT, MOMENTS, merged, moments_of, quantile_of, quantiles, statistic
+from sweep.functions.statistics import DEFAULT, MOMENTS, merged, moments_of, quantile_of, quantiles, statistic, unknown
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,8 @@ class Realisations:
                 made.append(value)
                 if name not in ("min", "max"):
                     error = f"one-sigma Monte-Carlo error of {value.name}"
+                    if where := unknown(name, field):
+                        error += f"; not known (NaN) {where}"
                     made.append(replace(value, name=f"{value.name}_mc_error", meaning=error, headline=False))
         return tuple(made)
 

@@ -1,16 +1,19 @@
 """Statistics of the realisations of a plain function, each with its Monte-Carlo error.
 
 Mean, spread and extremes come from moments that merge block by block (Chan et al. 1983, Pebay 2008), quantiles from the
-realisations themselves.
+realisations themselves.  The truth is within two errors 95 times of 100, also for skewed laws, from 50 realisations on;
+an error that cannot promise this is NaN.
 """
 
 import math
 import re
 from collections.abc import Sequence
+from statistics import NormalDist
 
 import numpy as np
+from scipy.special import bdtrc, bdtrik
 
-from sweep.contract import Array, shown, small_sample_factor, suggest
+from sweep.contract import FEWEST_SAMPLES, Array, shown, small_sample_factor, suggest
 from sweep.functions.layout import Field
 
 MOMENTS = 6
@@ -22,8 +25,24 @@ DEFAULT = ("mean", "std")
 
 QUANTILE = re.compile(r"q(\d{1,2}(?:\.\d+)?)")
 
-FEWEST_BEYOND = 1.0
-"""The fewest realisations beyond each of a quantile's one-sigma limits for which it has an error."""
+SIGMAS = 2.0
+"""Errors are made so that the truth is within this many of them as often as for a normal law."""
+
+TAIL = NormalDist().cdf(-SIGMAS)
+
+FEWEST_FOR_STD = 50
+"""The fewest realisations for which the error of a standard deviation is known."""
+
+FEWEST_VALUES = 4
+"""The fewest different values between the limits of a quantile for which its error is known."""
+
+ONE_DECIDES = 0.7
+"""Squared skewness, over the number of realisations, above which one realisation outweighs all others: it is (n - 2)^2/
+(n^2 - n) where one differs from the others, which are alike.
+"""
+
+SAME = 1e-6
+"""Relative rounding error of a variance, generously."""
 
 
 def statistic_problem(name: object) -> str | None:
@@ -41,6 +60,16 @@ def quantile_of(name: str) -> float | None:
     found = QUANTILE.fullmatch(name)
     level = float(found[1]) / 100.0 if found else 0.0
     return level if 0.0 < level < 1.0 else None
+
+
+def unknown(name: str, field: Field) -> str:
+    """Return where the error of a statistic is NaN, in words; '' for nowhere."""
+    if (level := quantile_of(name)) is not None:
+        return f"below {fewest_for(level)} realisations, and where values repeat around the quantile"
+    if name == "count" or field.type == "bool":
+        return ""
+    fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
+    return f"below {fewest} realisations, and where all are alike or one outweighs all others"
 
 
 def moments_of(values: Array) -> Array:
@@ -69,43 +98,102 @@ def merged(one: Array, n_one: float, other: Array, n_other: float) -> Array:
 def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array, Array | None]:
     """Return a statistic and its one-sigma Monte-Carlo error, both (points, size), from moments (points, MOMENTS, size)
     of n (points,) realisations; extremes have no error.
+
+    Where only two values occur the number of one of them is binomial; two of each are added (Agresti and Coull 1998),
+    so that no error is 0.  Otherwise the errors of a mean and of a standard deviation are enlarged where the law is
+    skewed or has tails: samples in which these are missing look too precise.  How much was found by simulation, of
+    twelve laws from the uniform to the lognormal one.
     """
     count = n[:, None]
-    mean, m2, _, m4 = (moments[:, k] for k in range(4))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        if name in ("min", "max"):
-            return moments[:, 4 if name == "min" else 5], None
-        if name == "count" or field.type == "bool":
-            likely = (mean * count + 1.0) / (count + 2.0)  # never 0 or 1, even if all realisations agree
-            spread = np.sqrt(likely * (1.0 - likely))
+    mean, m2, m3, _, low, high = (moments[:, k] for k in range(MOMENTS))
+    if name in ("min", "max"):
+        return (low if name == "min" else high), None
+    if binary := name == "count" or field.type == "bool":
+        low, high = np.zeros_like(mean), np.ones_like(mean)
+    extent = high - low
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        share = (mean - low) / extent
+        likely = (share * count + 2.0) / (count + 4.0)
+        of_share = np.sqrt(likely * (1.0 - likely) / count)
         if name == "count":
-            return np.round(mean * count), spread * np.sqrt(count)
-        if name == "mean":
-            if field.type == "bool":
-                return mean, spread / np.sqrt(count)
-            return mean, np.sqrt(m2 / (count - 1.0) / count * small_sample_factor(count))
+            return np.round(mean * count), of_share * count
+        two_values = (m2 >= (1.0 - SAME) * count * (mean - low) * (high - mean)) | binary
+        skewness = m3**2 / m2**3  # squared, over the number of realisations
+        fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
+        known = (extent > 0.0) & (skewness <= ONE_DECIDES) & (count >= fewest) | binary
         variance = m2 / (count - 1.0)
-        of_variance = (m4 / count - variance**2 * (count - 3.0) / (count - 1.0)) / count
         std = np.sqrt(variance)
-        error = np.sqrt(np.maximum(of_variance, 0.0) * small_sample_factor(count)) / (2.0 * std)
-        return std, np.where(std > 0.0, error, np.where(count > 1.0, 0.0, np.nan))
+        if name == "mean":
+            value, of_two = mean, of_share
+            error = np.sqrt(variance / count * small_sample_factor(count) * (1.0 + 6.0 * skewness))
+        else:
+            value, of_two = std, _of_two_values(share, of_share, std / extent)
+            error = std * _relative(moments, n)
+        return value, np.where(known, np.where(two_values, extent * of_two, error), np.nan)
+
+
+def _relative(moments: Array, n: Array) -> Array:
+    """Return the relative error of the standard deviation of numbers, from the unbiased estimate of their kurtosis."""
+    count = n[:, None]
+    _, m2, m3, m4 = (moments[:, k] for k in range(4))
+    factor = (count - 1.0) / ((count - 2.0) * (count - 3.0))
+    kurtosis = np.maximum(factor * ((count + 1.0) * (count * m4 / m2**2 - 3.0) + 6.0), -2.0)
+    skewness = np.sqrt(m3**2 / m2**3 * count**2 * (count - 1.0)) / (count - 2.0)
+    plain = (kurtosis + 2.0 + 2.0 / (count - 1.0)) / (4.0 * count)
+    enlarged = np.exp(np.clip((8.0 * kurtosis + 62.0 * skewness + 3.3 * kurtosis**2) / count, -0.5, 3.0))
+    return np.sqrt(plain * enlarged)
+
+
+def _of_two_values(share: Array, error: Array, std: Array) -> Array:
+    """Return the error of the standard deviation of zeros and ones, from the interval of the share of ones."""
+    ends = np.clip([share - SIGMAS * error, share + SIGMAS * error], 0.0, 1.0)
+    spreads = np.sqrt(ends * (1.0 - ends))
+    most = np.where((ends[0] < 0.5) & (ends[1] > 0.5), 0.5, spreads.max(axis=0))
+    return _one_sigma(std, spreads.min(axis=0), most)
+
+
+def _one_sigma(value: Array, lower: Array, upper: Array) -> Array:
+    """Return one error for both sides of a value, from its limits at `SIGMAS`."""
+    return np.sqrt(0.5 * ((upper - value) ** 2 + (value - lower) ** 2)) / SIGMAS
 
 
 def quantiles(levels: Sequence[float], realisations: Array) -> Array:
     """Return quantiles of realisations (n, size) and their errors, (levels, 2, size).
 
-    The number of realisations below the true quantile is binomial.  The error is half the distance between the order
-    statistics one standard deviation of this number away on both sides, NaN where these are beyond the realisations.
+    The number of realisations below the true quantile is binomial, whatever the law: so two of them are its limits.
+    The error is NaN for fewer realisations than `fewest_for`, and where values repeat between the limits.
     """
     n = len(realisations)
+    ordered = np.sort(realisations, axis=0)
     found = np.full((len(levels), 2, realisations.shape[1]), np.nan)
     for i, level in enumerate(levels):
-        step = math.sqrt(level * (1.0 - level) / n)
-        ends = (level - step, level + step)
-        inside = ends[0] * n >= FEWEST_BEYOND and (1.0 - ends[1]) * n >= FEWEST_BEYOND
-        wanted = [level, *ends] if inside else [level]
-        values = np.quantile(realisations, wanted, axis=0, method="hazen")
-        found[i, 0] = values[0]
-        if inside:
-            found[i, 1] = 0.5 * (values[2] - values[1])
+        found[i, 0] = np.quantile(ordered, level, axis=0, method="hazen")
+        if n >= fewest_for(level):
+            (first, lower), (last, upper) = _limit(ordered[::-1], 1.0 - level), _limit(ordered, level)
+            between = ordered[n - 1 - first : last + 1]
+            known = np.count_nonzero(np.diff(between, axis=0), axis=0) >= FEWEST_VALUES - 1
+            found[i, 1] = np.where(known, _one_sigma(found[i, 0], lower, upper), np.nan)
     return found
+
+
+def fewest_for(level: float) -> int:
+    """Return the fewest realisations that have some beyond both limits of a quantile.
+
+    >>> fewest_for(0.5), fewest_for(0.95), fewest_for(0.999)
+    (6, 74, 3782)
+    """
+    return math.ceil(math.log(TAIL) / math.log(max(level, 1.0 - level)))
+
+
+def _limit(ordered: Array, level: float) -> tuple[int, Array]:
+    """Return the upper limit of a quantile, between two order statistics, and the index of the second one.
+
+    The position between them is that for a law that is uniform there (Nyblom 1992).
+    """
+    n = len(ordered)
+    rank = math.ceil(bdtrik(1.0 - TAIL, n, level))
+    at_least, more = bdtrc([rank - 1, rank], n, level)
+    inside = (TAIL - more) / (at_least - more)
+    below, above = (1.0 - inside) * level / rank, inside * (1.0 - level) / (n - rank)
+    weight = below / (below + above)
+    return rank, (1.0 - weight) * ordered[rank - 1] + weight * ordered[rank]

@@ -21,13 +21,16 @@ MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 
 @dataclass(slots=True)
 class _Round:
-    """The parts of a point that are being added, block by block in order; blocks that arrive early wait."""
+    """The parts of a point that are being added, block by block in order; blocks that arrive early wait.  ``reached``
+    says whether the parts before them reach the precision.
+    """
 
     parts: range
     group: int = 0
     part: int = 0
     early: dict[tuple[int, int], Array] = field(default_factory=dict)
     kept: list[Array] = field(default_factory=list)
+    reached: bool = False
 
 
 class Accumulator:
@@ -236,9 +239,10 @@ class Accumulator:
         if kept:
             experiment = self.plan.grid.study.experiment
             self.total[point.index, experiment.sums_width :] = experiment.of_samples(np.concatenate(kept))
-        wanted = wanted_parts(self.plan, cost, parts, self.total[point.index : point.index + 1])
+        sums = self.total[point.index : point.index + 1]
+        wanted, reached = wanted_parts(self.plan, cost, parts, sums, round_.reached)
         if wanted > parts:
-            self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept)
+            self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept, reached=reached)
             return list(self._blocks(point))
         del self._rounds[point.index]
         self.status[point.index] = Status.DONE

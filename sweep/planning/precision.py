@@ -10,25 +10,37 @@ from sweep.planning.plan import Plan
 LARGEST_STEP = 16
 """A point that is not precise enough gets at most this many times its realisations before it is checked again."""
 
+CONFIRMED = 1.25
+"""A precision counts as reached if it is still reached with this many times the realisations: errors are estimates too,
+and the first that is small enough is often one that is too small by chance.
+"""
 
-def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array) -> int:
-    """Return how many parts a point with ``parts`` needs: only its ``sums`` (1, width) decide, so all runs agree."""
+KNOWN_BY = 4096
+"""Realisations from which an error that is still not known no longer counts, as where all realisations are alike."""
+
+
+def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array, reached: bool) -> tuple[int, bool]:
+    """Return how many parts a point with ``parts`` needs, and whether these reach the precision; ``reached`` says
+    whether those of its last check did.  Only its ``sums`` (1, width) decide, so all runs agree.
+    """
     study = plan.grid.study
     sampling, precision = study.sampling, study.sampling.precision
     if precision is None:
-        return parts
+        return parts, True
     n_sim = plan.realisations(cost, parts)
     n_cat = float(sampling.n_cat)
     try:
         results = study.experiment.results(sums, np.array([n_cat * n_sim]), np.array([n_cat]))
     except Exception:  # raised by a user's function: the point ends here, and `sweep.planning.failing` says why
-        return parts
+        return parts, False
     with np.errstate(divide="ignore", invalid="ignore"):
-        errors = [np.abs(results[e] / results[value]) for value, e in study.experiment.errors_of_headline()]
-    worst = max(float(np.max(error)) for error in errors)
-    if study.experiment.further_width and math.isnan(worst):
-        return min(2 * parts, plan.parts(cost, sampling.most))  # too few for the error of a quantile
-    if math.isnan(worst) or worst <= precision:
-        return parts
-    needed = math.ceil(n_sim * min((worst / precision) ** 2, LARGEST_STEP))
-    return min(max(parts + 1, plan.parts(cost, needed)), plan.parts(cost, sampling.most))
+        pairs = study.experiment.errors_of_headline()
+        errors = np.concatenate([np.abs(results[error] / results[value]).reshape(-1) for value, error in pairs])
+    unknown = n_sim < KNOWN_BY and bool(np.isnan(errors).any())
+    worst = float(np.max(errors, where=~np.isnan(errors), initial=0.0))
+    enough = worst <= precision and not unknown
+    if enough and reached:
+        return parts, True
+    factor = max((worst / precision) ** 2, 2.0 if unknown else CONFIRMED)
+    needed = plan.parts(cost, math.ceil(n_sim * min(factor, LARGEST_STEP)))
+    return min(max(parts + 1, needed), plan.parts(cost, sampling.most)), enough

@@ -25,20 +25,25 @@ def constant(points, n_sim, rng, catalogue_rng):
 
 
 def summary(sums, n, n_cat):
-    """Two headline results whose relative errors are known exactly: sqrt(150/n) and sqrt(2000/n) per cent."""
+    """Headline results whose relative errors are known exactly: sqrt(150/n) and sqrt(2000/n) per cent; one that is like
+    the latter, but small by chance for the first 128; and one that is not known below 500.
+    """
     results = {}
     for name, realisations in (("a", 150.0), ("b", 2000.0)):
         results |= {name: np.ones_like(n), f"{name}_mc_error": 0.01 * np.sqrt(realisations / n)}
-    return results
+    one, error = np.ones_like(n), results["b_mc_error"]
+    results |= {"lucky": one, "lucky_mc_error": np.where(n == 128.0, 0.005, error)}
+    return results | {"late": one, "late_mc_error": np.where(n < 500.0, np.nan, 0.001)}
 
 
-NAMES = ("a", "a_mc_error", "b", "b_mc_error")
+HEADLINES = ("a", "b", "lucky", "late")
+NAMES = tuple(each for name in HEADLINES for each in (name, f"{name}_mc_error"))
 experiment = Experiment(
     name="exact",
     version=1,
     parameters=(Parameter("kind", "int", 0, "which"),),
     sums={"n": ()},
-    outputs=tuple(Output(name, "", name, headline=name in ("a", "b")) for name in NAMES),
+    outputs=tuple(Output(name, "", name, headline=name in HEADLINES, nan=True) for name in NAMES),
     evaluate=constant,
     summarise=summary,
 )
@@ -70,9 +75,12 @@ def rounds(plan):
 @pytest.mark.parametrize(
     ("headlines", "expected"),
     [
-        (("a",), [128, 256]),  # 150 are needed: 128 are not precise enough, though within 10 %
-        (("b",), [128, 2048]),  # 2000, in one go from what 128 have
-        (("a", "b"), [128, 2048]),  # both: the worse decides
+        (("a",), [128, 256, 512]),  # 150 are needed: 128 are not precise enough, though within 10 %; and a quarter more
+        (("b",), [128, 2048, 2560]),  # 2000, in one go from what 128 have
+        (("a", "b"), [128, 2048, 2560]),  # both: the worse decides
+        (("lucky",), [128, 256, 2048, 2560]),  # reached at 128, but not with a quarter more
+        (("late",), [128, 256, 512, 1024]),  # twice as many while it is not known
+        (("late", "b"), [128, 2048, 2560]),
     ],
 )
 def test_a_point_gets_what_the_worst_of_its_results_needs_at_once(headlines, expected):

@@ -249,7 +249,7 @@ def test_a_precision_takes_the_same_realisations_in_every_run(tmp_path, pool):
     index = zarr.open_group(tmp_path / "q.zarr", path="blocks")["index"][:]
     keys = index[index.any(axis=1)]
     assert len(keys) == len(np.unique(keys, axis=0))
-    assert ds.n_sim_done.values.tolist() == [2560, 1024, 1024]
+    assert ds.n_sim_done.values.tolist() == [3584, 1536, 1536]
     assert linksweep.run(queue, **study).drop_attrs().identical(ds.drop_attrs())
 
 
