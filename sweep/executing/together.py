@@ -83,8 +83,7 @@ def dependence(
                 return (
                     f"{experiment.name}: {name!r} is {_shown(there, differ)} in a call for {len(points):,} points, but "
                     f"{_shown(here, differ)} for the same point ({where}) alone; what a vectorised function returns "
-                    "for a point must not depend on the others. A solver of all points together may declare by how "
-                    "much it does: experiment(vectorised=True, tolerance=1e-6)"
+                    "for a point must not depend on the others by more than its tolerance (1e-12 if it declares none)"
                 )
     return ""
 

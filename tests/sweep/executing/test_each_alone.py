@@ -73,7 +73,7 @@ def test_how_far_results_may_differ_is_declared(apart, tolerance):
     def solver(x):
         return x * (1.0 + apart / len(x))
 
-    assert "may declare by how much it does: experiment(vectorised=True, tolerance=1e-6)" in told(solver)
+    assert "must not depend on the others by more than its tolerance (1e-12 if it declares none)" in told(solver)
     assert told(solver, tolerance=tolerance) == ""
     assert told(solver, tolerance=apart / 10.0) != ""
     assert told(np.cumsum, tolerance=tolerance) != ""
