@@ -50,7 +50,8 @@ def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_e
 
 def parallax_factors(ra: Array, dec: Array, epoch: Array) -> Array:
     """Return (p.s, q.s) with s from the Earth to the barycentre in au: the displacement by parallax; shape (2, N)."""
-    _, earth = erfa.epv00(J2000, (epoch - 2000.0) * DAYS_PER_YEAR)
+    # the ufunc itself, because erfa.epv00 warns about epochs before 1900, where it is off by 1e-5 au
+    _, earth, _ = erfa.ufunc.epv00(J2000, (epoch - 2000.0) * DAYS_PER_YEAR)
     to_barycentre = -np.moveaxis(np.asarray(earth["p"]), -1, 0)
     p, q, _ = triad(ra, dec)
     return np.stack([np.sum(p * to_barycentre, axis=0), np.sum(q * to_barycentre, axis=0)])

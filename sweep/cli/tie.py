@@ -1,5 +1,6 @@
 """The commands of the link of real tables: tie and forecast."""
 
+import sys
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.cli.group import main
+from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.options import FILE, json_option, option_with_default
 from sweep.cli.tie_options import numbers, table_options
 
@@ -59,6 +60,11 @@ figures_option = click.option(
     is_flag=True,
     help="Leave what belongs to single sources and rows out of STORE.zarr and of JSON: for millions of them.",
 )
+@click.option(
+    "--accept-misfit",
+    is_flag=True,
+    help="Give the link, and write it, although chi2 is more than 1000 times its expectation.",
+)
 @table_options
 @output_option
 @figures_option
@@ -82,20 +88,28 @@ def tie(
 
     \b
     sweep tie gaia.fits vlbi.ecsv --unknowns orientation,spin -o tie.zarr
+
+    With chi2 above 1000 times its expectation the exit code is 1, and nothing is written.
     """
+    from sweep.tie.link_tables import MisfitError
     from sweep.tie.link_tables import tie as solve
     from sweep.tie.options import parse_bins
 
     _check_targets(output, figures)
-    result = solve(
-        satellite,
-        reference,
-        per_source=not no_sources and (as_json or output is not None or figures is not None),
-        bins=None if bins is None else parse_bins(bins),
-        known_spin=None if known_spin is None else _spin(known_spin),
-        **given,
-        **tables,
-    )
+    try:
+        result = solve(
+            satellite,
+            reference,
+            per_source=not no_sources and (as_json or output is not None or figures is not None),
+            bins=None if bins is None else parse_bins(bins),
+            known_spin=None if known_spin is None else _spin(known_spin),
+            **given,
+            **tables,
+        )
+    except MisfitError as error:
+        _put(error.link, None, None, as_json)
+        click.echo(f"error: {error.said('--accept-misfit')}", err=True)
+        sys.exit(EXIT_FAILED_POINTS)
     _put(result, output, figures, as_json)
 
 

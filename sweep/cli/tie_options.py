@@ -69,6 +69,7 @@ def _tables(
     positions: Any,
     zero_errors: Any,
     without_cos_dec: Sequence[str],
+    extragalactic: Sequence[str],
     jitter: Sequence[str],
 ) -> dict[str, Any]:
     """Return the options of the tables as `sweep.tie.options.Options` has them."""
@@ -81,13 +82,15 @@ def _tables(
     own_columns = _by_table("--column", "KEY=COLUMN", column, names)
     own_units = _by_table("--unit", "KEY=UNIT", units, names)
     epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **_mission_epochs(mission_epoch, further)}
-    if unknown := set(without_cos_dec) - set(names):
-        raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint="--without-cos-dec")
+    for option, chosen in (("--without-cos-dec", without_cos_dec), ("--extragalactic", extragalactic)):
+        if unknown := set(chosen) - set(names):
+            raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint=option)
     options = {
         name: TableOptions(
             columns=own_columns[name],
             units=own_units[name],
             epoch=epochs.get(name),
+            extragalactic=name in extragalactic,
             positions=positions if name == "reference" else None,
             zero_errors=zero_errors,
             pmra_cos_dec=name not in without_cos_dec,
@@ -157,6 +160,12 @@ table_options = gathered(
         multiple=True,
         metavar="satellite|reference|NAME",
         help="The table whose pmra is mu_alpha, without cos(dec).",
+    ),
+    click.option(
+        "--extragalactic",
+        multiple=True,
+        metavar="satellite|reference|NAME",
+        help="The table with mean positions of quasars, which hold at any epoch.",
     ),
     option_with_default(
         "--weights",

@@ -9,6 +9,7 @@ from core.arrays import Array, Flags
 from core.blocks import PARAMETERS
 from core.constants import MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
+from core.tie.mistakes import LARGER, PLAUSIBLE, SMALLER
 from sweep.contract import SweepError
 from sweep.tables.names import first_found
 from sweep.tie import hipparcos
@@ -30,6 +31,15 @@ FASTEST_KM_S = 5000.0
 
 COARSE = 0.1
 """Positions that are rounded by more than this fraction of their errors are too coarse."""
+
+LARGEST = {"parallax": 1000.0, "pmra": 12000.0, "pmdec": 12000.0}
+"""No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr)."""
+
+TYPICAL = (0.005, 300.0)
+"""Errors after a mistake in their unit is corrected, mas or mas/yr."""
+
+EARLIEST, LATEST = 1970.0, 2060.0
+"""Epochs of positions with errors below 10 mas."""
 
 
 class AstrometryReader(ColumnReader):
@@ -62,6 +72,8 @@ class AstrometryReader(ColumnReader):
             errors[i] = self._errors(name, values[i], values[1])
         if self.problems:
             raise SweepError(self.problems, self.where)
+        self._lost(np.isfinite(values) & ~np.isfinite(errors))
+        self._unlikely(values, errors)
         for name, row, error in zip(PARAMETERS[:2], values, errors, strict=False):
             if (column := self._column(name)) is None:
                 if not np.any(np.isfinite(values[2:])):
@@ -79,7 +91,12 @@ class AstrometryReader(ColumnReader):
             for name in self.table.colnames
             if getattr(self.table[name], "ndim", 2) == 1 and self.kind(name) in "fiu"
         }
+        if correlations is None and np.any(np.all(np.isfinite(values) & np.isfinite(errors), axis=0)):
+            self.notes.append("no correlations of the five parameters: they count as 0")
         epoch = self._epoch()
+        if np.any((epoch < EARLIEST) | (epoch > LATEST)) and np.nanmedian(errors[:2]) < 10.0 * MAS:
+            span = f"{np.nanmin(epoch):g} to {np.nanmax(epoch):g}"
+            self.notes.append(f"epochs from {span}, when no position had errors below 10 mas: are they right?")
         found = Astrometry(
             values=values,
             errors=errors,
@@ -96,6 +113,31 @@ class AstrometryReader(ColumnReader):
         if self.problems:
             raise SweepError(self.problems, self.where)
         return found, self._names()
+
+    def _lost(self, lost: Flags) -> None:
+        """Note values (5, N) that have no error, and so decide the kind of their rows."""
+        of: dict[bytes, list[int]] = {}
+        for i in np.flatnonzero(lost.any(axis=1)).tolist():
+            of.setdefault(lost[i].tobytes(), []).append(i)
+        for places in of.values():
+            rows, names = np.flatnonzero(lost[places[0]]), ", ".join(PARAMETERS[i] for i in places)
+            if error_column_of(PARAMETERS[places[0]], self.table.colnames, self.options) is not None:
+                self.notes.append(f"{len(rows)} rows have no error of {names}, which is not used: {named_rows(rows)}")
+
+    def _unlikely(self, values: Array, errors: Array) -> None:
+        """Note numbers of a size that no star and no instrument has, with the likely mistake in their unit."""
+        for name, value, error in zip(PARAMETERS, values, errors, strict=True):
+            unit, most = unit_of(name), LARGEST.get(name, np.inf)
+            if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
+                what = f"{name} beyond {most:g} {unit}, which no star has"
+                self.notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
+            known = error[np.isfinite(error) & (error > 0.0)] / MAS
+            if len(known) and not PLAUSIBLE[0] <= (median := float(np.median(known))) <= PLAUSIBLE[1]:
+                units = (SMALLER if median < PLAUSIBLE[0] else LARGER).items()
+                likely = [said for factor, said in units if TYPICAL[0] <= median * factor <= TYPICAL[1]]
+                cause = f" The likely cause: {', or '.join(likely)}." if likely else ""
+                what = f"errors of {name} of {median:.2g} {unit}, which no instrument has."
+                self.notes.append(f"{what}{cause} Say --unit {name}_error=UNIT")
 
     def _set_units(self) -> None:
         """Give columns the units of the options; record a problem if a column has another one."""
@@ -190,6 +232,10 @@ class AstrometryReader(ColumnReader):
 
     def _epoch(self) -> Array:
         name = self._column("ref_epoch")
+        if self.options.extragalactic:
+            if self.options.epoch is not None:
+                self.problems.append("positions of quasars hold at any epoch: give no epoch, or not --extragalactic")
+            return np.full(len(self.table), np.nan)
         if self.options.epoch is not None:
             return np.full(len(self.table), self.options.epoch)
         if name is None:
@@ -198,7 +244,11 @@ class AstrometryReader(ColumnReader):
             if hipparcos.is_hipparcos(self):
                 return np.full(len(self.table), hipparcos.EPOCH)
             if self._column("ra") is not None:
-                self.problems.append("no column ref_epoch; give the epoch of the positions")
+                self.problems.append(
+                    "no column ref_epoch; give the epochs of the positions in one, or one epoch for all with "
+                    "--satellite-epoch or --reference-epoch; positions of quasars hold at any epoch: say "
+                    "--extragalactic satellite or --extragalactic reference"
+                )
             return np.full(len(self.table), np.nan)
         known = len(self.problems)
         values = self.julian_years(name)

@@ -31,7 +31,8 @@ class TableOptions:
     """How a table is read.
 
     ``columns`` gives the table's names of quantities, ``units`` the units of quantities whose columns have none.
-    ``epoch`` (Julian year) is for a table without a column of epochs.
+    ``epoch`` (Julian year) is for a table without a column of epochs.  ``extragalactic``: positions are mean ones of
+    quasars, which neither move nor have parallaxes, and hold at any epoch.
     ``positions`` says whether positions without parallax and motion are of a single epoch, displaced by the parallax,
     or mean ones; by default as the table's metadata say, else of a single epoch.  Those without an epoch are mean.
     ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*.
@@ -40,6 +41,7 @@ class TableOptions:
     columns: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     epoch: float | None = None
+    extragalactic: bool = False
     positions: Positions | None = None
     zero_errors: Zeros = "error"
     pmra_cos_dec: bool = True

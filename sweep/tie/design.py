@@ -25,6 +25,7 @@ ERRORS = ("scaled", "formal", "jackknife")
 
 DECIDING = (
     *("unknowns", "degree", "bins", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors"),
+    "extragalactic",
     *("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch"),
     *("position_jitter", "motion_jitter", "candidates"),
 )
@@ -100,6 +101,7 @@ def _set_up(key: tuple[Any, ...]) -> Setup:
             columns=dict(given[f"{side}_columns"]),
             epoch=given[f"{side}_epoch"],
             zero_errors=given["zero_errors"],
+            extragalactic=given["extragalactic"] in (side, "both"),
             positions=None if side == "satellite" or given["positions"] == "table" else given["positions"],
         )
         for side in ("satellite", "reference")

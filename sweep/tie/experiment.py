@@ -157,6 +157,8 @@ def check(point: Point) -> str | None:
     """Return why a point cannot be computed: its tables, its unknowns, its clip."""
     try:
         design = design_of(point)
+        if design.solved is not None and design.solved.misfit.absurd and not point["accept_misfit"]:
+            return f"{design.solved.misfit.text}; accept_misfit = true computes it all the same"
         solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
         if not any_stored(design.problem.unknowns):
             places = f"results have no place for any of these; harmonics end at degree {HIGHEST_STORED}"
@@ -183,7 +185,7 @@ def unused(point: Point) -> dict[str, str]:
     reference = point["reference"] is not None
     of_reference = ("reference_columns", "reference_epoch", "positions", "by", "aberration")
     without(reference, "there is no reference", *of_reference)
-    of_rows = ("truth", "position_jitter", "motion_jitter", "known_spin")
+    of_rows = ("truth", "position_jitter", "motion_jitter", "known_spin", "accept_misfit")
     without(reference or point["zero_motion"], "there are no rows of a reference", *of_rows)
     without(point["release"] != TABLE, "it is for a release", "from_release")
     new = ("new_epoch", "new_error", "new_positions", "goal", "candidates")

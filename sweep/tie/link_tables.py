@@ -11,13 +11,25 @@ from sweep.tie.dataset import as_dataset
 from sweep.tie.options import Options
 from sweep.tie.row_groups import set_up_row_groups, why_whole
 from sweep.tie.setup import set_up
-from sweep.tie.solution import RESAMPLES, solve_link
+from sweep.tie.solution import RESAMPLES, Link, solve_link
 
 if TYPE_CHECKING:
     import xarray as xr
 
 EXPERIMENT = "sweep.tie.experiment:tie"
 """The experiment whose code the workers must have."""
+
+
+class MisfitError(SweepError):
+    """Tables whose chi2 is absurd; ``link`` is the dataset that they give all the same."""
+
+    def __init__(self, link: "xr.Dataset") -> None:
+        self.link = link
+        super().__init__(self.said("accept_misfit=True"))
+
+    def said(self, option: str) -> str:
+        """Return the message, which names the option that accepts the link."""
+        return f"{self.link.attrs['misfit']}. Nothing is written; {option} accepts it"
 
 
 def tie(
@@ -32,6 +44,7 @@ def tie(
     workers: int | None = None,
     scheduler: str | None = None,
     per_source: bool = True,
+    accept_misfit: bool = False,
     **options: Any,
 ) -> "xr.Dataset":
     """Solve for the link of two tables, reference - satellite.
@@ -52,6 +65,7 @@ def tie(
         scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
         per_source: whether the dataset has the values of single sources and rows; without them the memory for a
             Parquet table of millions of quasars hardly grows with their number.
+        accept_misfit: whether a link is given although chi2 is more than 1000 times its expectation.
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
             ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``,
             ``corrections``, ``missions`` (further tables by name, each with an orientation and a spin of its own),
@@ -63,7 +77,8 @@ def tie(
         the residuals of the rows, the influence of each source and the steps of the clip; `plot` draws it.
 
     Raises:
-        SweepError: for bad input, with the rows or unknowns that are wrong.
+        SweepError: for bad input, with the rows or unknowns that are wrong; and where chi2 is more than 1000 times its
+            expectation, with the likely cause.
 
     Example:
         >>> link = tie("psrpi-de200", "timing-de200", "orientation", errors="scaled,jackknife")
@@ -81,11 +96,17 @@ def tie(
         with ordered_map(workers, scheduler, EXPERIMENT) as run:
             setup, table = set_up_row_groups(satellite, asked, run, per_source)
             link = solve_link(setup, clip, kinds, resamples, seed, table, per_source)
-            return as_dataset(link, asked, per_source)
+            return _accepted(link, as_dataset(link, asked, per_source), accept_misfit)
     if workers is not None or scheduler is not None:
         raise SweepError(
             f"workers are for tables that are read by row groups, and these are solved at once in this process: {why}; "
             "leave --workers and --scheduler out"
         )
     link = solve_link(set_up(satellite, reference, asked), clip, kinds, resamples, seed)
-    return as_dataset(link, asked, per_source)
+    return _accepted(link, as_dataset(link, asked, per_source), accept_misfit)
+
+
+def _accepted(link: Link, result: "xr.Dataset", accept_misfit: bool) -> "xr.Dataset":
+    if link.misfit.absurd and not accept_misfit:
+        raise MisfitError(result)
+    return result

@@ -72,6 +72,14 @@ PARAMETERS = (
         "the reference's: of a single epoch or mean; default what the table says",
         choices=("table", "single-epoch", "mean"),
     ),
+    Parameter(
+        "extragalactic",
+        "str",
+        "none",
+        "the table with mean positions of quasars, which hold at any epoch",
+        choices=("none", "satellite", "reference", "both"),
+    ),
+    Parameter("accept_misfit", "bool", False, "computes points whose tables have chi2 above 1000 times its average"),
     Parameter("zero_errors", "str", "error", "what an error of 0 means", choices=("error", "missing", "exact")),
     Parameter(
         "truth", "str", "estimate", "of the draws: the solution of the tables, or zero", choices=("estimate", "zero")

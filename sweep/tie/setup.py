@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from core.arrays import Array, Indices
 from core.constants import DEGREE
-from core.tie.astrometry import Astrometry, joined, named_rows
+from core.tie.astrometry import Astrometry, joined, kinds, named_rows
 from core.tie.problem import Problem
 from sweep.contract import SweepError
 from sweep.tie.column_names import TableOptions
@@ -22,6 +22,9 @@ from sweep.tie.unknowns_of import unknowns_of
 
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 """Separations from the source of the same name above which a row is noted, and is refused."""
+
+SAME_EPOCH_YR = 0.005
+"""Rows of a source within two days may be the same measurement."""
 
 ZERO_MOTION = "zero-motion"
 """Stands for a reference whose sources do not move: quasars, for which only the satellite's table is needed."""
@@ -80,6 +83,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     notes = left.named_notes()
     for part in parts:
         notes += [*part.table.named_notes(), *_unmatched(part), *part.notes]
+    notes += _resting(own, rows, source)
     try:
         unknowns = unknowns_of(options, own, rows, source, epoch, notes)
         known = None if options.known_spin is None else known_spin(options.known_spin, own, SIGNS[options.sign])
@@ -87,7 +91,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         raise SweepError(str(error)) from error
     problem = Problem(own, rows, source, unknowns, epoch, options.weights, known)
     missions = {name: part.table for name, part in zip(options.missions, parts[1:], strict=True)}
-    return Setup(left, parts[0].table, parts[0].matched, problem, sources, names, tuple(notes), missions)
+    return Setup(left, parts[0].table, parts[0].matched, problem, sources, names, tuple(dict.fromkeys(notes)), missions)
 
 
 def _reference(left: AstrometricTable, reference: str | Path, options: Options) -> _Part:
@@ -128,10 +132,36 @@ def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> lis
             row = named_rows(matched.rows[far])
             whose = "their source" if matched.by.startswith("position") else "the source of the same name"
             found = f"{row} of {Path(table.path).name}: up to {size} from {whose}"
+            found += _elsewhere(left, table, matched, far)
             if refused:
                 raise SweepError(f"{found}; are the names right, the epochs, and the units of the positions?")
             return [found]
     return []
+
+
+def _elsewhere(left: AstrometricTable, table: AstrometricTable, matched: Match, far: Indices) -> str:
+    """Return a clause that names the other sources at whose positions rows are that are far from their own."""
+    rows = matched.rows[far]
+    try:
+        found = match(left, replace(table, astrometry=table.astrometry.taken(rows)), f"position:{FAR_DEG * 3600.0:g}")
+    except SweepError:  # none of them is near any source
+        return ""
+    names = next(iter(left.names.values())) if left.names else np.arange(1, len(left.astrometry) + 1)
+    own, other = names[matched.source[far[found.rows]]], names[found.source]
+    pairs = ", ".join(f"{a} is where {b} is" for a, b in zip(own[:3], other[:3], strict=True) if a != b)
+    return f"; {pairs}: are names exchanged?" if pairs else ""
+
+
+def _resting(own: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
+    """Return a note if single-epoch positions are of sources without parallaxes and motions, like quasars."""
+    if rows.apparent is None or not np.any(seen := rows.apparent & (kinds(rows) == "single epoch")):
+        return []
+    size = np.where(own.present[2:], (own.values[2:] / np.where(own.present[2:], own.errors[2:], 1.0)) ** 2, np.nan)
+    of = np.unique(source[seen])
+    if len(of) < 5 or not np.nanmean(size[:, of]) < 4.0:
+        return []
+    said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
+    return [f"{said}: if they are quasars, say --extragalactic reference"]
 
 
 def _taken(table: Astrometry, rows: Indices) -> Astrometry:
@@ -144,18 +174,37 @@ def _unmatched(part: _Part) -> list[str]:
     if len(part.matched.ambiguous):
         rows = named_rows(part.matched.ambiguous)
         found.append(f"{rows} of {name}: several sources are within the radius; the nearest is taken")
-    if len(repeated := _repeated(part)):
-        found.append(f"{named_rows(repeated)} of {name}: the same numbers as another row of the source; all are used")
+    exact, nearly = _repeated(part)
+    if len(exact):
+        found.append(f"{named_rows(exact)} of {name}: the same numbers as another row of the source; all are used")
+    if len(nearly):
+        twice = "one measurement that is there twice counts twice"
+        found.append(f"{named_rows(nearly)} of {name}: nearly the numbers of another row of the source; {twice}")
+    several = np.bincount(part.matched.source)[part.matched.source] > 1
+    epochs = part.rows.epoch[part.rows.present[0]]
+    if np.any(several & part.rows.present[0]) and len(epochs) > 2 and np.all(epochs == epochs[0]):
+        found.append(f"{name}: all positions have the epoch {epochs[0]:g}, although sources have several: is it right?")
     return found
 
 
-def _repeated(part: _Part) -> Indices:
-    """Return the numbers of the table's rows that repeat another row of the same source."""
+def _repeated(part: _Part) -> tuple[Indices, Indices]:
+    """Return the numbers of the table's rows that repeat another row of the same source and epoch: exactly, and nearly,
+    which is within a fraction of the errors, or with the same errors.
+    """
     source, rows = part.matched.source, part.rows
-    several = np.flatnonzero(np.bincount(source)[source] > 1) if len(source) else source
-    numbers = np.array([source, *rows.values, *rows.errors, rows.epoch])[:, several]
-    _, first = np.unique(np.nan_to_num(numbers, nan=-np.inf), axis=1, return_index=True)
-    return np.sort(part.matched.rows[np.delete(several, first)])
+    order = np.lexsort((rows.epoch, rows.present.T @ (1 << np.arange(5)), source))
+    one, other = order[:-1], order[1:]
+    present, first, second = rows.present[:, one], rows.errors[:, one], rows.errors[:, other]
+    same = (source[one] == source[other]) & np.all(present == rows.present[:, other], axis=0) & present.any(axis=0)
+    years = np.nan_to_num(np.abs(rows.epoch[one] - rows.epoch[other]))
+    apart = rows.values[:, one] - rows.values[:, other]
+    apart[0] *= np.cos(rows.values[1, one])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        most = np.where(present & (apart != 0.0), np.abs(apart) / np.maximum(first, second), 0.0).max(axis=0)
+    alike = np.all(~present | np.isclose(first, second, rtol=0.01, atol=0.0), axis=0)
+    exact = same & (most == 0.0) & (years == 0.0) & np.all(~present | (first == second), axis=0)
+    nearly = same & ~exact & (years < SAME_EPOCH_YR) & ((most < 0.3) | (alike & (most < 2.0)))
+    return np.sort(part.matched.rows[other[exact]]), np.sort(part.matched.rows[other[nearly]])
 
 
 def zero_motion(n: int) -> Astrometry:

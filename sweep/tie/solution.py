@@ -1,7 +1,7 @@
 """The solution of a link with its clip, all kinds of errors, and the influence of each source."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from core.link import LinkError
 from core.tie.astrometry import kinds
 from core.tie.clips import Clipped, Sources, clipped, parse_clip
 from core.tie.influence import LARGE_SHARE, Influence, bootstrap, influence, jackknife, sandwich, shares
+from core.tie.mistakes import Misfit, misfit
 from core.tie.solution import Solution
 from core.tie.sources import SourceTable
 from core.unknowns import Unknowns
@@ -31,7 +32,8 @@ HEAVIEST = 100
 @dataclass(frozen=True)
 class Link:
     """A solved link: its setup, the clip and its solution, the covariances by kind of error, and the influence of each
-    source (None where there are too many).  ``discrepancy`` is None where it was not asked for.
+    source (None where there are too many).  ``discrepancy`` is None where it was not asked for.  The first note is what
+    chi2 says of the tables, if anything.
     """
 
     setup: Setup
@@ -42,6 +44,7 @@ class Link:
     influence: Influence | None
     discrepancy: Array | None
     count: NDArray[np.floating[Any]]
+    misfit: Misfit
     notes: tuple[str, ...]
 
     @property
@@ -76,6 +79,7 @@ def solve_link(
             covariances, notes = _covariances(kept, found, errors, resamples, seed)
             squares = sources.discrepancies(found.solution.estimate) if per_source else None
             effect, places, share = _influence(kept, sources, found, setup.problem.unknowns)
+            doubt = _misfit(setup, kept, found)
     except LinkError as error:
         raise SweepError(f"{error}{_rows_there_are(setup)}") from error
     except ValueError as error:
@@ -90,8 +94,24 @@ def solve_link(
         influence=effect,
         discrepancy=squares,
         count=sources.count,
-        notes=(*setup.notes, *found.notes, *notes),
+        misfit=doubt,
+        notes=(*([doubt.text] if doubt.text else []), *setup.notes, *found.notes, *notes),
     )
+
+
+def _misfit(setup: Setup, table: SourceTable | RowGroupTable, found: Clipped) -> Misfit:
+    """Return what chi2 says of the sources that are kept, with the best weights; of all if the clip keeps fewer than
+    half of them.
+    """
+    problem = table.groups[0].problem() if isinstance(table, RowGroupTable) else setup.problem
+    factors, solution = found.factors, found.solution
+    if problem.weights != "covariance" or np.count_nonzero(factors) < 0.5 * len(factors):
+        factors = factors if np.count_nonzero(factors) >= 0.5 * len(factors) else np.ones(len(factors), dtype=bool)
+        problem = replace(problem, weights="covariance")
+        if isinstance(table, SourceTable):
+            solution = SourceTable(problem).solve(factors)
+    kept = np.flatnonzero(factors[: len(problem.satellite)] > 0.0)
+    return misfit(problem.only(kept), solution, setup.names[kept], ("reference", *setup.missions))
 
 
 def _rows_there_are(setup: Setup) -> str:

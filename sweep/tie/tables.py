@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,8 @@ from sweep.tables import reader
 from sweep.tie import icrf
 from sweep.tie.astrometry_reader import AstrometryReader
 from sweep.tie.column_names import TableOptions
+
+_OWN = Path(str(resources.files("sweeps") / "data")).resolve()
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,8 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     if path.suffix.lower() in (".txt", ".dat") and icrf.is_icrf(path):
         astrometry, names = icrf.read_icrf(path)
         return AstrometricTable(str(path), digest, astrometry, names)
-    return astrometric_table(reader.read_table(path), str(path), digest, options)
+    found = astrometric_table(reader.read_table(path), str(path), digest, options)
+    return replace(found, notes=()) if path.resolve().parent == _OWN else found  # ours are as they were published
 
 
 def astrometric_table(table: Any, where: str, digest: str, options: TableOptions) -> AstrometricTable:
@@ -61,8 +64,7 @@ def _built_in(path: Path) -> Path | None:
     """Return the file of a built-in table, if ``path`` is its name and no such file exists."""
     if path.suffix or len(path.parts) != 1 or path.exists():
         return None
-    folder = Path(str(resources.files("sweeps") / "data"))
-    return next((file for file in sorted(folder.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
+    return next((file for file in sorted(_OWN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
 
 
 def digest_of(path: Path) -> str:

@@ -16,6 +16,8 @@ STEPS_SHOWN = 10
 def _link_lines(link: "xr.Dataset") -> Iterator[str]:
     """Yield a table of the unknowns with every kind of error, and what is needed to interpret it."""
     attributes = link.attrs
+    if attributes.get("misfit"):
+        yield from (f"warning: {attributes['misfit']}", "")
     yield f"{attributes['sign'].replace('-', ' - ')}, orientation at {attributes['epoch']:.2f}"
     yield (
         f"{int(link.n_sources)} of {int(link.n_sources_matched)} sources, matched by {attributes['matched_by']}; "
@@ -87,7 +89,7 @@ def _forecast_lines(plan: "xr.Dataset") -> Iterator[str]:
 
 
 def _notes(result: "xr.Dataset") -> list[str]:
-    notes = [f"note: {note}" for note in result.attrs["notes"]]
+    notes = [f"note: {note}" for note in result.attrs["notes"] if note != result.attrs.get("misfit")]
     return ["", *notes] if notes else []
 
 

@@ -1,0 +1,438 @@
+"""What is likely to be wrong in tables whose differences do not have the size of their errors.
+
+The corrections of common mistakes are applied to the rows one after the other, and the link is solved with each: the
+mistake that was made is the one whose correction brings chi2 down to the level of good tables.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtr, chdtrc
+
+from core.arrays import Flags
+from core.constants import MAS
+from core.link import LinkError
+from core.tie.astrometry import PAIRS, Astrometry, kinds
+from core.tie.differences import differences
+from core.tie.influence import discrepancies
+from core.tie.normal_sums import source_sums
+from core.tie.problem import Problem
+from core.tie.solution import Solution, solve
+
+EXCESS, DEFICIT, ABSURD = 30.0, 0.5, 1000.0
+"""chi2 over its expectation above and below which it is said first, and above which a link is not given unasked.
+Radio stars, many of which are binaries, have 7."""
+
+CHANCE = 1e-6
+"""Probability below which chi2 is not that of correct errors; small tables scatter."""
+
+GOOD = 3.0
+"""chi2 over its expectation at which no further corrections are tried."""
+
+MOST_SOURCES, MOST_NUMBERS = 2000, 10_000_000
+"""Of more sources, or with larger normal equations, only some sources are examined."""
+
+SMALLER = {
+    1e3: "arcsec taken for mas (or mas for uas)",
+    3.6e6: "deg taken for mas",
+    15.0: "time taken for an angle: 1 s is 15 arcsec",
+    1.5e4: "seconds of time taken for mas",
+}
+"""Factors by which numbers are too small, with the mistake in their units."""
+LARGER = {
+    1e-3: "uas taken for mas (or mas for arcsec)",
+    1.0 / 3.6e6: "mas taken for deg",
+    1.0 / 15.0: "an angle taken for time: 1 s is 15 arcsec",
+    1.0 / 1.5e4: "mas taken for seconds of time",
+}
+STARTS = (0.0, *(sign * years for years in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) for sign in (1.0, -1.0)))
+"""Shifts of epochs (years) from which the best is looked for."""
+
+Rows = tuple[int, ...]
+SMALLEST = 0.005
+"""Errors below it are hardly right, mas or mas/yr."""
+
+PLAUSIBLE = 2e-4, 1e4
+"""The smallest and the largest median error of a table, mas or mas/yr: pulsar timing reaches 1 uas, meridian circles
+had some arcsec.
+"""
+
+GROUPS: dict[str, Rows] = {"positions": (0, 1), "parallaxes": (2,), "proper motions": (3, 4)}
+NOT_POSITIONS: dict[str, Rows] = {"parallaxes": (2,), "proper motions": (3, 4), "pmra": (3,), "pmdec": (4,)}
+ALL: tuple[str, Rows] = ("all quantities", (0, 1, 2, 3, 4))
+
+Change = Callable[[Astrometry], Astrometry]
+
+
+class Misfit(NamedTuple):
+    """chi2 over its expectation, and the sentence about it; empty where there is nothing to say."""
+
+    ratio: float = np.nan
+    text: str = ""
+
+    @property
+    def absurd(self) -> bool:
+        """Whether the link is not to be given unless asked for."""
+        return bool(self.text) and self.ratio > ABSURD
+
+
+class _Part(NamedTuple):
+    """Some sources of the satellite, or some rows of another table."""
+
+    table: str
+    words: str
+    at: Flags
+
+
+class _Cause(NamedTuple):
+    """What is likely to be wrong, chi2 over its expectation when it is corrected, and how much the correction could
+    hide: 0 nothing, 1 what is along the proper motions, 2 everything, because errors grow.
+    """
+
+    words: str
+    ratio: float
+    hides: int = 0
+
+
+def misfit(problem: Problem, solution: Solution, names: NDArray[Any], tables: Sequence[str]) -> Misfit:
+    """Return what is to be said of chi2 of a solution with the best weights.
+
+    ``names`` (S,) are those of the sources, ``tables`` the names of the tables of rows by frame.  The solution may be
+    that of more sources than the problem has.
+    """
+    if not solution.dof > 0 or not solution.expected > 0.0:
+        return Misfit()
+    ratio = solution.squares / solution.expected
+    most = int(np.clip(MOST_NUMBERS // len(solution.estimate) ** 2, 50, MOST_SOURCES))
+    if len(problem.satellite) > most:
+        chosen = np.linspace(0, len(problem.satellite) - 1, most).astype(np.int64)
+        problem, names = problem.only(chosen), names[chosen]
+    groups = _groups(problem, solution, tables)
+    if ratio > EXCESS and chdtrc(solution.expected, solution.squares) < CHANCE:
+        worst = max(groups, key=lambda group: group.squares)
+        said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}"
+        enough = most > len(solution.estimate)
+        return Misfit(ratio, f"{said}; {_excess(problem, names, tables, ratio)}" if enough else said)
+    low = [one for one in groups if one.squares < 0.1 * one.expected and chdtr(one.dof, one.squares) < CHANCE]
+    if ratio >= DEFICIT or chdtr(solution.dof, solution.squares) > 100.0 * CHANCE:
+        if not low:
+            return Misfit(ratio)
+        said = f"chi2 of {low[0].words} is {low[0].squares / low[0].expected:.2g} times its expectation"
+    else:
+        said = f"chi2 is {ratio:.2g} times its expectation"
+    too_large = "errors are too large, or the tables are not independent"
+    return Misfit(ratio, f"{said}: {_deficit(problem, tables, low) or too_large}")
+
+
+class _Group(NamedTuple):
+    """The residuals of a group of quantities in the rows of a kind, and the part that they are of."""
+
+    words: str
+    part: _Part
+    rows: Rows
+    squares: float
+    expected: float
+    dof: float
+
+
+def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list[_Group]:
+    """Return the squares of the residuals over their errors by table, kind of row and quantity, with their means.
+
+    ``dof`` is less where rows share the errors of a source.  What depends on parameters that the satellite lacks is
+    left out.
+    """
+    own, source = problem.satellite, problem.source
+    found = differences(own, problem.rows, source, problem.taken_out(own), problem.unknowns.frames)
+    design = found.by_frames @ problem.unknowns.matrix(*problem.objects(own))[source]
+    whole = found.covariance + found.partials @ own.covariance()[source] @ found.partials.swapaxes(1, 2)
+    variance = np.einsum("rii->ri", whole)
+    usable = found.present & ~(np.abs(found.partials) @ (~own.present).T[source][..., None] > 0.0)[..., 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squares = (found.values - design @ solution.estimate) ** 2 / variance
+        means = 1.0 - np.einsum("rik,kl,ril->ri", design, solution.covariance, design) / variance
+    groups = []
+    for part in _by_kind(problem, tables):
+        for quantity, rows in GROUPS.items():
+            used = np.zeros_like(usable)
+            cells = np.ix_(part.at, np.array(rows))
+            used[cells] = usable[cells]
+            if np.any(used):
+                mean = float(np.sum(np.clip(means[used], 0.0, 1.0)))
+                at = used.any(axis=1)
+                each = len(np.unique(source[at])) / np.count_nonzero(at)
+                words = f"the {quantity} of {part.words}"
+                groups.append(_Group(words, part, rows, float(np.sum(squares[used])), mean, mean * each))
+    return groups
+
+
+def _wholes(problem: Problem, tables: Sequence[str]) -> list[_Part]:
+    frame = np.zeros(len(problem.rows), dtype=np.int64) if problem.rows.frame is None else problem.rows.frame
+    own = _Part("satellite", "the satellite", np.ones(len(problem.satellite), dtype=bool))
+    return [own, *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(tables) if np.any(frame == k))]
+
+
+def _by_kind(problem: Problem, tables: Sequence[str]) -> list[_Part]:
+    of = kinds(problem.rows)
+    return [
+        _Part(part.table, f"the {kind} rows of {part.words}", part.at & (of == kind))
+        for part in _wholes(problem, tables)[1:]
+        for kind in np.unique(of[part.at])
+    ]
+
+
+def _by_epoch(problem: Problem, tables: Sequence[str]) -> Iterator[_Part]:
+    """Yield the rows of each session, if there are not too many."""
+    epochs = np.round(problem.rows.epoch, 2)
+    for part in _wholes(problem, tables)[1:]:
+        each = np.unique(epochs[part.at & np.isfinite(epochs)])
+        if 1 < len(each) <= 12:
+            for epoch in each:
+                yield _Part(part.table, f"the rows of {part.words} at {epoch:.2f}", part.at & (epochs == epoch))
+
+
+def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> str:
+    """Return a clause about the likely cause."""
+    found = [cause for part in _wholes(problem, tables) for cause in _causes(problem, part, ratio)]
+    alone = ""
+    if not found or min(cause.ratio for cause in found) > GOOD:
+        worst, left = _outliers(problem, ratio)
+        found += _exchanged(problem, names, tables, ratio)
+        for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
+            found += _causes(problem, part, ratio)
+        if len(worst):
+            listed = ", ".join(str(name) for name in names[worst])
+            alone = f"without {listed} it is {left:.2g} times its expectation; "
+            for part in _wholes(problem, tables):
+                of = np.arange(len(problem.satellite)) if part.table == "satellite" else problem.source
+                one = _Part(part.table, f"{listed} in {part.words}", part.at & np.isin(of, worst))
+                found += [cause for cause in _causes(problem, one, ratio) if not cause.hides and cause.ratio < GOOD]
+            found = [cause for cause in found if cause.hides < 2]
+    likely = [cause for cause in found if cause.hides == min(one.hides for one in found)]
+    if not likely:
+        return f"{alone}no known mistake in the tables explains it: errors may be too small, or stars binaries"
+    best = min(likely, key=lambda cause: cause.ratio)
+    step = 30.0 * max(best.ratio, 1.0) / max(1, int(np.sum(problem.rows.present)))
+    same = sorted((cause for cause in likely if cause.ratio <= best.ratio + step), key=lambda cause: cause.ratio)
+    words = ", or ".join(dict.fromkeys(cause.words for cause in same[:3]))
+    return f"the likely cause: {words} (corrected, chi2 is {best.ratio:.2g} times its expectation)"
+
+
+def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) -> str:
+    """Return which errors are too large by a factor of units: the smallest that brings chi2 up to its level."""
+    for group in groups:
+        wholes = [part for part in _wholes(problem, tables) if part.table in ("satellite", group.part.table)]
+        for part in (group.part, *wholes[::-1]):
+            ways: tuple[tuple[str, Rows], ...] = (("", group.rows), ALL)
+            for which, rows in ways:
+                for factor, unit in sorted(LARGER.items(), reverse=True):
+                    trial = _applied(problem, part, _scaled(rows, factor, errors=True))
+                    try:
+                        found = None if trial is None else _groups(trial, solve(source_sums(trial)), tables)
+                    except LinkError:
+                        continue
+                    known = (one for one in found or () if one.words == group.words)
+                    if any(0.1 < one.squares / one.expected < EXCESS for one in known):
+                        what = which or group.words.removeprefix("the ").partition(" of ")[0]
+                        return f"the likely cause: errors of {what} of {part.words} too large, {unit}"
+    return ""
+
+
+def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
+    """Yield the mistakes in a part whose correction brings chi2 down to the level of good tables."""
+
+    def explains(trial: float) -> bool:
+        return trial < EXCESS and trial < 0.1 * ratio
+
+    for words, hides, change in _corrections(problem, part.table):
+        trial = _applied(problem, part, change)
+        if explains(found := _ratio(trial)) and (not hides or _typical(trial)):
+            yield _Cause(words.format(part.words), found, hides)
+    shift, found = _shift(problem, part)
+    if explains(found):
+        early = "early" if shift > 0.0 else "late"
+        yield _Cause(f"epochs of {part.words} {round(abs(shift), 2):g} years too {early}", found)
+    if part.table != "satellite" and np.count_nonzero(part.at) > 2:
+        along, across = (_ratio(_applied(problem, part, _freed(problem, turned))) for turned in (False, True))
+        if explains(along) and along < 0.1 * across:
+            epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
+            all_equal = f"equal ({epochs[0]:g}), but they were measured at different ones"
+            single = "wrong in single rows: positions are off along the proper motion"
+            yield _Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
+
+
+def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Change]]:
+    """Yield the mistake, how much its correction hides, and the change of a table that corrects it."""
+    dec = problem.satellite.values[1]
+    factor = np.ones((5, len(dec if table == "satellite" else problem.source)))
+    factor[3] = np.cos(dec if table == "satellite" else dec[problem.source])
+
+    def multiplied(table: Astrometry) -> Astrometry:
+        return replace(table, values=table.values * factor, errors=table.errors * factor)
+
+    def divided(table: Astrometry) -> Astrometry:
+        return replace(table, values=table.values / factor, errors=table.errors / factor)
+
+    def exchanged(table: Astrometry) -> Astrometry:
+        order = [0, 1, 2, 4, 3]
+        return replace(table, values=table.values[order], errors=table.errors[order])
+
+    def toggled(table: Astrometry) -> Astrometry:
+        return table if table.apparent is None else replace(table, apparent=~table.apparent)
+
+    yield f"pmra of {{}} is mu_alpha, without cos(dec): say --without-cos-dec {table}", 0, multiplied
+    yield "pmra of {} has a factor cos(dec) too many", 0, divided
+    yield "pmra and pmdec of {} exchanged", 0, exchanged
+    for name, rows in NOT_POSITIONS.items():
+        yield f"{name} of {{}} with reversed sign", 0, _scaled(rows, -1.0, values=True)
+    if table != "satellite":
+        yield "mean positions of {} taken as those of a single epoch, or the other way round", 0, toggled
+    for ratio, unit in (SMALLER | LARGER).items():
+        for name, rows in NOT_POSITIONS.items():
+            yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
+            yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
+    for ratio, unit in SMALLER.items():
+        for name, rows in (*GROUPS.items(), ALL) if ratio > 15.0 else ():
+            yield f"errors of {name} of {{}} too small, {unit}", 2, _scaled(rows, ratio, errors=True)
+
+
+def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bool = False) -> Change:
+    """Return a change of values or errors by a factor; it leaves the table as it is if nothing of it is plausible then:
+    errors that no instrument has, values that vanish in their errors, or larger errors where they may be right as they
+    are.
+    """
+    factors = np.ones((5, 1))
+    factors[list(rows)] = factor
+
+    def change(table: Astrometry) -> Astrometry:
+        after = table.errors * np.abs(factors) if errors else table.errors
+        found = replace(table, values=table.values * factors if values else table.values, errors=after)
+        used = found.present[list(rows)]
+        if not np.any(used):
+            return table
+        size, error, before = (abs(one[list(rows)][used]) / MAS for one in (found.values, after, table.errors))
+        plausible = PLAUSIBLE[0] <= np.median(error) <= PLAUSIBLE[1]
+        if values:
+            plausible &= np.median(size - 3.0 * error) > 0.0
+        elif factor > 1.0:
+            plausible &= np.median(before) < SMALLEST
+        return found if plausible else table
+
+    return change
+
+
+def _freed(problem: Problem, turned: bool) -> Change:
+    """Return a change that gives positions an error along the proper motions, as if epochs were not known; or, if
+    ``turned``, across them.  Single-epoch positions are also uncertain by the parallax.
+    """
+
+    def change(rows: Astrometry) -> Astrometry:
+        own = problem.satellite.taken(problem.source)
+        motion = np.nan_to_num(own.values[[4, 3] if turned else [3, 4]]) * np.array([[-1.0 if turned else 1.0], [1.0]])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size = np.where(np.any(motion != 0.0, axis=0), 1e5 * rows.errors[0] / np.hypot(*motion), 0.0)
+        along = motion * np.where(rows.present[0], np.minimum(size, 100.0), 0.0)
+        covariance = rows.covariance()
+        covariance[:, :2, :2] += np.einsum("ir,jr->rij", along, along)
+        if rows.apparent is not None:
+            seen = rows.apparent & rows.present[0]
+            covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(own.values[2, seen, None, None]) ** 2
+        errors = np.where(rows.present, np.sqrt(np.einsum("rii->ir", covariance)), rows.errors)
+        size = np.where(errors > 0.0, errors, 1.0)
+        correlations = np.array([covariance[:, i, j] / (size[i] * size[j]) for i, j in PAIRS])
+        return replace(rows, errors=errors, correlations=np.nan_to_num(correlations))
+
+    return change
+
+
+def _applied(problem: Problem, part: _Part, change: Change) -> Problem | None:
+    """Return the problem with a part of a table changed; None where that changes nothing."""
+    of_satellite = part.table == "satellite"
+    table = problem.satellite if of_satellite else problem.rows
+    new, arrays, differs = change(table), {}, False
+    for name in ("values", "errors", "epoch", "apparent", "correlations"):
+        if (after := getattr(new, name)) is not None:
+            before = getattr(table, name)
+            arrays[name] = np.where(part.at, after, np.zeros_like(after) if before is None else before)
+            differs |= before is None or not np.array_equal(arrays[name], before, equal_nan=True)
+    merged = replace(table, **arrays)
+    if not differs:
+        return None
+    return replace(problem, satellite=merged) if of_satellite else replace(problem, rows=merged)
+
+
+def _ratio(problem: Problem | None) -> float:
+    """Return chi2 over its expectation; infinite where there is no solution."""
+    if problem is None:
+        return np.inf
+    try:
+        scale = solve(source_sums(problem)).scale
+    except LinkError:
+        return np.inf
+    return scale**2 if np.isfinite(scale) else np.inf
+
+
+def _typical(problem: Problem | None) -> bool:
+    """Return whether the typical source has the chi2 that is expected: errors that are too small are so for all."""
+    if problem is None:
+        return False
+    sums = source_sums(problem)
+    each = discrepancies(sums, solve(sums).estimate)[sums.count > 0] / sums.count[sums.count > 0]
+    return bool(0.1 < np.median(each) < GOOD)
+
+
+def _shift(problem: Problem, part: _Part) -> tuple[float, float]:
+    """Return by how many years epochs are to be shifted for the smallest chi2, and chi2 over its expectation there.
+
+    Near its minimum chi2 is a parabola in the shift.  Starts and first steps are whole years, over which the parallax
+    does not change.
+    """
+
+    def at(shift: float) -> float:
+        moved = _applied(problem, part, lambda table: replace(table, epoch=table.epoch + shift))
+        return _ratio(moved if shift else problem)
+
+    shift = min(STARTS, key=at)
+    for step in (1.0, 1.0, 0.05, 0.02, 0.02):
+        low, here, high = (at(shift + d) for d in (-step, 0.0, step))
+        curvature = low + high - 2.0 * here
+        if not 0.0 < curvature < np.inf:
+            break
+        shift = float(np.clip(shift - 0.5 * step * (high - low) / curvature, -200.0, 200.0))
+    return shift, at(shift)
+
+
+def _outliers(problem: Problem, ratio: float) -> tuple[NDArray[np.int64], float]:
+    """Return the few sources without which chi2 is at its level, and what it then is; none if there are more."""
+    sums = source_sums(problem)
+    kept = np.ones(len(sums), dtype=bool)
+    dropped: list[int] = []
+    for _ in range(min(3, len(sums) // 4)):
+        try:
+            each = discrepancies(sums, solve(sums.taken(kept)).estimate) / np.maximum(sums.count, 1.0)
+            dropped.append(int(np.argmax(np.where(kept, each, -1.0))))
+            kept[dropped[-1]] = False
+            left = solve(sums.taken(kept)).scale ** 2
+        except LinkError:
+            break
+        if left < EXCESS and left < 0.1 * ratio:
+            return np.array(dropped), left
+    return np.zeros(0, dtype=np.int64), np.nan
+
+
+def _exchanged(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> Iterator[_Cause]:
+    """Yield pairs of the sources that fit worst whose rows belong to one another."""
+    sums = source_sums(problem)
+    each = discrepancies(sums, solve(sums).estimate) / np.maximum(sums.count, 1.0)
+    for part in _wholes(problem, tables)[1:]:
+        for pair in combinations(np.argsort(-each)[:6].tolist(), 2):
+            place = np.arange(len(problem.satellite))
+            place[list(pair)] = pair[::-1]
+            source = np.where(part.at, place[problem.source], problem.source)
+            found = _ratio(replace(problem, source=source))
+            if found < EXCESS and found < 0.1 * ratio:
+                one, other = names[list(pair)]
+                yield _Cause(f"the names {one} and {other} exchanged in {part.words}", found)
