@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtr, chdtrc
+from scipy.special import chdtr, chdtrc, chdtri
 
 from core.arrays import Flags
 from core.constants import MAS
@@ -31,7 +31,7 @@ CHANCE = 1e-6
 """Probability below which chi2 is not that of correct errors; small tables scatter."""
 
 GOOD = 3.0
-"""chi2 over its expectation at which no further corrections are tried."""
+"""chi2 over its expectation above which corrections are tried, and at which no further ones are."""
 
 MOST_SOURCES, MOST_NUMBERS = 2000, 10_000_000
 """Of more sources, or with larger normal equations, only some sources are examined."""
@@ -65,14 +65,19 @@ GROUPS: dict[str, Rows] = {"positions": (0, 1), "parallaxes": (2,), "proper moti
 NOT_POSITIONS: dict[str, Rows] = {"parallaxes": (2,), "proper motions": (3, 4), "pmra": (3,), "pmdec": (4,)}
 ALL: tuple[str, Rows] = ("all quantities", (0, 1, 2, 3, 4))
 
+UNEXPLAINED = "no known mistake explains it: errors may be too small, or sources not single"
+
 Change = Callable[[Astrometry], Astrometry]
 
 
 class Misfit(NamedTuple):
-    """chi2 over its expectation, and the sentence about it; empty where there is nothing to say."""
+    """chi2 over its expectation, and the sentence about it, empty where there is nothing to say; ``first`` says whether
+    it comes before the result.
+    """
 
     ratio: float = np.nan
     text: str = ""
+    first: bool = True
 
     @property
     def absurd(self) -> bool:
@@ -112,11 +117,11 @@ def misfit(problem: Problem, solution: Solution, names: NDArray[Any], tables: Se
         chosen = np.linspace(0, len(problem.satellite) - 1, most).astype(np.int64)
         problem, names = problem.only(chosen), names[chosen]
     groups = _groups(problem, solution, tables)
-    if ratio > EXCESS and chdtrc(solution.expected, solution.squares) < CHANCE:
+    if ratio > GOOD and chdtrc(solution.expected, solution.squares) < CHANCE:
         worst = max(groups, key=lambda group: group.squares)
         said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}"
-        enough = most > len(solution.estimate)
-        return Misfit(ratio, f"{said}; {_excess(problem, names, tables, ratio)}" if enough else said)
+        cause = _excess(problem, names, tables, ratio) if most > len(solution.estimate) else UNEXPLAINED
+        return Misfit(ratio, f"{said}; {cause}", ratio > EXCESS or cause != UNEXPLAINED)
     low = [one for one in groups if one.squares < 0.1 * one.expected and chdtr(one.dof, one.squares) < CHANCE]
     if ratio >= DEFICIT or chdtr(solution.dof, solution.squares) > 100.0 * CHANCE:
         if not low:
@@ -191,14 +196,19 @@ def _by_epoch(problem: Problem, tables: Sequence[str]) -> Iterator[_Part]:
         each = np.unique(epochs[part.at & np.isfinite(epochs)])
         if 1 < len(each) <= 12:
             for epoch in each:
-                yield _Part(part.table, f"the rows of {part.words} at {epoch:.2f}", part.at & (epochs == epoch))
+                at = part.at & (epochs == epoch)
+                if np.count_nonzero(at) > 2:
+                    yield _Part(part.table, f"the rows of {part.words} at {epoch:.2f}", at)
 
 
 def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> str:
     """Return a clause about the likely cause."""
     found = [cause for part in _wholes(problem, tables) for cause in _causes(problem, part, ratio)]
     alone = ""
-    if not found or min(cause.ratio for cause in found) > GOOD:
+    if ratio <= EXCESS:  # real stars may be as bad: only a correction after which all is well is a cause
+        least = chdtri(problem.rows.present.sum(), 0.001) / problem.rows.present.sum()
+        found = [cause for cause in found if not cause.hides and cause.ratio < least]
+    elif not found or min(cause.ratio for cause in found) > GOOD:
         worst, left = _outliers(problem, ratio)
         found += _exchanged(problem, names, tables, ratio)
         for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
@@ -213,7 +223,7 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
             found = [cause for cause in found if cause.hides < 2]
     likely = [cause for cause in found if cause.hides == min(one.hides for one in found)]
     if not likely:
-        return f"{alone}no known mistake in the tables explains it: errors may be too small, or stars binaries"
+        return f"{alone}{UNEXPLAINED}"
     best = min(likely, key=lambda cause: cause.ratio)
     step = 30.0 * max(best.ratio, 1.0) / max(1, int(np.sum(problem.rows.present)))
     same = sorted((cause for cause in likely if cause.ratio <= best.ratio + step), key=lambda cause: cause.ratio)
@@ -245,7 +255,7 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
     """Yield the mistakes in a part whose correction brings chi2 down to the level of good tables."""
 
     def explains(trial: float) -> bool:
-        return trial < EXCESS and trial < 0.1 * ratio
+        return trial < EXCESS and trial < (0.1 if ratio > EXCESS else 0.5) * ratio
 
     for words, hides, change in _corrections(problem, part.table):
         trial = _applied(problem, part, change)
@@ -254,10 +264,10 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
     shift, found = _shift(problem, part)
     if explains(found):
         early = "early" if shift > 0.0 else "late"
-        yield _Cause(f"epochs of {part.words} {round(abs(shift), 2):g} years too {early}", found)
+        yield _Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", found)
     if part.table != "satellite" and np.count_nonzero(part.at) > 2:
         along, across = (_ratio(_applied(problem, part, _freed(problem, turned))) for turned in (False, True))
-        if explains(along) and along < 0.1 * across:
+        if explains(along) and not explains(across):
             epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
             all_equal = f"equal ({epochs[0]:g}), but they were measured at different ones"
             single = "wrong in single rows: positions are off along the proper motion"

@@ -94,8 +94,9 @@ class AstrometryReader(ColumnReader):
         if correlations is None and np.any(np.all(np.isfinite(values) & np.isfinite(errors), axis=0)):
             self.notes.append("no correlations of the five parameters: they count as 0")
         epoch = self._epoch()
-        if np.any((epoch < EARLIEST) | (epoch > LATEST)) and np.nanmedian(errors[:2]) < 10.0 * MAS:
-            span = f"{np.nanmin(epoch):g} to {np.nanmax(epoch):g}"
+        exact = errors[0] < 10.0 * MAS
+        if np.any(exact & ((epoch < EARLIEST) | (epoch > LATEST))):
+            span = f"{np.nanmin(epoch[exact]):g} to {np.nanmax(epoch[exact]):g}"
             self.notes.append(f"epochs from {span}, when no position had errors below 10 mas: are they right?")
         found = Astrometry(
             values=values,

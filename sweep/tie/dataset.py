@@ -81,7 +81,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
         "aberration_uas_yr": options.aberration,
         "jitter": ", ".join(f"{k}={p:g}:{m:g}" for k, (p, m) in options.jitter.items()) or "none",
-        "misfit": link.misfit.text,
+        "misfit": link.misfit.text if link.misfit.first else "",
         "notes": list(link.notes),
     } | ({} if options.bins is None else {"bin_column": options.bins[0]})
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)

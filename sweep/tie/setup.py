@@ -132,10 +132,11 @@ def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> lis
             row = named_rows(matched.rows[far])
             whose = "their source" if matched.by.startswith("position") else "the source of the same name"
             found = f"{row} of {Path(table.path).name}: up to {size} from {whose}"
-            found += _elsewhere(left, table, matched, far)
+            elsewhere = _elsewhere(left, table, matched, far)
             if refused:
-                raise SweepError(f"{found}; are the names right, the epochs, and the units of the positions?")
-            return [found]
+                question = "are the names right, the epochs, and the units of the positions?"
+                raise SweepError(f"{found}; {elsewhere or question}")
+            return [f"{found}; {elsewhere}" if elsewhere else found]
     return []
 
 
@@ -148,8 +149,8 @@ def _elsewhere(left: AstrometricTable, table: AstrometricTable, matched: Match, 
         return ""
     names = next(iter(left.names.values())) if left.names else np.arange(1, len(left.astrometry) + 1)
     own, other = names[matched.source[far[found.rows]]], names[found.source]
-    pairs = ", ".join(f"{a} is where {b} is" for a, b in zip(own[:3], other[:3], strict=True) if a != b)
-    return f"; {pairs}: are names exchanged?" if pairs else ""
+    pairs = dict.fromkeys(f"{a} is where {b} is" for a, b in zip(own, other, strict=True) if a != b)
+    return f"{', '.join(list(pairs)[:3])}: are names exchanged?" if pairs else ""
 
 
 def _resting(own: Astrometry, rows: Astrometry, source: Indices) -> list[str]:

@@ -118,6 +118,8 @@ def _rows_there_are(setup: Setup) -> str:
     """Return which kinds of rows there are, and what is known about the tables, for an error."""
     found, number = np.unique(kinds(setup.problem.rows), return_counts=True)
     counted = ", ".join(f"{n} {kind}" for kind, n in zip(found, number, strict=True))
+    if len(epochs := np.unique(setup.problem.rows.epoch[np.isfinite(setup.problem.rows.epoch)])):
+        counted += f", of {epochs[0]:g} to {epochs[-1]:g}" if len(epochs) > 1 else f", all of {epochs[0]:g}"
     return f" (rows: {counted}; {'; '.join(setup.notes)})" if setup.notes else f" (rows: {counted})"
 
 

@@ -1,16 +1,24 @@
 """Made skies with one mistake each, which is refused or named with its cause; without one nothing is suspected."""
 
+import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from astropy.table import Table, vstack
+from click.testing import CliRunner
 
+import linksweep
 from core.constants import DEGREE, MAS
 from core.tie.astrometry import PAIRS
 from core.tie.motion import parallax_factors, propagated
+from sweep.cli import main
 from sweep.contract import SweepError
+from sweep.studies.reader import load_study
+from sweep.tie.column_names import TableOptions
+from sweep.tie.experiment import check, warn
+from sweep.tie.experiment import tie as study_tie
 from sweep.tie.link_tables import tie
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import NAMES
@@ -121,8 +129,10 @@ def errors_nan(table, rng):
 
 
 def names_exchanged(table, rng):
-    names = np.unique(table["source_id"])
-    one, other = rng.choice(names, 2, replace=False)
+    exchange(table, *rng.choice(np.unique(table["source_id"]), 2, replace=False))
+
+
+def exchange(table, one, other):
     place = {one: other, other: one}
     table["source_id"] = [place.get(name, name) for name in table["source_id"]]
 
@@ -177,7 +187,10 @@ def suspicions(notes):
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-@pytest.mark.parametrize(("n", "seed"), [(20, 1)])
+@pytest.mark.parametrize(
+    ("n", "seed"),
+    [(9, 1), *(pytest.param(n, n + seed, marks=pytest.mark.slow) for n in (5, 20, 60) for seed in (2, 3))],
+)
 def test_a_mistake_is_named(tmp_path, mistake, n, seed):
     side, change, words = MISTAKES[mistake]
     tables = dict(zip(("satellite", "reference"), sky(n, seed), strict=True))
@@ -190,3 +203,127 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
 def test_a_sky_without_a_mistake_is_not_suspected(tmp_path, n, seed):
     satellite, reference = sky(n, seed)
     assert not suspicions(solved(tmp_path, satellite, reference))
+
+
+def written(folder, *tables):
+    """Write a satellite's table and a reference's; return their paths as text."""
+    paths = [folder / "satellite.csv", folder / "reference.csv"]
+    for path, table in zip(paths, tables, strict=True):
+        table.write(path)
+    return [str(path) for path in paths]
+
+
+def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted(tmp_path):
+    satellite, reference = sky(8, 4)
+    without_cosine(satellite, None)
+    tables = written(tmp_path, satellite, reference)
+    where = ["-o", str(tmp_path / "tie.zarr")]
+    refused = CliRunner().invoke(main, ["tie", *tables, *where])
+    assert refused.exit_code == 1
+    first = refused.stdout.splitlines()[0]
+    assert first.startswith("warning: chi2 is ")
+    assert "pmra of the satellite is mu_alpha, without cos(dec): say --without-cos-dec satellite" in first
+    assert "epsilon_x" in refused.stdout
+    assert "Nothing is written; --accept-misfit accepts it" in refused.stderr
+    assert not (tmp_path / "tie.zarr").exists()
+    accepted = CliRunner().invoke(main, ["tie", *tables, *where, "--accept-misfit"])
+    assert (accepted.exit_code, accepted.stdout) == (0, refused.stdout)
+    assert CliRunner().invoke(main, ["show", str(tmp_path / "tie.zarr")]).stdout == refused.stdout
+    cured = CliRunner().invoke(main, ["tie", *tables, "--without-cos-dec", "satellite"])
+    assert cured.exit_code == 0
+    assert "warning" not in cured.stdout
+    with pytest.raises(SweepError, match="accept_misfit=True accepts it") as error:
+        linksweep.tie(*tables)
+    assert error.value.link.attrs["misfit"] == first.removeprefix("warning: ")
+
+
+def test_a_study_of_absurd_tables_is_refused_with_the_cause(tmp_path):
+    satellite, reference = sky(8, 4)
+    satellite["ref_epoch"] += 0.5
+    written(tmp_path, satellite, reference)
+    named = 'title = "t"\nexperiment = "sweep.tie.experiment:tie"\n[fixed]\nsatellite = "satellite.csv"\n'
+    (tmp_path / "study.toml").write_text(f'{named}reference = "reference.csv"\n[sampling]\nn_sim = 2\n')
+    point = study_tie.defaults() | load_study(str(tmp_path / "study.toml")).fixed
+    assert re.search("epochs of the satellite 0.5 years too late.*accept_misfit = true computes it", check(point))
+    assert check(point | {"accept_misfit": True}) is None
+    assert "0.5 years too late" in warn(point | {"accept_misfit": True})[0]
+
+
+@pytest.mark.parametrize("size", [2.5, 10.0])
+def test_a_real_misfit_has_no_invented_cause(tmp_path, size):
+    """Errors that are too small by a factor, as those of radio stars are, also where it is said first."""
+    satellite, reference = sky(12, 6)
+    rng = np.random.default_rng(1)
+    for k, name in enumerate(NAMES):
+        reference[name] += (
+            size * rng.normal(size=len(reference)) * reference[f"{name}_error"] / (1.0 if k > 1 else 3.6e6)
+        )
+    found = solved(tmp_path, satellite, reference)[0]
+    assert found.startswith("chi2 is ")
+    assert found.endswith("no known mistake explains it: errors may be too small, or sources not single")
+
+
+def test_sources_that_alone_carry_the_excess_are_named(tmp_path):
+    satellite, reference = sky(12, 6)
+    bad = reference["source_id"][0]
+    at = reference["source_id"] == bad
+    reference["dec"][at] += np.random.default_rng(1).normal(size=np.count_nonzero(at)) * 30.0 / 3.6e6
+    assert f"without {bad} it is " in solved(tmp_path, satellite, reference)[0]
+
+
+def test_quasars_without_an_epoch_are_mean_positions(tmp_path):
+    """An epoch instead would displace them by the noise of the satellite's parallaxes."""
+    rng, n = np.random.default_rng(3), 300
+    ra, dec = rng.uniform(0.0, 360.0, n), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, n)))
+    satellite = Table({"name": [f"Q{i}" for i in range(n)], "ref_epoch": np.full(n, 2016.0), "ra": ra, "dec": dec})
+    for name in NAMES[2:]:
+        satellite[name] = rng.normal(-0.02, 0.1, n)
+    for name in NAMES:
+        satellite[f"{name}_error"] = np.full(n, 0.1)
+    reference = satellite["name", "ra", "dec", "ra_error", "dec_error"]
+    reference["dec"] = dec + rng.normal(0.0, 0.14, n) / 3.6e6
+    reference["ra"] = ra + rng.normal(0.0, 0.14, n) / 3.6e6 / np.cos(np.radians(dec))
+    tables = written(tmp_path, satellite, reference)
+    refused = CliRunner().invoke(main, ["tie", *tables])
+    assert refused.exit_code == 2
+    assert "no column ref_epoch; give the epochs" in refused.stderr
+    assert "--extragalactic reference" in refused.stderr
+    unknowns = "orientation,position_glide"
+    link = linksweep.tie(*tables, unknowns, reference_options=TableOptions(extragalactic=True))
+    assert set(link.row_kind.values.tolist()) == {"position"}
+    assert np.all(np.isnan(link.row_epoch))
+    offset = (reference["dec"] - satellite["dec"]) * 3.6e6  # neither moved nor displaced
+    np.testing.assert_allclose(link.difference.sel(observable="dec"), offset, atol=1e-6)
+    done = CliRunner().invoke(main, ["tie", *tables, "--unknowns", unknowns, "--extragalactic", "reference", "--json"])
+    assert json.loads(done.stdout)["variables"]["estimate"]["values"] == link.estimate.values.tolist()
+    obeyed = linksweep.tie(*tables, unknowns, reference_options=TableOptions(epoch=2015.5))
+    assert any("if they are quasars, say --extragalactic reference" in note for note in obeyed.attrs["notes"])
+    both = CliRunner().invoke(main, ["tie", *tables, "--extragalactic", "reference", "--reference-epoch", "2015.5"])
+    assert both.exit_code == 2
+    assert "positions of quasars hold at any epoch" in both.stderr
+
+
+def test_a_study_takes_quasars_without_an_epoch(tmp_path):
+    satellite, reference = sky(8, 4)
+    written(tmp_path, satellite, reference["source_id", "ra", "dec", "ra_error", "dec_error"])
+    named = 'title = "t"\nexperiment = "sweep.tie.experiment:tie"\n[fixed]\nsatellite = "satellite.csv"\n'
+    more = 'reference = "reference.csv"\nunknowns = "orientation"\naccept_misfit = true\n[sampling]\nn_sim = 2\n'
+    (tmp_path / "study.toml").write_text(named + more)
+    point = study_tie.defaults() | load_study(str(tmp_path / "study.toml")).fixed
+    assert "no column ref_epoch" in check(point)
+    assert check(point | {"extragalactic": "reference"}) is None
+
+
+def test_numbers_that_no_star_has_are_noted(tmp_path):
+    satellite, reference = sky(8, 4)
+    satellite["parallax"] *= 1e3
+    satellite["parallax_error"] *= 1e3
+    assert any("parallax beyond 1000 mas, which no star has" in note for note in solved(tmp_path, satellite, reference))
+
+
+def test_names_exchanged_far_apart_are_refused_with_both_names(tmp_path):
+    satellite, reference = sky(8, 4)
+    one, other = satellite["source_id"][:2]
+    exchange(reference, one, other)
+    with pytest.raises(SweepError, match=f"{other} is where {one} is, {one} is where {other} is: are names exchanged"):
+        tie(*written(tmp_path, satellite, reference))
