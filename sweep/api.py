@@ -15,6 +15,7 @@ from sweep.executing.choose import Resources
 from sweep.executing.execute import NO_LIMITS, Limits
 from sweep.executing.pools import PoolName
 from sweep.executing.upstream import leave_a_worker_that_runs_its_script
+from sweep.formatting import harmless
 from sweep.running.notebook import NotebookProgress, in_notebook
 from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
@@ -114,7 +115,7 @@ def run(
     with _watching(loaded, progress) as watching:
         dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
     if failures:
-        log.warning("%s: %s", place, failed_points(failures))
+        log.warning("%s: %s", place, harmless(failed_points(failures)))
     return _drawable(dataset)
 
 

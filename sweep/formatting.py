@@ -1,11 +1,13 @@
-"""Numbers with their errors, counts, NAME=VALUE, tables and JSON as text."""
+"""Numbers with their errors, counts, NAME=VALUE, tables and JSON as text, and what text of others may not hold."""
 
 import csv
 import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -15,6 +17,30 @@ MOST_DECIMALS = 9
 
 WIDTH = 80
 """Sentences are broken into lines of at most this many characters."""
+
+
+ESCAPED = {
+    code: f"\\u{code:04x}"
+    for codes in (range(0x20), range(0x7F, 0xA0), (0x61C, 0x200E, 0x200F), range(0x2028, 0x202F), range(0x2066, 0x206A))
+    for code in codes
+}
+"""What changes a terminal instead of being shown by it, or the order in which text is shown: the control characters of
+ASCII and Latin-1, separators of lines and paragraphs, marks of the direction of writing."""
+
+LINES_ESCAPED = {code: escaped for code, escaped in ESCAPED.items() if chr(code) not in "\t\n"}
+
+FORMULA = tuple("=+-@＝＋－＠")
+"""How a cell of CSV begins that a spreadsheet would compute."""
+
+
+def harmless(text: str) -> str:
+    """Return text with its control characters escaped as in JSON, but for tabs and line ends.
+
+    Examples:
+        >>> print(harmless("red \x1b[31m"))
+        red \\u001b[31m
+    """
+    return text.translate(LINES_ESCAPED)
 
 
 def with_error(value: Any, error: float) -> str:
@@ -119,19 +145,27 @@ def reading_table(title: str, headings: Sequence[str], rows: Iterable[Iterable[s
         title=Text(title) if title else None, title_justify="left", box=None, pad_edge=False, header_style="bold"
     )
     for heading in headings:
-        table.add_column(Text(heading), justify="left" if heading == left else "right", no_wrap=True)
+        table.add_column(Text(harmless(heading)), justify="left" if heading == left else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*(Text(cell.translate(ESCAPED)) for cell in row))
     return table
 
 
 def to_csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Return CSV; a cell that is a NaN is empty."""
+    """Return CSV; a cell that is a NaN is empty, and a quote stands before text that a spreadsheet would compute."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(["" if is_missing(cell) else cell for cell in row] for row in rows)
+    writer.writerows(map(_cell, row) for row in chain([header], rows))
     return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if not isinstance(value, str):
+        return "" if is_missing(value) else value
+    with suppress(ValueError):
+        float(value)
+        return value
+    return ("'" if value.lstrip().startswith(FORMULA) else "") + harmless(value)
 
 
 def to_json(value: Any) -> str:

@@ -141,8 +141,9 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> dict[str
     """
     found, whole = {}, dataset
     for name in headline_variables(whole):
-        errors = errors_beside(whole, name)
-        dataset = where_they_change(whole, [name, *errors]) if errors else whole
+        if not (errors := errors_beside(whole, name)):
+            continue
+        dataset = where_they_change(whole, [name, *errors])
         own = own_dimensions(dataset, name)
         dims = [*axes_of(dataset), *own]
         places = [*axis_coordinates(dataset, axes_of(dataset)), *(d for d in own if d in dataset.coords)]
@@ -150,7 +151,7 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> dict[str
         unit = xr.DataArray(units_of(dataset[name].attrs)) if unit is None else unit
         arrays = {"unit": unit} | {n: dataset[n] for n in [*places, name, *errors]}
         values = {n: a.broadcast_like(dataset[name]).transpose(*dims).values.ravel() for n, a in arrays.items()}
-        known = np.isfinite(values[name]) & bool(errors)
+        known = np.isfinite(values[name])
         for one in dict.fromkeys(values["unit"][known].tolist()):
             at = np.flatnonzero(known & (values["unit"] == one))[:most]
             where = {n: values[n][at].tolist() for n in places}

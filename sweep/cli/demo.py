@@ -9,7 +9,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import FILE
-from sweep.cli.output import print_answer
+from sweep.cli.output import print_answer, print_styled
 from sweep.formatting import WIDTH
 
 STUDY = Path(__file__).with_name("demo.toml")
@@ -50,7 +50,7 @@ def demo(context: click.Context, folder: Path) -> None:
 
     text = STUDY.read_text(encoding="utf-8")
     _write(folder, text)
-    click.secho(f"The study, {folder / 'demo.toml'}:", bold=True)
+    print_styled(f"The study, {folder / 'demo.toml'}:", bold=True)
     click.echo(text)
     _say(f"cd {shlex.quote(str(folder))}", "All that follows is in this folder.")
     with chdir(folder):
@@ -65,7 +65,7 @@ def demo(context: click.Context, folder: Path) -> None:
                 command.invoke(inner)
             click.echo()
         dataset = open_dataset(default_store("demo"))
-    click.secho(click.wrap_text(dataset.attrs["question"], WIDTH), bold=True)
+    print_styled(click.wrap_text(dataset.attrs["question"], WIDTH), bold=True)
     print_answer(dataset)
     click.echo(f"\nnext: cd {shlex.quote(str(folder))}")
     for line, words in NEXT.items():
@@ -86,5 +86,5 @@ def _write(folder: Path, text: str) -> None:
 
 
 def _say(line: str, words: str) -> None:
-    click.secho(f"# {words}", dim=True)
-    click.secho(f"$ {line}", bold=True)
+    print_styled(f"# {words}", dim=True)
+    print_styled(f"$ {line}", bold=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from sweep.cli.streams import output_problem
+from sweep.cli.streams import harmless_streams, output_problem
 
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
@@ -65,13 +65,14 @@ class _Group(click.Group):
                 formatter.write_dl(list(commands.items()), col_spacing=max(2, 12 - max(map(len, commands))))
 
     def main(self, *arguments: Any, **named: Any) -> Any:
-        try:
-            return super().main(*arguments, **named)
-        except SystemExit as end:
-            if (problem := output_problem()) is None:
-                raise
-            click.echo(f"error: {problem}", err=True)
-            sys.exit(end.code or EXIT_BAD_INPUT)
+        with harmless_streams():
+            try:
+                return super().main(*arguments, **named)
+            except SystemExit as end:
+                if (problem := output_problem()) is None:
+                    raise
+                click.echo(f"error: {problem}", err=True)
+                sys.exit(end.code or EXIT_BAD_INPUT)
 
     def invoke(self, ctx: click.Context) -> Any:
         from sweep.cli.signals import end_stopped

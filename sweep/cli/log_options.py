@@ -11,6 +11,7 @@ from typing import TextIO
 import click
 
 from sweep.cli.options import gathered
+from sweep.formatting import harmless
 
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
 """The second does not pass its messages on to the first."""
@@ -100,6 +101,6 @@ class _Lines(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
-            self._file.write(self.format(record) + "\n")
+            self._file.write(harmless(self.format(record)) + "\n")
         except OSError:
             self.handleError(record)

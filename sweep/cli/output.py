@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from sweep.formatting import WIDTH, counted, to_json
+from sweep.formatting import WIDTH, counted, harmless, to_json
 
 SEGMENT_COUNTS = ("points", "done", "failed", "excluded", "realisations_done", "realisations")
 
@@ -22,23 +22,30 @@ def print_sentences(sentences: Iterable[str]) -> None:
         click.echo(click.wrap_text(sentence, WIDTH))
 
 
+def print_styled(text: str, **style: bool) -> None:
+    """Print text in a style of ours, which it cannot change."""
+    click.secho(harmless(text), file=getattr(sys.stdout, "unescaped", None), **style)
+
+
 def print_whole(renderable: Any) -> None:
     """Print a table or text as wide as it is: a terminal may wrap it, but no number is cut.  The title of a table is a
     sentence above it.
     """
     from rich.console import Console
     from rich.measure import Measurement
+    from rich.segment import Segment, Segments
     from rich.table import Table
 
     if isinstance(renderable, Table) and renderable.title is not None:
         title, renderable.title = str(renderable.title), None
         if title:
-            click.secho(click.wrap_text(title, WIDTH), italic=True)
-    terminal = Console(highlight=False)
+            print_styled(click.wrap_text(title, WIDTH), italic=True)
+    terminal = Console(file=getattr(sys.stdout, "unescaped", None), highlight=False, markup=False, emoji=False)
     endless = terminal.options.update(width=10_000)
     needed = Measurement.get(terminal, endless, renderable).maximum
-    width = max(needed, terminal.width if sys.stdout.isatty() else 1)
-    Console(width=width, highlight=False).print(renderable, soft_wrap=False)
+    terminal.width = max(needed, terminal.width if sys.stdout.isatty() else 1)
+    segments = terminal.render(terminal.render_str(renderable) if isinstance(renderable, str) else renderable)
+    terminal.print(Segments(Segment(harmless(segment.text), segment.style) for segment in segments))
 
 
 def table_width() -> int:

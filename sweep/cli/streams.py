@@ -1,9 +1,16 @@
-"""Keeps commands from ending in a traceback where a standard stream is closed, full or of a narrow encoding."""
+"""Standard streams: what is closed, full or of a narrow encoding ends no command in a traceback, and no text of others
+controls the terminal.
+"""
 
 import errno
 import io
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from sweep.formatting import harmless
 
 
 class _Unfailing(io.TextIOWrapper):
@@ -31,6 +38,38 @@ class _Unfailing(io.TextIOWrapper):
         if error.errno == errno.EPIPE:
             raise error
         self.problem = self.problem or error
+
+
+class _Harmless:
+    """A stream for text of anybody: names, titles, results and messages of functions, tables and stores.
+
+    What brings a style of our own writes to ``unescaped``.
+    """
+
+    encoding = "utf-8"
+    """Whatever it is: click writes to the bytes below a stream of ASCII."""
+
+    def __init__(self, stream: Any) -> None:
+        self.unescaped = stream
+
+    def write(self, text: str) -> int:
+        self.unescaped.write(harmless(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unescaped, name)
+
+
+@contextmanager
+def harmless_streams() -> Iterator[None]:
+    """Escape control characters in what is printed in this block, and in the traceback of an error that leaves it."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = map(_Harmless, before)
+    try:
+        yield
+    except SystemExit:
+        sys.stdout, sys.stderr = before
+        raise
 
 
 def prepare_streams() -> None:

@@ -8,6 +8,7 @@ import click
 
 from sweep.cli.group import main
 from sweep.cli.options import json_option
+from sweep.cli.output import print_styled
 from sweep.formatting import WIDTH, to_json
 
 
@@ -31,7 +32,7 @@ def list_studies(as_json: bool) -> None:
         click.echo(to_json(studies))
         return
     for name, study in studies.items():
-        click.secho(name, bold=True)
+        print_styled(name, bold=True)
         click.echo(_indented(study["title"]))
         for sentence in study["answer"] or [study["question"]]:
             click.echo(_indented(sentence))

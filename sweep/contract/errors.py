@@ -5,6 +5,8 @@ import reprlib
 from collections.abc import Sequence
 from typing import Any
 
+from sweep.formatting import harmless
+
 FEW = 20
 """The most names that a message lists."""
 
@@ -18,7 +20,7 @@ class SweepError(Exception):
     """
 
     def __init__(self, problems: str | Sequence[str], where: str = "") -> None:
-        self.problems = [problems] if isinstance(problems, str) else list(problems)
+        self.problems = [harmless(text) for text in ([problems] if isinstance(problems, str) else problems)]
         self.where = where
         super().__init__("\n".join(self.problems))
 

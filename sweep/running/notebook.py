@@ -7,6 +7,7 @@ from html import escape
 from typing import Any
 
 from sweep.executing.task import TaskResult
+from sweep.formatting import harmless
 from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
 from sweep.running.writer import Taken
@@ -54,7 +55,7 @@ class NotebookProgress:
     def say(self, text: str) -> None:
         """Show a warning; other sentences are for terminals."""
         if text.startswith("warning"):
-            print(text, file=sys.stderr)
+            print(harmless(text), file=sys.stderr)
 
     def _show(self, ended: bool = False) -> None:
         from IPython.display import HTML, display

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
 from sweep.executing.task import TaskResult
-from sweep.formatting import counted, per_second
+from sweep.formatting import counted, harmless, per_second
 from sweep.interrupt import how_ended
 from sweep.planning.grid import describe
 from sweep.planning.plan import Survey, Work
@@ -37,7 +37,7 @@ class TerminalProgress:
     def __init__(self, study: Study, bar: bool = True) -> None:
         self._study = study
         self._once = study.experiment.deterministic
-        self._console = Console(stderr=True)
+        self._console = Console(file=getattr(sys.stderr, "unescaped", sys.stderr))
         self._with_bar = bar and self._console.is_terminal
         self._bar: Progress | None = None
         self._summary = RunSummary(study)
@@ -173,4 +173,4 @@ class Sentences(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line; if the terminal is closed, nobody can read it and the error is ignored."""
         with suppress(OSError, ValueError):
-            print(self.format(record), file=sys.stderr, flush=True)
+            print(harmless(self.format(record)), file=sys.stderr, flush=True)

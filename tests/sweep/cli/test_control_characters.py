@@ -1,0 +1,206 @@
+"""Text of others never controls the terminal: marked sequences in every text of functions, tables and stores."""
+
+import csv
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sweep.formatting import harmless, to_csv
+from sweep.stores.checksums import sealed
+
+MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
+CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+OURS = re.compile("\x1b\\[[0-9;]*m|\r(?=\n)")
+"""Styles; what a terminal makes of the end of a line."""
+
+FUNCTION = f'''
+import warnings
+MARK = {MARK!r}
+
+def marked(x: float = 1.0, kind: str = "a"):
+    """{"Title " + repr(MARK)[1:-1]}"""
+    warnings.warn("warns " + MARK)
+    print("prints " + MARK)
+    if x == 2.0:
+        raise ValueError("fails " + MARK)
+    return {{"number": x, "text": "=cmd()" + MARK, "other": MARK + "\\r\\nforged"}}
+'''
+STUDY = {
+    "title": "Marked",  # in a title these characters are refused
+    "experiment": "marked.py:marked",
+    "axes": {"x": [1.0, 2.0, 3.0], "kind": ["a" + MARK, "@b"]},
+}
+LOOKS = [  # at a store s.zarr and its study
+    *(["show", "s.zarr", "--format", form] for form in ("text", "csv", "ecsv", "json")),
+    *(["status", "s.zarr"], ["status", "s.zarr", "--json"], ["check", "s.zarr"], ["compare", "s.zarr"]),
+    *(["fit", "s.zarr", "--over", "x"], ["find", "s.zarr", "--where", "number > 1.5", "--over", "x"]),
+    *(["plot", "s.zarr", "-o", "s.png"], ["sensitivity", "s.zarr"], ["report", "s.zarr"], ["repair", "s.zarr"]),
+    *(["plan", "study.toml"], ["params", "study.toml"], ["merge", "s.zarr", "s.zarr", "-o", "m.zarr"]),
+    *(["reproduce", "s.zarr", "--at", "x=1,kind=@b"], ["retry", "s.zarr"], ["show", "no" + MARK]),
+]
+
+
+def found(text):
+    """Return what of a text would control a terminal."""
+    return {text[max(0, one.start() - 30) : one.end() + 30] for one in CONTROLS.finditer(text)}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("marked")
+    (folder / "marked.py").write_text(FUNCTION)
+    quoted = {name: json.dumps(value) for name, value in STUDY.items() if name != "axes"}
+    axes = "".join(f"{name} = {json.dumps(values)}\n" for name, values in STUDY["axes"].items())
+    (folder / "study.toml").write_text("".join(f"{n} = {v}\n" for n, v in quoted.items()) + "[axes]\n" + axes)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def store(folder):
+    command = ["run", "study.toml", "--pool", "serial", "-o", "s.zarr", "--log", "run.log", "--verbose"]
+    done = subprocess.run(
+        [sys.executable, "-m", "sweep", *command], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    assert not found(done.stdout + done.stderr + (folder / "run.log").read_text())
+    assert all(word in done.stderr for word in ("fails", "warns"))
+    return folder / "s.zarr"
+
+
+@pytest.mark.filterwarnings("ignore:Glyph")
+@pytest.mark.parametrize("look", LOOKS, ids=" ".join)
+def test_commands_escape_what_a_function_and_a_study_say(store, folder, sweep, look):
+    code, out, err = sweep(*look, cwd=folder)
+    assert code in (0, 1, 2), err
+    assert "Traceback" not in err, err
+    assert not found(out + err)
+
+
+def test_json_is_exact(store, folder, sweep):
+    _, out, _ = sweep("show", "s.zarr", "--json", cwd=folder)
+    rows = json.loads(out)["rows"]
+    assert {row["text"] for row in rows} == {"=cmd()" + MARK, ""}
+    assert {row["other"] for row in rows} == {MARK + "\r\nforged", ""}
+    assert {row["kind"] for row in rows} == set(STUDY["axes"]["kind"])
+
+
+def test_a_terminal_gets_styles_of_ours_alone(store, folder):
+    for look in (["show", "s.zarr"], ["compare", "s.zarr"], ["status", "s.zarr"], ["list"]):
+        ours, theirs = pty.openpty()
+        environment = os.environ | {"TERM": "xterm"}
+        with subprocess.Popen(
+            [sys.executable, "-m", "sweep", *look], cwd=folder, stdout=theirs, stderr=theirs, env=environment
+        ):
+            os.close(theirs)
+            said = b""
+            while part := _read(ours):
+                said += part
+        os.close(ours)
+        text = said.decode()
+        assert look[0] == "compare" or "\x1b[1m" in text or look[0] == "status"
+        assert not found(OURS.sub("", text)), look
+        assert "31m" not in text.replace("u001b[31m", "")
+
+
+def _read(descriptor):
+    try:
+        return os.read(descriptor, 65536)
+    except OSError:  # the other end is closed
+        return b""
+
+
+def test_a_script_gets_no_control_characters_either(store, folder):
+    script = (
+        "import linksweep\nfrom marked import marked\nlinksweep.run(marked, axes={'x': [1.0, 2.0]}, pool='serial')\n"
+    )
+    (folder / "script.py").write_text(script + f"linksweep.open('no' + {MARK!r})\n")
+    done = subprocess.run([sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, check=False)
+    assert "fails" in done.stderr
+    assert "SweepError" in done.stderr
+    assert not found("".join(line for line in done.stderr.splitlines(True) if "  File" not in line))
+
+
+def texts_in(value, path=()):
+    """Yield where the texts in a document are; texts that are JSON are documents themselves."""
+    if isinstance(value, str):
+        if value[:1] in ("{", "["):
+            yield from ((*path, None, *inner) for inner in texts_in(json.loads(value)))
+        else:
+            yield path
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            yield from texts_in(item, (*path, key))
+    elif isinstance(value, list):
+        for key, item in enumerate(value):
+            yield from texts_in(item, (*path, key))
+
+
+def with_mark(value, path):
+    """Return a document whose text at a place is marked."""
+    if not path:
+        return value + MARK
+    key, *rest = path
+    if key is None:
+        return json.dumps(with_mark(json.loads(value), rest))
+    items = value if isinstance(value, list) else dict(value)
+    items = list(items) if isinstance(items, list) else items
+    items[key] = with_mark(value[key], rest)
+    return items
+
+
+FILES = ("zarr.json", "blocks/zarr.json")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", FILES)
+def test_commands_escape_every_text_of_a_store(store, folder, sweep, file):
+    original = (store / file).read_bytes()
+    document = json.loads(original)
+    places = [path for path in texts_in(document["attributes"]) if path != ("checksum",)]
+    assert len(places) > 20 or file != FILES[0]
+    try:
+        for path in places:
+            changed = document | {"attributes": with_mark(document["attributes"], path)}
+            (store / file).write_bytes(sealed(changed, file))
+            for look in LOOKS[:1] + LOOKS[4:5] + LOOKS[6:8] + LOOKS[9:10]:
+                _, out, err = sweep(*look, cwd=folder)
+                assert "Traceback" not in err, (path, look, err)
+                assert not found(out + err), (path, look)
+    finally:
+        (store / file).write_bytes(original)
+
+
+@given(st.text())
+def test_harmless_text_is_what_it_was_but_for_controls(text):
+    assert not found(harmless(text))
+    assert json.loads(f'"{harmless(json.dumps(text, ensure_ascii=False)[1:-1])}"') == text
+
+
+@given(st.text(), st.floats(allow_nan=False))
+def test_no_cell_of_csv_is_a_formula(text, number):
+    ((_, said, written),) = list(csv.reader([*to_csv(["a"], [["", text, number]]).partition("\n")[2].splitlines(True)]))
+    assert float(written) == number
+    assert not found(said)
+    try:
+        float(text)
+    except ValueError:
+        assert not said.lstrip().startswith(("=", "+", "-", "@"))
+        assert said.removeprefix("'") == harmless(text).removeprefix("'")
+
+
+def test_a_table_of_points_is_text_of_others_too(folder, sweep):
+    table = folder / "points.csv"
+    table.write_text(f'x,kind\n1.0,"=a{MARK[:3]}"\n2.0,@b\n', newline="")
+    code, out, err = sweep("run", "marked.py:marked", "--points", table, "-o", folder / "t.zarr", cwd=folder)
+    assert code == 1, err
+    assert not found(out + err)
+    _, out, _ = sweep("show", folder / "t.zarr", "--format", "csv")
+    assert not found(out)
+    assert ",'=cmd()" in out
