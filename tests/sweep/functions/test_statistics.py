@@ -140,6 +140,20 @@ def test_errors_of_a_law_of_two_values_hold_the_truth_exactly_as_often(kind, n, 
                 np.testing.assert_allclose(of_count, n * error, rtol=1e-12)
 
 
+@pytest.mark.parametrize("highs", [1, 20, 45, 50, 55, 99])
+def test_the_error_of_the_spread_of_two_values_is_made_of_the_interval_of_their_share(highs):
+    n = 100
+    moments, _ = moments_of_two(0.0, 1.0, n)
+    value, error = (part[0, highs] for part in statistic("std", Field("w", "bool"), moments, np.array([float(n)])))
+    share, likely = highs / n, (highs + 2) / (n + 4)
+    of_share = np.sqrt(likely * (1.0 - likely) / n)
+    between = np.linspace(max(0.0, share - 2.0 * of_share), min(1.0, share + 2.0 * of_share), 100_001)
+    spreads = np.sqrt(between * (1.0 - between))
+    expected = np.sqrt(((spreads.max() - value) ** 2 + (value - spreads.min()) ** 2) / 8.0)
+    assert value == pytest.approx(np.sqrt(share * (1.0 - share) * n / (n - 1)), rel=1e-12)
+    assert error == pytest.approx(expected, rel=1e-6)
+
+
 def test_rare_truth_values_have_an_error_and_alike_numbers_have_none_that_is_known():
     """None of 50 happened, and the chance is 5 %: an error of 0 would be wrong 1 of 13 times."""
     moments, _ = moments_of_two(0.0, 1.0, 50)
@@ -202,6 +216,42 @@ def test_errors_do_not_depend_on_unit_origin_or_blocks(name):
     assert found(name, values - 40.0)[1] == pytest.approx(error, rel=1e-9)
     once = statistic(name, Field("w", "float"), moments_of(values)[None], np.array([300.0]))[1][0]
     assert once == pytest.approx(error, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [5, 6, 8, 12])
+def test_means_of_few_normal_realisations_have_errors_as_of_students_t(n):
+    """The scatter of (mean - truth)/error is that of t with n - 1 degrees of freedom, scaled to variance one."""
+    value, error = found("mean", drawn(LAWS["normal"], n, 20_000))
+    dof = n - 1.0
+    expected = 1.0 - 2.0 * stats.t.sf(2.0 * np.sqrt(dof / (dof - 2.0)), dof)
+    known = np.isfinite(error)
+    assert known.mean() > 0.99
+    assert np.mean(np.abs(value - 3.0)[known] <= 2.0 * error[known]) == pytest.approx(expected, abs=0.02)
+    values = np.concatenate([np.arange(n) - 7.0, 7.0 - np.arange(n)])[:, None]  # without a skew
+    expected = np.std(values, ddof=1) / np.sqrt(2 * n) * np.sqrt((2 * n - 1) / (2 * n - 3))
+    assert found("mean", values)[1][0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_standard_deviation_is_that_of_numpy_and_of_one_realisation_there_is_none():
+    values = drawn(LAWS["gamma"], 37, 4)
+    assert found("std", values)[0] == pytest.approx(np.std(values, axis=0, ddof=1), rel=1e-12)
+    assert np.isnan(found("std", values[:1])[0]).all()
+
+
+def test_the_error_of_a_standard_deviation_is_made_of_the_unbiased_kurtosis():
+    """Against SciPy's, for a sample without a skew and for so many realisations that nothing is enlarged."""
+    values = np.sort(drawn(LAWS["normal"], 60, 1), axis=0)
+    values = (values - values[::-1]) / 2.0
+    kurtosis = stats.kurtosis(values[:, 0], bias=False)
+    plain = (kurtosis + 2.0 + 2.0 / 59.0) / 240.0
+    enlarged = plain * np.exp(np.clip((8.0 * kurtosis + 3.3 * kurtosis**2) / 60.0, -0.5, 3.0))
+    value, error = found("std", values)
+    assert error[0] == pytest.approx(value[0] * np.sqrt(enlarged), rel=1e-9)
+    for law in (LAWS["uniform"], LAWS["normal"], LAWS["Laplace"]):
+        values = drawn(law, 50_000, 1)
+        value, error = found("std", values)
+        expected = value[0] * np.sqrt((stats.kurtosis(values[:, 0], bias=False) + 2.0) / 200_000.0)
+        assert error[0] == pytest.approx(expected, rel=5e-3)
 
 
 def test_errors_of_many_realisations_are_those_of_the_central_limit():

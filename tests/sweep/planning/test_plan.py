@@ -16,7 +16,10 @@ from sweep.planning.tuning import TUNED
 from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
 from sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
+from tests.sweep.running import test_precision
 from tests.tiers import examples, slow
+
+PRECISE = f"{test_precision.__file__}:experiment"
 
 
 def plan_of(document, **sampling):
@@ -155,6 +158,50 @@ def test_what_a_worker_did_not_come_to_is_pending_again(coins):
     assert pending.settle(task, np.full(7, 1.0)) == task[:7]
     left = [work for works in given_out(pending, lambda point: 1.0) for work in works]
     assert [work.points[0].index for work in left] == list(range(8, 200))
+
+
+def test_work_that_is_put_back_is_shared_among_all_like_other_work(coins):
+    """Tasks after it are as large as without it: it counts as left, and comes in its own order."""
+    sizes = []
+    for put_back in (0, 60):
+        plan = points_of(coins, 4000)
+        pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+        [first] = pending.take(1)
+        pending.settle(first, np.array([0.02]))
+        for number in range(put_back):  # again and again: nothing of it is lost
+            [task] = pending.take(1)
+            assert [work.points[0].index for work in task] == list(range(1 + number, 1 + number + len(task)))
+            assert pending.settle(task, np.full(1, 0.02)) == task[:1]
+        sizes.append(len(pending.take(1)[0]))
+    assert sizes[0] == pytest.approx(50, abs=1)
+    assert sizes[1] == pytest.approx(50, abs=1)
+
+
+def test_work_of_points_that_share_a_draw_is_put_back_whole():
+    """A worker that stops inside of it has not done it: there is a second for each point."""
+    study = load_study("quasars", ["n_cat=3", "n_sim=64", "common_random_numbers=true"])
+    plan = Plan(make_grid(study))
+    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    tasks = pending.take(3)
+    assert [len(task) for task in tasks] == [1, 1, 1]
+    several = tasks[0] + tasks[1] + tasks[2]
+    points = len(several[0].points)
+    assert points > 1
+    assert pending.settle(several, np.full(2 * points - 1, 1e-3)) == several[:1]
+    assert [work for task in pending.take(2) for work in task][:2] == several[1:]
+
+
+@pytest.mark.parametrize(
+    ("most", "parts"), [(64, 1), (65, 2), (128, 2), (129, 3), (512, 4), (513, 5), (1024, 5), (1025, 6)]
+)
+def test_the_parts_of_a_precision_double_until_blocks_are_whole(coins, most, parts):
+    plan = plan_of({"title": "", "experiment": PRECISE, "sampling": {"n_sim": most, "precision": 0.1}})
+    assert plan.parts(1.0) == parts
+    reached = [plan.realisations(1.0, k) for k in range(9)]
+    assert reached == [0, 64, 128, 256, 512, 1024, 1536, 2048, 2560]
+    blocks = plan.blocks(1.0, range(8))
+    assert [block.n_sim for block in blocks] == np.diff(reached).tolist()
+    assert plan.parts(1.0, 20_000) == next(k for k in range(100) if plan.realisations(1.0, k) >= 20_000)
 
 
 def test_a_block_is_bounded(coins):

@@ -39,3 +39,32 @@ def test_the_answers_are_those_of_the_function_in_any_order(points, first, secon
     for values in points:
         point = dict(zip("wxyz", values, strict=True))
         assert answers(point) == question(point)
+
+
+def test_the_table_has_the_answers_by_all_axes_that_were_looked_at():
+    """Answers from before an axis was looked at lack its value."""
+
+    def question(point):
+        return point["a"] * (point["b"] if point["a"] > 1 else 1)
+
+    answers = PointCache(question, ["a", "b", "c"])
+    for a, b, c in itertools.product(range(4), range(3), range(2)):
+        answers({"a": a, "b": b, "c": c, "fixed": 1})
+    read, known = answers.table()
+    assert set(read) == {"a", "b"}
+    for key, answer in known.items():
+        point = dict(zip(read, key, strict=True))
+        assert answer == question(point)
+    assert {dict(zip(read, key, strict=True))["a"] for key in known} >= {2, 3}
+    assert not answers.is_constant
+
+
+def test_what_reads_every_axis_has_no_table_and_is_asked_each_time():
+    asked = []
+    answers = PointCache(lambda point: asked.append(1) or point["a"] + point["b"], ["a", "b"])
+    for a, b in itertools.product(range(3), range(3)):
+        assert answers({"a": a, "b": b}) == a + b
+    assert answers.table() is None
+    assert len(asked) == 9
+    assert answers({"a": 0, "b": 0}) == 0
+    assert len(asked) == 10  # no memory is spent on what cannot be used twice

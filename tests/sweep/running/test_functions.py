@@ -228,6 +228,53 @@ def test_all_realisations_of_a_block_at_once_give_the_same(tmp_path):
         run(single, tmp_path / "x", sampling={"n_cat": 3})
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_statistics_are_made_of_integers_that_floats_hold_and_of_no_others(tmp_path, sign):
+    def whole(beyond: int = 0, *, rng):
+        return {"n": sign * (2**53 + beyond)}
+
+    axes, sampling = {"beyond": [0, 1, -1, -(2**52)]}, {"n_sim": 5}
+    ds = run(whole, tmp_path / "w", axes=axes, sampling=sampling)
+    assert ds.status.values.tolist() == [1, 2, 1, 1]
+    expected = [sign * (2**53), sign * (2**53 - 1), sign * 2**52]
+    assert np.delete(ds.n_mean.values, 1) == pytest.approx(expected, rel=3e-16)
+    assert "beyond 2**53" in json.loads(ds.attrs["failures"])["beyond=1"]
+
+
+def test_one_realisation_has_a_mean_and_no_spread(tmp_path):
+    def one(*, rng):
+        return {"x": rng.normal(), "yes": True}
+
+    ds = run(one, tmp_path / "o", sampling={"n_sim": 1, "seed": 2})
+    assert np.isfinite(ds.x_mean.item())
+    for name in ("x_mean_mc_error", "x_std", "x_std_mc_error", "yes_std"):
+        assert np.isnan(ds[name].item()), name
+    more = run(one, tmp_path / "o", sampling={"n_sim": 2, "seed": 2})
+    assert more.x_std.item() > 0.0
+    assert np.isnan(more.x_mean_mc_error.item())
+
+
+def test_dimensions_come_in_the_declared_order(tmp_path):
+    """Of three, where the way there is not the way back."""
+    values = np.arange(24.0).reshape(2, 3, 4)
+    array = xr.DataArray(values, dims=("a", "b", "c"), coords={"b": [5, 6, 7]})
+
+    @experiment(outputs=[Output("cube", dims=("c", "a", "b"))])
+    def turned():
+        return {"cube": array}
+
+    @experiment(outputs=[Output("cube", dims=("c", "a", "b"), statistics=["mean", "median"])])
+    def random(*, rng):
+        return {"cube": array + 0.0 * rng.normal()}
+
+    fixed = run(turned, tmp_path / "t")
+    drawn = run(random, tmp_path / "r", sampling={"n_sim": 6})
+    for cube in (fixed.cube, drawn.cube_mean, drawn.cube_median):
+        assert cube.dims == ("c", "a", "b")
+        assert np.array_equal(cube.values, values.transpose(2, 0, 1))
+    assert fixed.cube.sel(b=6).values.tolist() == values[:, 1, :].T.tolist()
+
+
 def test_precision_is_reached_for_means_and_quantiles(tmp_path):
     ds = run(
         queue, tmp_path / "q.zarr", axes={"load": [0.2, 0.5]}, sampling={"n_sim": 64, "precision": 0.06, "seed": 1}
