@@ -24,9 +24,13 @@ def discrepancies(sums: NormalSums, estimate: Array) -> Array:
     return np.asarray(np.maximum(sums.squares - 2.0 * sums.right @ estimate + quadratic, 0.0))
 
 
-def expected_discrepancies(sums: NormalSums, solution: Solution) -> Array:
-    """Return what Q_i is on average: n_i - tr(N^-1 N_i), where the weights are the best; shape (S,)."""
+def expected_discrepancies(sums: NormalSums, solution: Solution, factors: Array | Flags | None = None) -> Array:
+    """Return what Q_i is on average: n_i - tr(N^-1 N_i), where the weights are the best; shape (S,).
+
+    ``factors`` (S,) are those of the weights in the solution: a source that is left out has no part in it.
+    """
     own = np.einsum("kl,slk->s", solution.inverse, sums.right_covariance)
+    own = own if factors is None else own * factors
     own_shift = np.einsum("kl,slk->s", solution.covariance, sums.normal)
     return np.asarray(sums.expected - 2.0 * own + own_shift)
 
@@ -54,21 +58,23 @@ class Influence:
     share: Array
 
 
-def influence(sums: NormalSums, solution: Solution, unknowns: Unknowns, kept: Flags) -> Influence:
-    """Return the influence of each source on the solution of those ``kept`` (S,).
+def influence(sums: NormalSums, solution: Solution, unknowns: Unknowns, factors: Array | Flags) -> Influence:
+    """Return the influence of each source on the solution with ``factors`` (S,) of their weights.
 
     For a source that was left out, "without" and Cook's distance are NaN and its shares are 0.
     """
     n, k = len(sums), len(unknowns)
     without = np.full((n, k), np.nan)
     right = solution.normal @ solution.estimate
-    without[kept] = leave_one_out(sums.taken(kept), solution.normal, right)
+    kept = (factors > 0.0) & (sums.count > 0)
+    used = sums.taken(kept).scaled(factors[kept])
+    without[kept] = leave_one_out(used, solution.normal, right)
     step = without - solution.estimate
     share = np.zeros((n, len(unknowns.blocks)))
-    share[kept] = shares(sums.taken(kept), solution, unknowns)
+    share[kept] = shares(used, solution, unknowns)
     return Influence(
         discrepancy=discrepancies(sums, solution.estimate),
-        expected=expected_discrepancies(sums, solution),
+        expected=expected_discrepancies(sums, solution, factors),
         without=without,
         cook=np.einsum("sk,kl,sl->s", step, solution.normal, step) / k,
         share=share,

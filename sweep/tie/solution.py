@@ -130,7 +130,7 @@ def _influence(
     or of the heaviest.
     """
     if table.kept is not None:
-        effect = influence(table.kept, found.solution, unknowns, (found.factors > 0.0) & (sources.count > 0))
+        effect = influence(table.kept, found.solution, unknowns, found.factors)
         return effect, np.arange(len(effect.share)), effect.share
     _, places, sums = table.heaviest(HEAVIEST)
     return None, places, shares(sums, found.solution, unknowns) * found.factors[places, None]

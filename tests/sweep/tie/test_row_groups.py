@@ -157,11 +157,20 @@ def test_without_sources_the_rest_is_the_same(tmp_path, by_groups, clip):
     assert rest.attrs == all_of_it.attrs
 
 
-def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups):
-    for n in (3000, 3001):  # one in the middle, or two
-        epochs = np.random.default_rng(n).choice([2014.5, 2015.0, 2016.0, np.nextafter(2016.0, 3000.0)], n)
-        path = quasars(tmp_path / f"{n}.parquet", n, ref_epoch=epochs)
-        assert tie(path, "zero-motion", "spin").attrs["epoch"] == np.median(epochs)
+@pytest.mark.parametrize("seed", range(8))
+def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypatch, seed):
+    """With one epoch in the middle or two, few different ones or many, in groups of any size."""
+    monkeypatch.setattr(row_groups, "FROM_ROWS", 10)
+    rng = np.random.default_rng(seed)
+    n = 20 + seed
+    epochs = np.round(rng.uniform(2014.0, 2018.0, n), [0, 5][seed // 2 % 2])
+    if seed > 5:
+        epochs = np.sort(np.repeat([2014.0, 2016.0], [n // 2, n - n // 2]))  # the middle is where they meet
+    path = quasars(tmp_path / "q.parquet", n, int(rng.integers(3, 12)), ref_epoch=epochs)
+    link = tie(path, "zero-motion", "spin")
+    assert link.attrs["epoch"] == np.median(epochs)
+    monkeypatch.setattr(row_groups, "FROM_ROWS", 1000)
+    assert tie(path, "zero-motion", "spin").attrs["epoch"] == np.median(epochs)
 
 
 def test_no_sources_are_kept_of_tables_that_are_solved_whole_either(tmp_path):
@@ -183,6 +192,26 @@ def test_a_heavy_quasar_is_named(tmp_path, by_groups):
     path = quasars(tmp_path / "quasars.parquet", pmra_error=error, pmdec_error=error)
     notes = tie(path, "zero-motion", "spin").attrs["notes"]
     assert any("2346 (" in note and "of the weight in spin" in note for note in notes)
+
+
+@pytest.mark.parametrize("clip", ["none", "median:5", "huber:1.5"])
+def test_a_share_is_that_of_the_weight_in_the_solution(tmp_path, by_groups, monkeypatch, clip):
+    """Heavy quasars that a clip drops, or gives less weight, hold less or nothing of it; with the percentages of the
+    table that is solved whole.
+    """
+    error = np.full(3000, 0.3)
+    error[[100, 2345]] = 0.003
+    rows = np.arange(1, 3001)  # by which sources of row groups are named
+    path = quasars(tmp_path / "quasars.parquet", source_id=rows, pmra_error=error, pmdec_error=error)
+
+    def shares(link):
+        return [note for note in link.attrs["notes"] if "of the weight" in note]
+
+    by_group = shares(tie(path, "zero-motion", "spin", clip=clip))
+    monkeypatch.setattr(row_groups, "FROM_ROWS", 10**6)
+    whole = tie(path, "zero-motion", "spin", clip=clip)
+    assert by_group == shares(whole)
+    np.testing.assert_allclose(whole.share.sum(), 1.0)
 
 
 def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import stats
 
+import linksweep
 from core.blocks import Objects, Rotation
 from core.constants import MAS
 from core.missions import MISSIONS
@@ -97,6 +99,77 @@ def test_draws_scatter_as_the_closed_form_says(weights):
     assert np.all(np.isnan(found["sigma"][3:]))
 
 
+def many_results(at, n_sim, seeds):
+    """Every output of many runs of a point, each with another seed."""
+    runs = [results(at, n_sim, seed) for seed in range(seeds)]
+    return {name: np.array([one[name] for one in runs]) for name in runs[0]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n_sim", [8, 40])
+def test_monte_carlo_errors_are_the_scatter_between_seeds(tmp_path, n_sim):
+    """Those of an RMS lacked a factor of 2 in a mutant that no test killed."""
+    at, _ = quasar_study(tmp_path, n=60, bins="phot_g_mean_mag=17")
+    runs = many_results(at, n_sim, 300)
+    for name in ("sigma", "bias", "sigma_spin", "sigma_by_bin", "chi2_ratio_drawn"):
+        scatter, said = runs[name].std(axis=0), np.sqrt(np.mean(runs[f"{name}_mc_error"] ** 2, axis=0))
+        known = np.isfinite(scatter)
+        assert known.any() or name in ("sigma", "bias", "sigma_spin")  # those of a spin by bins are not among them
+        np.testing.assert_allclose(said[known], scatter[known], rtol=0.2, err_msg=name)
+    at = point("pulsar-timing")
+    runs = many_results(at, n_sim, 200)
+    for name in ("sigma", "bias", "sigma_orientation"):
+        scatter = runs[name].std(axis=0)
+        said = np.sqrt(np.mean(runs[f"{name}_mc_error"] ** 2, axis=0))
+        known = np.isfinite(scatter)
+        np.testing.assert_allclose(said[known], scatter[known], rtol=0.25, err_msg=name)
+    coverage = runs["coverage"][:, :3]
+    between = (coverage * n_sim + 1.0) / (n_sim + 2.0)  # as it is documented: never 0 or 1
+    expected = np.sqrt(between * (1.0 - between) / n_sim)
+    np.testing.assert_allclose(runs["coverage_mc_error"][:, :3], expected)
+    np.testing.assert_allclose(expected.mean(axis=0), coverage.std(axis=0), rtol=0.25)
+
+
+def test_results_of_draws_are_those_of_the_samples():
+    """With the errors of the draws three times those of the tables: formal errors cover less, scaled ones as before."""
+    at, n = point("pulsar-timing", error_factor=3.0), 300
+    found = results(at, n)
+    sums = tie.samples([at], n, np.random.default_rng(1), np.random.default_rng(0))
+    drawn = sums["drawn"][0, :, :3]
+    off = drawn - found["estimate"][:3]
+    np.testing.assert_allclose(found["sigma"][:3], np.sqrt(np.mean(off**2, axis=0)))
+    np.testing.assert_allclose(found["bias"][:3], off.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(found["sigma_orientation"], np.sqrt(np.mean(off**2)))
+    np.testing.assert_allclose(
+        found["sigma_orientation_predicted"], np.sqrt(np.mean(found["sigma_predicted"][:3] ** 2))
+    )
+    np.testing.assert_allclose(found["coverage"][:3], np.mean(np.abs(off) <= found["sigma_predicted"][:3], axis=0))
+    # scaled errors follow from 15 degrees of freedom: estimate - truth over them is of Student
+    np.testing.assert_allclose(found["coverage_scaled"][:3], 1.0 - 2.0 * stats.t.sf(1.0, 15), atol=0.08)
+
+
+@pytest.mark.parametrize("clip", ["none", "huber:1.5", "discrepancy:2"])
+def test_a_study_has_the_numbers_of_the_command(clip):
+    at = point("pulsar-timing", clip=clip)
+    link = linksweep.tie("psrpi-de200", "timing-de200", "orientation", clip=clip, errors="scaled,jackknife,formal")
+    found = results(at, 2)
+    np.testing.assert_allclose(found["estimate"][:3], link.estimate)
+    for kind in ("scaled", "jackknife", "formal"):
+        np.testing.assert_allclose(found[f"error_{kind}"][:3], link.errors.sel(error_kind=kind))
+    assert found["chi2_ratio"] == pytest.approx(float(link.chi2 / link.chi2_expected))
+    assert found["largest_share"] == pytest.approx(float(link.share.max()))
+    assert found["n_kept"] == int(link.n_sources)
+
+
+def test_outliers_are_of_both_tables_and_times_the_error_factor():
+    """Errors of all sources four times larger, in whatever way, have the same covariance in every part."""
+    at = point("pulsar-timing")
+    once = results(at | {"error_factor": 6.0}, 50)
+    twice = results(at | {"error_factor": 2.0, "outliers": 1.0, "outlier_factor": 3.0}, 2000)
+    np.testing.assert_allclose(twice["sigma"][:3], 6.0 * once["sigma_predicted"][:3], rtol=0.08)
+    assert twice["chi2_ratio_drawn"] == pytest.approx(36.0, rel=0.04)
+
+
 def test_timing_on_de200_as_published():
     found = results(point("pulsar-timing"), 2)
     np.testing.assert_allclose(found["estimate"][:3], [-0.90, -13.04, -12.18], atol=0.035)
@@ -151,8 +224,8 @@ def made_quasars(tmp_path, n=400):
     return tmp_path / "quasars.ecsv", spins
 
 
-def quasar_study(tmp_path, **changes):
-    path, spins = made_quasars(tmp_path)
+def quasar_study(tmp_path, n=400, **changes):
+    path, spins = made_quasars(tmp_path, n)
     lines = [f"{name} = {json.dumps(value)}" for name, value in changes.items()]
     text = ['title = "quasars"', 'experiment = "sweep.tie.experiment:tie"', "[axes]", 'clip = ["none"]', "[fixed]"]
     text += [f'satellite = "{path}"', "zero_motion = true", 'unknowns = "spin"', *lines]
@@ -180,6 +253,10 @@ def test_a_spin_for_each_bin_is_stored(tmp_path):
     at, spins = quasar_study(tmp_path, bins="phot_g_mean_mag=10,17")
     assert check(at) is None
     found = results(at, 300)
+    link = linksweep.tie(at["satellite"].path, "zero-motion", "spin", bins=("phot_g_mean_mag", [10.0, 17.0]))
+    np.testing.assert_allclose(found["spin_by_bin"][1:3], link.spin_by_bin)
+    np.testing.assert_allclose(found["spin_by_bin_error"][1:3], link.spin_by_bin_error)
+    np.testing.assert_allclose(link.spin_by_bin_error.values.ravel(), link.error.values)
     with np.errstate(invalid="ignore"):
         assert np.isnan(found["spin_by_bin"][0]).all()  # nobody is brighter than G = 10
     for number, faint in ((1, False), (2, True)):
@@ -202,8 +279,14 @@ def test_releases_new_positions_and_jitter_change_the_forecast_as_they_should():
 
 def test_limits_of_magnitude_leave_sources_out():
     at = point("pulsar-forecast", n_new=3)
-    names = design_of(at | {"magnitude": "parallax", "g_min": 1.0, "n_new": 6}).problem.satellite.columns["parallax"]
-    assert names.min() >= 1.0
+    everything = design_of(at | {"n_new": 62}).problem.satellite.columns["parallax"]
+    edge = np.sort(everything)[[20, 40]]
+    for low, high in ((edge[0], edge[1]), (edge[0], None), (None, edge[1])):  # a limit is within
+        of = design_of(at | {"magnitude": "parallax", "g_min": low, "g_max": high, "n_new": 6, "truth": "zero"})
+        inside = everything[(everything >= (low or -np.inf)) & (everything <= (high or np.inf))]
+        taken = design_of(at | {"magnitude": "parallax", "g_min": low, "g_max": high, "n_new": len(inside)})
+        assert set(of.problem.satellite.columns["parallax"]) <= set(inside)
+        assert sorted(taken.problem.satellite.columns["parallax"]) == sorted(inside)
     assert "no such column" in check(at | {"g_max": 12.0})
     assert "no source" in check(at | {"magnitude": "parallax", "g_min": 1e6})
 

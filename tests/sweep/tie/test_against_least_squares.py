@@ -1,0 +1,364 @@
+"""Every number of a link against least squares with full matrices, written down here once more and without elimination.
+
+The tables are drawn: their sources have all five parameters, or no parallax and motion; their rows are five parameters,
+mean positions or motions, at various epochs and in any order.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+from scipy.linalg import block_diag
+
+import linksweep
+from core.constants import MAS
+from core.tie.astrometry import joined
+from sweep.tie.column_names import TableOptions
+from tests.core.tie.made import noise, seen_by_satellite, stars
+from tests.sweep.tie.test_tables import gaia
+
+EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
+MEAN = TableOptions(positions="mean")
+
+
+def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=()):
+    """Write a satellite's table and a reference's; return what least squares need of them.
+
+    The last ``free`` sources have neither parallax nor motion, but rows at three epochs.  Sources in ``far`` are off by
+    30 mas.
+    """
+    rng = np.random.default_rng(seed)
+    made = replace(stars(n, seed, pm=20.0), radial_velocity=np.zeros(n))
+    own = replace(made, values=seen_by_satellite(made, EPSILON, OMEGA))
+    own = replace(own, values=own.values + scale * noise(rng, own))
+    errors = own.errors.copy()
+    errors[2:, n - free :] = np.nan
+    own = replace(own, errors=errors, values=np.where(np.isnan(errors), np.nan, own.values))
+    pieces, source = [], []
+    for s in range(n):
+        kinds = ["position"] * 3 if s >= n - free else [["five"], ["five", "position"], ["motion", "position"]][s % 3]
+        for kind in kinds:
+            one = stars(n, int(rng.integers(1 << 30))).taken(np.array([s]))
+            years = rng.uniform(-12.0, 12.0)
+            values = made.values[:, [s]].copy()
+            values[0] += years * values[3] / np.cos(values[1])
+            values[1] += years * values[4]
+            present = {"five": [True] * 5, "position": [True, True] + [False] * 3, "motion": [False] * 3 + [True] * 2}
+            errors = np.where(np.array(present[kind])[:, None], one.errors, np.nan)
+            row = replace(one, errors=errors, epoch=np.array([2016.0 + years]), radial_velocity=None)
+            values = values + scale * noise(rng, row) + (30.0 * MAS if s in far else 0.0)
+            pieces.append(replace(row, values=np.where(np.isnan(errors), np.nan, values)))
+            source.append(s)
+    order = rng.permutation(len(source))  # rows of a source are apart, and no column is sorted
+    rows = joined(*(pieces[k] for k in order))
+    rows = replace(rows, radial_velocity=np.zeros(len(order)))
+    source = np.array(source)[order]
+    satellite = gaia(folder / "satellite.ecsv", own)
+    reference = gaia(folder / "reference.ecsv", rows, source_id=source + 10**17)
+    return SimpleNamespace(satellite=satellite, reference=reference, own=own, rows=rows, source=source)
+
+
+def turned(ra, dec):
+    """How the two coordinates change by a rotation of the satellite's frame; (2, 3)."""
+    sine, cosine = np.sin(ra), np.cos(ra)
+    return np.array([[-cosine * np.sin(dec), -sine * np.sin(dec), np.cos(dec)], [sine, -cosine, 0.0]])
+
+
+def least_squares(tables, difference, weights, factor, epoch=2016.0):
+    """Everything of a solution for orientation and spin, from full matrices.
+
+    ``difference`` (R, 5) is y.  Of the model y = A x + B z + e the covariance of e is D, and z are the parameters that
+    the satellite lacks.  G are the weights, those of each source times its ``factor``.
+    """
+    own, rows, n = tables.own, tables.rows, len(tables.own)
+    cov, own_cov = rows.covariance() / MAS**2, own.covariance() / MAS**2
+    parts = []
+    for s in range(n):
+        design = np.zeros((5, 6))
+        r = turned(*own.values[:2, s])
+        design[:2, :3], design[:2, 3:], design[3:, 3:] = r, (own.epoch[s] - epoch) * r, r
+        lacking = np.flatnonzero(np.isnan(own.errors[:, s]))
+        a, b, y, v, m = [], [], [], [], []
+        for k in np.flatnonzero(tables.source == s):
+            partials = np.eye(5)
+            partials[0, 3] = partials[1, 4] = rows.epoch[k] - own.epoch[s]
+            seen = np.flatnonzero(np.isfinite(rows.errors[:, k]))
+            a.append((partials @ design)[seen])
+            b.append(partials[seen][:, lacking])
+            m.append(partials[seen])
+            y.append(difference[k, seen])
+            v.append(cov[k][np.ix_(seen, seen)])
+        m, b = np.concatenate(m), np.concatenate(b)
+        b = b[:, np.any(b != 0.0, axis=0)]  # no row depends on its parallax
+        d = block_diag(*v) + m @ own_cov[s] @ m.T
+        g = {
+            "covariance": np.linalg.inv(d),
+            "variance": np.diag(1.0 / np.diag(d)),
+            "equal": np.eye(len(d)),
+        }[weights]
+        w = g - g @ b @ np.linalg.pinv(b.T @ g @ b) @ b.T @ g if b.size else g
+        parts.append((np.concatenate(a), np.concatenate(y), d, w, len(d) - b.shape[1]))
+    a, y, d, plain, count = zip(*parts, strict=True)
+    w = [g * f for g, f in zip(plain, factor, strict=True)]
+    normals = np.array([one.T @ g @ one for one, g in zip(a, w, strict=True)])
+    right = np.array([one.T @ g @ two for one, two, g in zip(a, y, w, strict=True)])
+    inverse = np.linalg.inv(normals.sum(axis=0))
+    x = inverse @ right.sum(axis=0)
+    big_a, big_w, big_d = np.concatenate(a), block_diag(*w), block_diag(*d)
+    residual = np.concatenate(y) - big_a @ x
+    to_x = inverse @ big_a.T @ big_w
+    hat = np.eye(len(residual)) - big_a @ to_x
+    of_residuals = hat @ big_d @ hat.T
+    edges = np.concatenate([[0], np.cumsum([len(one) for one in y])])
+    places = [slice(*edge) for edge in pairwise(edges)]
+    used = np.flatnonzero(factor > 0.0)
+    without = np.full((n, 6), np.nan)
+    for s in used:
+        left = [k for k in range(n) if k != s]
+        without[s] = np.linalg.solve(normals[left].sum(axis=0), right[left].sum(axis=0))
+    jack = without[used] - without[used].mean(axis=0)
+    scores = np.array([one.T @ g @ residual[p] for one, g, p in zip(a, w, places, strict=True)])[used]
+    formal = to_x @ big_d @ to_x.T
+    chi2, expected = residual @ big_w @ residual, np.trace(big_w @ of_residuals)
+    total = normals.sum(axis=0)
+    blocks = slice(0, 3), slice(3, 6)
+    return SimpleNamespace(
+        x=x,
+        chi2=chi2,
+        expected=expected,
+        dof=sum(c for c, f in zip(count, factor, strict=True) if f > 0.0) - 6,
+        formal=formal,
+        scaled=formal * chi2 / expected,
+        jackknife=(len(used) - 1) / len(used) * jack.T @ jack,
+        sandwich=inverse @ (scores.T @ scores) @ inverse * len(used) / (len(used) - 1),
+        without=without,
+        cook=np.einsum("sk,kl,sl->s", without - x, total, without - x) / 6.0,
+        discrepancy=np.array([residual[p] @ g @ residual[p] for g, p in zip(plain, places, strict=True)]),
+        discrepancy_expected=np.array([np.trace(g @ of_residuals[p, p]) for g, p in zip(plain, places, strict=True)]),
+        share=np.array([[np.trace(np.linalg.inv(total[b, b]) @ one[b, b]) / 3.0 for b in blocks] for one in normals]),
+        count=np.array(count),
+        residual=residual,
+    )
+
+
+def linked(tables, **options):
+    return linksweep.tie(
+        tables.satellite, tables.reference, "orientation,spin", reference_options=MEAN, epoch=2016.0, **options
+    )
+
+
+def compare(link, tables, weights, sign=1.0):
+    """Hold a link to least squares with the differences and the factors that it has."""
+    difference = sign * link.difference.values
+    found = least_squares(tables, difference, weights, link.weight_factor.values)
+    close = {"rtol": 2e-5, "atol": 1e-9}
+    np.testing.assert_allclose(sign * link.estimate, found.x, rtol=2e-5, atol=1e-6)
+    assert float(link.chi2) == pytest.approx(found.chi2, rel=2e-5)
+    assert float(link.chi2_expected) == pytest.approx(found.expected, rel=2e-5)
+    assert float(link.dof) == found.dof
+    for kind in map(str, link.error_kind.values):
+        expected = getattr(found, kind)
+        got = link.covariances.sel(error_kind=kind).values
+        np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max(), err_msg=kind)
+        np.testing.assert_allclose(link.errors.sel(error_kind=kind), np.sqrt(np.diag(expected)), rtol=5e-5)
+    np.testing.assert_array_equal(link.n_observations, found.count)
+    kept = link.weight_factor.values > 0.0
+    np.testing.assert_allclose(sign * link.estimate_without.values[kept], found.without[kept], rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(link.cook_distance.values[kept], found.cook[kept], rtol=1e-3, atol=1e-8)
+    np.testing.assert_allclose(link.discrepancy, found.discrepancy, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(link.discrepancy_expected, found.discrepancy_expected, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(link.share.values, found.share, **close)
+    np.testing.assert_allclose(link.share.values.sum(axis=0), 1.0)
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("squares")
+
+
+KINDS = "formal,scaled,jackknife,sandwich"
+SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))]
+
+
+@pytest.mark.parametrize("weights", ["covariance", "variance", "equal"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_solution_is_that_of_full_matrices(folder, seed, weights):
+    tables = drawn_tables(folder, seed)
+    link = linked(tables, weights=weights, errors=KINDS)
+    compare(link, tables, weights)
+    assert float(link.discrepancy_expected.sum()) == pytest.approx(float(link.chi2_expected))
+    np.testing.assert_allclose(link.estimate, np.concatenate([EPSILON, OMEGA]) / MAS, atol=0.5)
+
+
+def test_the_other_sign_turns_what_has_one(folder):
+    tables = drawn_tables(folder, 5)
+    link = linked(tables, errors=KINDS, sign="satellite-reference", clip="discrepancy:1")
+    compare(link, tables, "covariance", sign=-1.0)
+    same = linked(tables, errors=KINDS, clip="discrepancy:1")
+    for name in ("estimate", "residual", "difference", "estimate_without", "step_estimate"):
+        np.testing.assert_array_equal(link[name], -same[name], err_msg=name)
+
+
+@pytest.mark.parametrize("weights", ["covariance", "variance"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_weights_of_huber_have_their_own_covariance(folder, seed, weights):
+    tables = drawn_tables(folder, seed, scale=2.0)
+    link = linked(tables, weights=weights, errors=KINDS, clip="huber:1.5")
+    factor = link.weight_factor.values
+    assert np.any((factor > 0.0) & (factor < 1.0))
+    compare(link, tables, weights)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_a_clip_drops_has_no_part_in_the_rest(folder, seed):
+    tables = drawn_tables(folder, seed, far=(3, 7))
+    link = linked(tables, errors=KINDS, clip="discrepancy")
+    dropped = np.flatnonzero(link.weight_factor.values == 0.0)
+    assert {3, 7} <= set(dropped)
+    assert int(link.n_sources) == 12 - len(dropped)
+    compare(link, tables, "covariance")
+    chosen = int(link.step_chosen)
+    assert set(link.step_dropped.values[1 : chosen + 1]) == set(link.source.values[dropped])
+    _check_steps(link, tables)
+
+
+def _check_steps(link, tables):
+    """Each step is the solution without those that were dropped so far, the worst of those that were left, and the
+    choice is the first step at which the worst is not significant among so many.
+    """
+    factor = np.ones(12)
+    significant = []
+    for step in range(int(link.step_chosen) + 2):
+        if step:
+            factor[list(link.source.values).index(str(link.step_dropped.values[step]))] = 0.0
+        one = least_squares(tables, link.difference.values, "covariance", factor)
+        np.testing.assert_allclose(link.step_estimate.values[step], one.x, rtol=1e-4, atol=1e-5)
+        assert float(link.step_chi2[step]) == pytest.approx(one.chi2, rel=1e-4)
+        assert float(link.step_dof[step]) == one.dof
+        np.testing.assert_allclose(link.step_error.values[step], np.sqrt(np.diag(one.scaled)), rtol=1e-3)
+        ratio = np.where(factor > 0.0, one.discrepancy / one.count, -1.0)
+        worst = int(np.argmax(ratio))
+        if step + 1 < link.sizes["step"]:
+            assert str(link.step_dropped.values[step + 1]) == str(link.source.values[worst])
+        chance = stats.chi2.sf(one.discrepancy[worst], one.count[worst])
+        significant.append(chance * factor.sum() <= 0.01)
+    assert int(link.step_chosen) == significant.index(False)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_clip_median_is_its_own_solution(folder, seed):
+    tables = drawn_tables(folder, seed, far=(2, 5, 6))
+    link = linked(tables, errors=KINDS, clip="median:4")
+    compare(link, tables, "covariance")
+    residual = np.sqrt(link.discrepancy.values / link.n_observations.values)
+    kept = residual <= 4.0 * np.median(residual)
+    np.testing.assert_array_equal(kept, link.weight_factor.values > 0.0)
+    assert not kept[[2, 5, 6]].any()
+
+
+def separations(tables, difference):
+    """X and the separation of each row, as `weight` and `residuals` show them: of a position, else of a motion."""
+    own, rows = tables.own, tables.rows
+    cov, own_cov = rows.covariance() / MAS**2, own.covariance() / MAS**2
+    x, apart = np.zeros((2, len(own)))
+    for k, s in enumerate(tables.source):
+        partials = np.eye(5)
+        years = rows.epoch[k] - own.epoch[s]
+        partials[0, 3] = partials[1, 4] = years
+        positions = np.isfinite(rows.errors[0, k])
+        pair = [0, 1] if positions else [3, 4]
+        lacks = np.isnan(own.errors[3, s])
+        if lacks and (years != 0.0 or not positions):
+            continue  # it depends on a motion that nobody knows
+        d = difference[k, pair]
+        whole = (cov[k] + partials @ own_cov[s] @ partials.T)[np.ix_(pair, pair)]
+        x[s] = max(x[s], np.sqrt(d @ np.linalg.solve(whole, d)))
+        if positions:
+            apart[s] = max(apart[s], np.hypot(*d))
+    return x, apart
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_separations_and_the_clip_of_rayleigh(folder, seed):
+    tables = drawn_tables(folder, seed, n=20, far=(4,))
+    link = linked(tables, clip="rayleigh")
+    x, apart = separations(tables, link.difference.values)
+    np.testing.assert_allclose(link.normalised_separation, x, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(link.separation, apart, rtol=1e-4, atol=1e-6)
+    limit = np.sqrt(2.0 * np.log(20))
+    np.testing.assert_array_equal(link.weight_factor.values > 0.0, (x <= limit) & (apart < 10.0))
+
+
+def test_sources_that_say_nothing_do_not_count_for_the_clip_of_rayleigh(folder):
+    """A source without a motion and with one row at another epoch has no observation left."""
+    rng = np.random.default_rng(1)
+    made = replace(stars(40, 3), radial_velocity=np.zeros(40))
+    errors = made.errors.copy()
+    errors[2:, 10:] = np.nan
+    own = replace(made, errors=errors, values=np.where(np.isnan(errors), np.nan, made.values))
+    rows = replace(made, values=made.values + noise(rng, made), correlations=made.correlations * 0.0)
+    errors = rows.errors.copy()
+    errors[2:] = np.nan
+    rows = replace(rows, errors=errors, epoch=np.where(np.arange(40) < 10, 2016.0, 2010.0))
+    between = np.sqrt(2.0 * np.log([10, 40])).mean()  # kept if all 40 counted, dropped if the ten do
+    d = np.linalg.norm(rows.values[:2, 0] - own.values[:2, 0])
+    values = rows.values.copy()
+    values[:2, 0] = own.values[:2, 0] + 1e-12
+    rows = replace(rows, values=values)
+    variance = own.errors[1, 0] ** 2 + rows.errors[1, 0] ** 2
+    values[1, 0] = own.values[1, 0]
+    satellite = gaia(folder / "own.ecsv", replace(own, correlations=own.correlations * 0.0))
+    values[1, 0] += between * np.sqrt(variance) * (1.0 if d >= 0.0 else 0.0)
+    reference = gaia(folder / "rows.ecsv", replace(rows, values=values))
+    link = linksweep.tie(satellite, reference, "orientation", reference_options=MEAN, clip="rayleigh")
+    assert int((link.n_observations > 0).sum()) == 10
+    assert float(link.normalised_separation[0]) == pytest.approx(between, rel=1e-3)
+    assert float(link.weight_factor[0]) == 0.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_jitter_is_what_one_would_add_by_hand(folder, seed):
+    """To the errors of each row of its kind, wherever it stands in the table; covariances stay."""
+    tables, rng = drawn_tables(folder, seed), np.random.default_rng(seed)
+    some = rng.permutation(["five-parameter", "position", "motion", "all"])[: 1 + seed % 4]
+    jitter = {str(kind): tuple(rng.uniform(0.0, 1.0, 2).tolist()) for kind in some}
+    rows = tables.rows
+    present = np.isfinite(rows.errors)
+    kinds = np.where(present[2], "five-parameter", np.where(present[0], "position", "motion"))
+    covariance = rows.covariance()
+    for k, kind in enumerate(kinds):
+        position, motion = jitter.get(kind, jitter.get("all", (0.0, 0.0)))
+        covariance[k][range(5), range(5)] += np.array([position] * 3 + [motion] * 2) ** 2 * MAS**2 * present[:, k]
+    sigma = np.sqrt(np.einsum("kii->ki", covariance)).T
+    safe = np.where(present, sigma, 1.0)
+    pairs = [(i, j) for i in range(5) for j in range(i + 1, 5)]
+    by_hand = replace(
+        rows,
+        errors=np.where(present, sigma, np.nan),
+        correlations=np.array([covariance[:, i, j] / (safe[i] * safe[j]) for i, j in pairs]),
+    )
+    expected = gaia(folder / "by_hand.ecsv", by_hand, source_id=tables.source + 10**17)
+    found = linked(tables, jitter=jitter)
+    other = linked(SimpleNamespace(satellite=tables.satellite, reference=expected))
+    for name in ("estimate", "errors", "chi2", "discrepancy", "difference_error"):
+        np.testing.assert_allclose(found[name], other[name], rtol=1e-7, atol=1e-10, err_msg=name)
+
+
+def test_residuals_are_what_the_solution_leaves(folder):
+    """In the sense that their chi2 is that of the link, and their errors those of the differences."""
+    tables = drawn_tables(folder, 11)
+    link = linked(tables)
+    found = least_squares(tables, link.difference.values, "covariance", np.ones(12))
+    order = np.argsort(tables.source, kind="stable")
+    residual = link.residual.values[order]
+    np.testing.assert_allclose(residual[np.isfinite(residual)], found.residual, rtol=1e-4, atol=1e-6)
+    for k, s in enumerate(tables.source):
+        partials = np.eye(5)
+        partials[0, 3] = partials[1, 4] = tables.rows.epoch[k] - 2016.0
+        whole = tables.rows.covariance()[k] + partials @ tables.own.covariance()[s] @ partials.T
+        expected = np.where(np.isfinite(tables.rows.errors[:, k]), np.sqrt(np.diag(whole)) / MAS, np.nan)
+        np.testing.assert_allclose(link.difference_error.values[k], expected, rtol=1e-5)
