@@ -146,7 +146,13 @@ def least_squares(tables, difference, weights, factor, epoch=2016.0):
 
 def linked(tables, **options):
     return linksweep.tie(
-        tables.satellite, tables.reference, "orientation,spin", reference_options=MEAN, epoch=2016.0, **options
+        tables.satellite,
+        tables.reference,
+        "orientation,spin",
+        reference_options=MEAN,
+        epoch=2016.0,
+        accept_misfit=True,
+        **options,
     )
 
 
