@@ -47,7 +47,7 @@ def covariance(tables, satellite, sources=(), epochs=EPOCHS):
     joint, which = joined(*pieces), np.concatenate(source)
     joint = replace(joint, radial_velocity=np.zeros(len(joint)), correlations=np.nan_to_num(joint.correlations))
     path = gaia(tables.folder / "extended.ecsv", joint, source_id=which + 10**17)
-    link = tie(satellite, path, "orientation,spin", errors="formal", epoch=2016.0)
+    link = tie(satellite, path, "orientation,spin", errors="formal", epoch=2016.0, accept_misfit=True)
     return link.covariance.values
 
 
