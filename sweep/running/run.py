@@ -143,15 +143,14 @@ def _computed(
             for given, result in results:
                 _take(writer, progress, writer.pending.settle(given, result.seconds), result)
         dataset = writer.write(final=True)
-        progress.written()
-        return dataset, writer.failures()
-    except KeyboardInterrupt:
-        writer.stop()
-        raise
-    except BaseException:
+    except BaseException as error:
         with suppress(SweepError):
-            writer.flush()
+            writer.stop() if isinstance(error, KeyboardInterrupt) else writer.flush()
+        writer.require_whole(error.problems if isinstance(error, SweepError) else ())
         raise
+    writer.require_whole()
+    progress.written()
+    return dataset, writer.failures()
 
 
 def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: TaskResult) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sweep.contract import SweepError
 from sweep.executing.task import Failure, TaskResult, failure_of
 from sweep.executing.uncollected import uncollected
 from sweep.functions.adapter import FunctionExperiment
@@ -25,6 +26,7 @@ from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.covariance import covariances
 from sweep.stores.code import codes_of_points, records_of
+from sweep.stores.create import RESCUED, create_store, free_beside
 from sweep.stores.failures import Record
 from sweep.stores.store import Store
 from sweep.studies.provenance import host, now, provenance
@@ -82,6 +84,7 @@ class Writer:
         self._lock = RLock()  # of the store
         self._unflushed = False
         self._problem: Exception | None = None
+        self._rescued: str | None = None
         self._ended = Event()
 
     def __enter__(self) -> "Writer":
@@ -153,10 +156,21 @@ class Writer:
         if len(records := records_of(self.store.attributes)) > 1:
             codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
             dataset = dataset.assign(code=code_variable(self.plan, codes))
+        dataset.attrs = self._attributes()
+        tuning = self._tuning
+        self._long_write = dataset.nbytes > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
+        with nullcontext() if self._long_write else self._held(), self._lock:
+            self.store.write(dataset)
+        self._written = time.monotonic()
+        self._write_took = self._written - begun
+        return dataset
+
+    def _attributes(self) -> dict[str, Any]:
+        """Return the attributes of a dataset of everything taken so far."""
         status = self.plan.grid.with_repeats(self.accumulator.status)
         points = int(np.count_nonzero(status != Status.EXCLUDED))
         done = int(np.count_nonzero(status == Status.DONE))
-        dataset.attrs = self._provenance | {
+        return self._provenance | {
             "finished": now(),
             "points": points,
             "points_done": done,
@@ -164,13 +178,25 @@ class Writer:
             "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
             "warnings": json.dumps(self.plan.grid.warnings),
         }
-        tuning = self._tuning
-        self._long_write = dataset.nbytes > tuning.long_write_bytes or status.size > tuning.long_write_points
-        with nullcontext() if self._long_write else self._held(), self._lock:
-            self.store.write(dataset)
-        self._written = time.monotonic()
-        self._write_took = self._written - begun
-        return dataset
+
+    def require_whole(self, problems: Sequence[str] = ()) -> None:
+        """Raise SweepError, with what is known already, if files of the store have gone since they were written; the
+        results so far are then written beside it.
+        """
+        of, study = self.store.location, self.plan.grid.study
+        if not (lost := self.store.lost()):
+            return
+        if self._rescued is None:
+            from sweep.running.results import assemble
+
+            attributes = self._attributes() | {RESCUED: str(of)}
+            with self._held(), self._lock:
+                beside = Store(create_store(free_beside(of), study, attributes), study)
+                beside.write(assemble(self.plan, self.accumulator, self.store.texts).assign_attrs(attributes))
+            self._rescued = str(beside.location)
+        more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
+        sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"
+        raise SweepError([*problems, sentence], str(of))
 
     def stop(self) -> None:
         """Make everything durable after an interruption, and write the dataset once more unless that takes long.

@@ -1,6 +1,8 @@
 """Finds the store of a study, begins one at a free place, and begins one anew."""
 
+import itertools
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 from uuid import uuid4
 
@@ -16,6 +18,9 @@ from sweep.stores.root import LEDGER_THEN, ROOT, find_root
 from sweep.studies.study import Study
 
 RESERVED = {"blocks", "failures"}
+
+RESCUED = "rescued_of"
+"""The attribute of a store of results alone: of which store they are that was lost while a run wrote to it."""
 
 
 def find_store(where: Where, study: Study) -> OpenStore | None:
@@ -33,6 +38,10 @@ def find_store(where: Where, study: Study) -> OpenStore | None:
         if obstacle := location.obstacle():
             raise SweepError(obstacle, str(location))
         return None
+    if RESCUED in root["attributes"]:
+        raise SweepError(
+            "holds results of a store that was lost, and no ledger; give another one with -o", str(location)
+        )
     if different := differences(root["attributes"], study):
         raise SweepError(
             ["holds results of a different study, which would be mixed up; give another store with -o", *different],
@@ -88,3 +97,13 @@ def put_root(location: Location, attributes: Mapping[str, Any]) -> dict[str, Any
     root = snapshot.root_document({**attributes, "complete": 0, "generation": 0}, {})
     location.put(ROOT, sealed(root, ROOT))
     return root
+
+
+def free_beside(location: Location) -> Location:
+    """Return a free place beside a store, for what was computed for it."""
+    for number in itertools.count(1):
+        place = located(f"{location}.rescued{number if number > 1 else ''}")
+        with suppress(SweepError):
+            if find_root(place) is None:
+                return place
+    raise AssertionError

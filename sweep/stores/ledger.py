@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Array
+from sweep.contract import Array, SweepError
 from sweep.planning.block_rows import KEY_BYTES, BlockRows
 from sweep.stores import failures
 from sweep.stores.checksums import DamagedError, noting
@@ -25,7 +25,7 @@ ROW = np.dtype([("key", f"V{KEY_BYTES - 8}"), ("n_cat", "<u4"), ("n_sim", "<u4")
 """A row of the index: the key ends with the number of catalogues and the number of realisations of each."""
 
 
-CHANGED = "its ledger was changed or removed by others while this run wrote to it"
+CHANGED = "its ledger was removed, or changed by others, during this run"
 
 
 class Ledger:
@@ -50,8 +50,7 @@ class Ledger:
             if name in shapes
         }
         self.documents = Documents(location, self.manifest)
-        needed = [*self.manifest.documents, *(key for column in self.columns.values() for key in column.keys)]
-        self.damaged |= {key: "it is missing" for key in needed if key not in self.keys}
+        self.damaged |= {key: "it is missing" for key in self.files if key not in self.keys | {MANIFEST}}
         found = location.get_all([COPY, failures.FILE, *(column.description for column in self.columns.values())])
         for column in self.columns.values():
             with noting(self.damaged, column.description):
@@ -75,6 +74,12 @@ class Ledger:
     def next_row(self) -> int:
         """The row that the next block gets."""
         return len(self._starts)
+
+    @property
+    def files(self) -> list[str]:
+        """The names of the files that count."""
+        chunks = [key for column in self.columns.values() for key in column.keys]
+        return [*([MANIFEST] if self.manifest.revision else []), *self.manifest.documents, *chunks]
 
     @property
     def is_ahead(self) -> bool:
@@ -125,15 +130,19 @@ class Ledger:
         self._changed = True
         self.documents.put(file, attributes)
 
+    def is_unchanged(self) -> bool:
+        """Return whether the manifest is as it was read or written last; raises OSError."""
+        return self._location.get(MANIFEST) in self._contents
+
     def flush(self, *, again: bool = False) -> None:
         """Make everything durable, the manifest last, that too if nothing is new but ``again`` is set.
 
-        Raises OSError, also where others have changed or removed the ledger meanwhile.
+        Raises OSError, and SweepError where others have changed or removed the ledger meanwhile.
         """
         if not (self._changed or again):
             return
-        if self._location.get(MANIFEST) not in self._contents:
-            raise OSError(CHANGED)
+        if not self.is_unchanged():
+            raise SweepError(CHANGED, str(self._location))
         for column in self.columns.values():
             column.flush()
         parts = {name: column.part for name, column in self.columns.items()}

@@ -12,8 +12,8 @@ from sweep.functions.values import TEXT_BYTES
 from sweep.stores import chunk_names, failures, snapshot
 from sweep.stores.checksums import DamagedError, sealed
 from sweep.stores.identity import identity
-from sweep.stores.location import Where, writing
-from sweep.stores.manifest import STORE
+from sweep.stores.location import Where, reading, writing
+from sweep.stores.manifest import MANIFEST, STORE
 from sweep.stores.opened import OpenStore, reading_ledger
 from sweep.stores.origin import ORIGIN, origin
 from sweep.stores.root import COPY, LEDGER_THEN, ROOT, copied
@@ -156,6 +156,18 @@ class Store(OpenStore):
             self._delete(gone)
         self._files = in_use | described
         self._documents, self._digests, self.root = documents, digests, root
+
+    def lost(self) -> list[str]:
+        """Return those of the files that were written which are not there any more, as after the folder was moved;
+        raises SweepError where that cannot be told.
+        """
+        documents = {f"{name}/zarr.json" for name in self._documents}
+        needed = {ROOT, *self._ledger.files, *documents, *chunk_names.chunk_keys(self._documents)}
+        with reading(self.location):
+            content = self.location.get(ROOT)
+            gone = needed - set(self.location.keys())
+            gone |= set() if self._ledger.is_unchanged() else {MANIFEST}
+        return sorted(gone if content == sealed(self.root, ROOT) else gone | {ROOT})
 
     def _delete(self, keys: Iterable[str]) -> None:
         for key in keys:
