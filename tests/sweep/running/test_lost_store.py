@@ -60,15 +60,16 @@ def _has_some(store):
 
 
 def removed(store, part):
-    shutil.rmtree(store / part)
+    (store / part).rename(store.parent / "gone")  # in one step
+    shutil.rmtree(store.parent / "gone", ignore_errors=True)
 
 
 @pytest.mark.parametrize(
     ("change", "lost"),
     [
-        pytest.param(lambda store: removed(store, ""), "zarr.json", id="removed"),
+        pytest.param(lambda store: removed(store, ""), "s.zarr", id="removed"),
         pytest.param(lambda store: removed(store, "blocks"), "blocks/", id="blocks"),
-        pytest.param(lambda store: store.rename(store.with_name("moved")), "zarr.json", id="moved", marks=SLOW),
+        pytest.param(lambda store: store.rename(store.with_name("moved")), "s.zarr", id="moved", marks=SLOW),
         pytest.param(lambda store: removed(store, "blocks/texts"), "blocks/texts/", id="texts", marks=SLOW),
         pytest.param(lambda store: (store / MANIFEST).unlink(), MANIFEST, id="manifest", marks=SLOW),
         pytest.param(lambda store: (store / "zarr.json").write_text("{}"), "", id="root", marks=SLOW),
@@ -97,11 +98,11 @@ def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, change, los
 
 def test_what_was_kept_is_not_taken_for_a_store_to_go_on_with(started, tmp_path, sweep):
     _, end = started
-    shutil.rmtree(tmp_path / "s.zarr")
+    removed(tmp_path / "s.zarr", "")
     end()
     code, _, err = sweep("run", "model.py:model", "--axis", "x=1,2", "-o", "s.zarr.rescued", cwd=tmp_path)
     assert code == 2
     assert "holds results of a store that was lost" in err
     code, out, err = sweep("show", "s.zarr.rescued", cwd=tmp_path)
     assert code == 0, err
-    assert "done" in out
+    assert "16" in out
