@@ -71,7 +71,7 @@ def params(experiment: str, as_json: bool) -> None:
     sweep params quasars
     sweep params my_experiment.py:experiment
     """
-    from sweep.load import load_experiment
+    from sweep.code.load import load_experiment
     from sweep.studies.reader import load_study
     from sweep.studies.source import built_in_studies
 
@@ -101,8 +101,8 @@ def new(name: str, experiment: str) -> None:
     sweep new mine
     sweep new mine my_experiment.py:experiment
     """
+    from sweep.code.load import load_experiment
     from sweep.contract import SweepError, shown
-    from sweep.load import load_experiment
     from sweep.studies.definitions import GOOD_NAME
     from sweep.studies.template import new_study
 
@@ -132,7 +132,7 @@ def schema(experiment: str) -> None:
     \b
     sweep schema > study.schema.json
     """
-    from sweep.load import load_experiment
+    from sweep.code.load import load_experiment
     from sweep.studies.schema import study_schema
 
     click.echo(json.dumps(study_schema(load_experiment(experiment)), indent=1, ensure_ascii=False))

@@ -1,6 +1,5 @@
 """Brings the workers of a Dask client what they need, compares them with this process, and watches them."""
 
-import pickle
 import time
 from asyncio import run_coroutine_threadsafe
 from concurrent.futures import Future as Fetching
@@ -10,11 +9,11 @@ from typing import Any
 
 from distributed import Client, Future, WorkerPlugin
 
+from sweep.code.load import sendable, source_digest
 from sweep.contract import SweepError
 from sweep.executing.execute import Say
 from sweep.executing.versions import Identity, differences, identity, require_same
 from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin
-from sweep.load import source_digest, sources_of
 
 LOOK_EVERY_S = 1.0
 """Seconds between two looks at the number of workers."""
@@ -48,8 +47,7 @@ class DaskWorkers:
         try:
             self._register(TaskPlugin())
             in_this_process = str(self.client.scheduler_info()["address"]).startswith("inproc://")
-            if (sources := sources_of(reference)) is not None and not in_this_process:
-                pickle.dumps(sources)  # raises for a function that cannot leave this process
+            if not in_this_process and (sources := sendable(reference)) is not None:
                 self._register(SourcesPlugin(sources))
             # Where there is no worker yet, an adaptive cluster starts one for this.
             probe = self.client.submit(identity, reference, source_digest(reference), pure=False)

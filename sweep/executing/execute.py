@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
+from sweep.code.load import source_digest
 from sweep.executing.isolated import Children
 from sweep.executing.task import PointBlock, Task, TaskResult
 from sweep.executing.versions import identity
 from sweep.executing.worker import run_task
-from sweep.load import source_digest
 from sweep.planning.plan import Work
 from sweep.studies.study import Study
 

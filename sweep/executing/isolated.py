@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import IO, Any
 
+from sweep.code.load import load_experiment, provide, sendable
 from sweep.contract import SweepError
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.own_process import ignored
@@ -22,7 +23,6 @@ from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, 
 from sweep.executing.together import takes_several
 from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import ENOUGH_S, run_units
-from sweep.load import load_experiment, provide, sources_of
 
 TRIES = 2
 """How often a block may end its child, when it is known which block it was."""
@@ -283,7 +283,7 @@ class _New(_Child):
         self._theirs.close()
         self.pid = self._process.pid
         try:
-            self.channel.send((sources_of(task.experiment_reference, task.source_digest), task))
+            self.channel.send((sendable(task.experiment_reference, task.source_digest), task))
             answer = self.channel.recv()
             if isinstance(answer, SweepError):
                 raise answer

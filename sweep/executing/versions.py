@@ -8,10 +8,9 @@ from typing import Any
 
 from threadpoolctl import threadpool_info
 
-from sweep.code_identity import code_of
+from sweep.code.load import code_of, load_experiment
+from sweep.code.reach import version_of
 from sweep.contract import SweepError
-from sweep.distributions import version_of
-from sweep.load import load_experiment
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
@@ -31,7 +30,8 @@ def identity(reference: str, digest: str | None = None) -> Identity:
     deciding = {name: version_of(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
     for name, text in code_of(reference, experiment, digest).items():
-        deciding[name] = f"with digest {text}" if name.startswith(("file ", "function ", "value ")) else text
+        if not name.startswith("value "):  # such as a time or the number of a process
+            deciding[name] = text if name.startswith(("package ", "default ")) else f"with digest {text}"
     others = {"python": platform.python_version(), "machine": platform.machine(), "linear algebra": _kernels()}
     return Identity(deciding, others | {name: version_of(name) for name in OTHERS})
 

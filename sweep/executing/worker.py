@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sweep.code.load import load_experiment
 from sweep.contract import Experiment, GeneratorPair, Point, check_finite, checked
 from sweep.executing.captured import Captured, captured
 from sweep.executing.deadlines import Deadlines, TimeLimitError
@@ -17,7 +18,6 @@ from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, 
 from sweep.executing.together import alike, catalogues_together, points_together, takes_several
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.results import Flat
-from sweep.load import load_experiment
 from sweep.planning.streams import block_generators, generators_of
 
 ENOUGH_S = 2.0

@@ -8,14 +8,13 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
+from sweep.code.files import LocalFiles
+from sweep.code.load import Live, provide
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.isolated import run_guarded
 from sweep.executing.task import Task, TaskResult
 from sweep.executing.versions import Identity, differences, identity
 from sweep.executing.worker import run_task
-from sweep.load import provide
-from sweep.session import SessionFunction
-from sweep.sources import Sources
 
 PLUGIN = "linksweep"
 
@@ -49,7 +48,7 @@ class SourcesPlugin(WorkerPlugin):
 
     idempotent = True
 
-    def __init__(self, sources: Sources | SessionFunction) -> None:
+    def __init__(self, sources: LocalFiles | Live) -> None:
         self._sources = sources
         self.name = f"{PLUGIN}-{sources.path}-{sources.digest}"
 

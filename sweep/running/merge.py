@@ -4,13 +4,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from sweep.code_identity import code_differences
+from sweep.code.load import Imports, SourceFunction, code_differences
 from sweep.contract import Array, Named, SweepError, Value
+from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.layout import Layout
 from sweep.functions.layout import differences as layout_differences
 from sweep.functions.record import layout_of_record
@@ -32,7 +34,7 @@ from sweep.stores.store import Store
 from sweep.stores.texts import Texts
 from sweep.studies.provenance import provenance
 from sweep.studies.reader import study_of_attributes
-from sweep.studies.record import RECORD, recorded, recorded_study
+from sweep.studies.record import RECORD, Recorded, recorded, recorded_study
 from sweep.studies.study import Study
 
 MERGED = "merged"
@@ -174,7 +176,16 @@ def _study(one: _Source, other: _Source, where: str) -> Study:
         if first.points is not None and len(rows) == len(first.axes[first.points.names[0]]):
             document["points"]["origin"] = dict(first.points.origin)
     attributes = {"study_document": json.dumps(document), "study": "", "study_overrides": "", "study_name": first.name}
-    return study_of_attributes(attributes, where, lambda _: first.experiment)
+    plain = isinstance(first.experiment, FunctionExperiment)
+    return study_of_attributes(attributes, where, (Recorded if plain else _Known)(first.experiment))
+
+
+class _Known(Recorded):
+    """The code of stores that may run what they name: whether they may was asked when they were opened."""
+
+    def function(self, reference: str, folder: Path) -> SourceFunction:
+        """Return a function."""
+        return Imports().function(reference, folder)
 
 
 _GRID = ("axes", "points", "grid", "exclude", "published", "claim")

@@ -21,7 +21,7 @@ from sweep.planning.streams import generators_of
 from sweep.planning.work_queue import Pending
 from sweep.running.first_result import as_rows
 from sweep.running.results import assemble
-from sweep.running.trust import foreign_code, require_trust
+from sweep.running.trust import Asking, OursAlone
 from sweep.stores.code import differences_of_code
 from sweep.stores.location import Where
 from sweep.stores.opened import OpenStore
@@ -58,8 +58,8 @@ def study_of(store: Where, *, trust: bool = False) -> Study:
 
 
 def _study_of(store: OpenStore, trust: bool) -> Study:
-    require_trust(store.location, store.attributes, trust)
-    return study_of_attributes(store.attributes, str(store.location))
+    where = str(store.location)
+    return study_of_attributes(store.attributes, where, Asking(store.location, store.attributes, trust))
 
 
 def study_to_look_at(store: Where) -> Study:
@@ -67,14 +67,7 @@ def study_to_look_at(store: Where) -> Study:
 
     Raises SweepError for another experiment, and where the study names functions in files.
     """
-    attributes = OpenStore(store).attributes
-    if code := foreign_code(attributes):
-        raise SweepError(
-            f"only stores of the link alone can be drawn so; this one names {', '.join(code)}, and looking at a store "
-            "never runs what it names",
-            str(store),
-        )
-    return study_of_attributes(attributes, str(store))
+    return study_of_attributes(OpenStore(store).attributes, str(store), OursAlone())
 
 
 def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:

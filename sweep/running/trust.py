@@ -1,52 +1,74 @@
-"""Finds which code a store would run, and whether the user must be asked before it is imported.
+"""Which code a store may run: none when it is looked at, and when it is computed from, what the user allows.
 
-Looking at a store imports nothing that it names, but computing from it does.  Where that code lies inside the store, or
-the store was not written here, the user must allow it with ``--trust``.
+Looking at a store loads nothing that it names: see `sweep.studies.record.Recorded`.  Computing from it does.  Where that
+code lies inside the store, or the store was not written here, the user must allow it with ``--trust``.
 """
 
-import importlib.machinery
-import json
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-from sweep.contract import SweepError
+from sweep.code.load import Imports, SourceFunction, file_of
+from sweep.contract import Experiment, SweepError, shown
 from sweep.stores.folder import Folder
 from sweep.stores.location import Location
 from sweep.stores.origin import was_written_here
 from sweep.stores.root import ROOT
 
 OURS = frozenset({"core.experiment:link"})
-"""Experiments that come with linksweep."""
-
-REFERENCE = re.compile(r"(?P<place>[^:\n]+\.py|[A-Za-z_][\w.]*):[A-Za-z_]\w*")
+"""Experiments that come with linksweep and may be named by any store."""
 
 
-def foreign_code(attributes: Mapping[str, Any]) -> list[str]:
-    """Return the references to code other than linksweep's own that making a store's study imports."""
-    try:
-        document = json.loads(attributes["study_document"])
-        named = [str(document.get("experiment", "core.experiment:link")), *_texts(document.get("define", {}))]
-    except (KeyError, TypeError, ValueError, AttributeError):
-        return []  # nothing can be made of it, so nothing is imported
-    return [text for text in dict.fromkeys(named) if text not in OURS and REFERENCE.fullmatch(text)]
+@dataclass(frozen=True)
+class Asking:
+    """Loads the code that a store names, where the user has allowed it (``trust``), or need not be asked."""
+
+    location: Location
+    attributes: Mapping[str, Any]
+    trust: bool = False
+
+    def experiment(self, reference: str, folder: Path) -> Experiment:
+        """Return an experiment; raises SweepError that names the code if the user must be asked."""
+        self._require_trust(reference)
+        return Imports().experiment(reference, folder)
+
+    def function(self, reference: str, folder: Path) -> SourceFunction:
+        """Return a function; raises as `experiment`."""
+        self._require_trust(reference)
+        return Imports().function(reference, folder)
+
+    def _require_trust(self, reference: str) -> None:
+        file = file_of(reference)
+        if self.trust or reference in OURS:
+            return
+        inside = isinstance(self.location, Folder) and Path(file).resolve().is_relative_to(self.location.path.resolve())
+        if not inside and was_written_here(self.location, self.attributes):
+            return
+        here = "the store was not written here: by this user, on this host, at this place"
+        reason = "which lies inside the store" if inside else f"and {here}"
+        sentence = f"would run {file}, {reason}; inspect it, and give --trust if it may run"
+        raise SweepError(sentence, str(self.location))
 
 
-def require_trust(location: Location, attributes: Mapping[str, Any], trust: bool) -> None:
-    """Raise SweepError that names the code which computing from a store would run, if that must be asked for."""
-    code = foreign_code(attributes)
-    if trust or not code:
-        return
-    inside = [reference for reference in code if _is_inside(reference, location)]
-    if inside:
-        reason = "which lies inside the store"
-    elif not was_written_here(location, attributes):
-        reason = "and the store was not written here: by this user, on this host, at this place"
-    else:
-        return
-    files = ", ".join(_file(reference) for reference in inside or code)
-    raise SweepError(f"would run {files}, {reason}; inspect it, and give --trust if it may run", str(location))
+class OursAlone:
+    """Loads the link, for a store of it that is looked at, and nothing else."""
+
+    def experiment(self, reference: str, folder: Path) -> Experiment:
+        """Return the link; raises SweepError for any other experiment."""
+        if reference not in OURS:
+            self._refuse(reference)
+        return Imports().experiment(reference, folder)
+
+    def function(self, reference: str, folder: Path) -> SourceFunction:
+        """Raise SweepError."""
+        self._refuse(reference)
+
+    def _refuse(self, reference: str) -> NoReturn:
+        raise SweepError(
+            f"only stores of the link alone can be drawn so; this one names {shown(reference)}, and looking at a store "
+            "never runs what it names"
+        )
 
 
 def require_trust_of_study(path: Path, trust: bool) -> None:
@@ -57,25 +79,3 @@ def require_trust_of_study(path: Path, trust: bool) -> None:
             f"lies inside the store {store}, and would run what it names; inspect it, and give --trust if it may run",
             str(path),
         )
-
-
-def _texts(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict | list):
-        for inner in value.values() if isinstance(value, dict) else value:
-            yield from _texts(inner)
-
-
-def _is_inside(reference: str, location: Location) -> bool:
-    file = Path(_file(reference))
-    return isinstance(location, Folder) and location.path.resolve() in (file.resolve(), *file.resolve().parents)
-
-
-def _file(reference: str) -> str:
-    """Return the file that a reference names, or its module where there is none; imports nothing."""
-    place = reference.rpartition(":")[0]
-    if place.endswith(".py"):
-        return place
-    found = importlib.machinery.PathFinder.find_spec(place.partition(".")[0])
-    return found.origin if found is not None and found.origin else f"the module {place}"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.code_identity import code_differences, code_of
+from sweep.code.load import SESSION, code_differences, code_of, unsteady
 from sweep.contract import SweepError
 from sweep.planning.accumulator import Accumulator
 from sweep.planning.block import ledger_key
@@ -43,8 +43,16 @@ def differences_of_code(attributes: Mapping[str, Any], study: Study) -> list[str
     store has no record.
     """
     records = records_of(attributes)
-    now = code_of(study.experiment_reference, study.experiment)
-    return code_differences(records[-1].code, now, "in the store", "now") if records else []
+    return _differences(records[-1].code, study) if records else []
+
+
+def _differences(code: Mapping[str, str], study: Study) -> list[str]:
+    reference = study.experiment_reference
+    now = code_of(reference, study.experiment)
+    changed = {name for name in {*code, *now} if code.get(name) != now.get(name)}
+    if changed and all(name.startswith("value ") for name in changed) and not reference.startswith(f"{SESSION}:"):
+        now |= {name: code[name] for name in changed & unsteady(reference) & code.keys()}
+    return code_differences(code, now, "in the store", "now")
 
 
 def check_code(store: Store, study: Study) -> None:
@@ -78,11 +86,10 @@ def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
 
 def continued(records: Sequence[CodeRecord], rows: int, study: Study) -> list[CodeRecord]:
     """Return the records of a ledger of so many rows when a study's code goes on with it."""
-    now = code_of(study.experiment_reference, study.experiment)
     before = [record for record in records if record.first_row < rows]  # later ones have made no rows
-    if before and before[-1].code == now:
+    if before and not _differences(before[-1].code, study):
         return before
-    return [*before, CodeRecord(rows if before else 0, now)]
+    return [*before, CodeRecord(rows if before else 0, code_of(study.experiment_reference, study.experiment))]
 
 
 def codes_of_points(

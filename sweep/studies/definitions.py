@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from sweep.code.load import Code
 from sweep.contract import DefinitionError, Experiment, Function, Named, Parameter, shown
-from sweep.load import load_function
 from sweep.studies.problems import Problems
 
 Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -20,7 +20,7 @@ GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
 
 
 def defined_values(
-    experiment: Experiment, tables: Tables, folder: Path, problems: Problems
+    experiment: Experiment, tables: Tables, folder: Path, code: Code, problems: Problems
 ) -> tuple[Experiment, dict[str, dict[str, dict[str, Any]]]]:
     """Return the experiment with the values that the study defines, and the definitions with references that work from
     any directory; ``problems`` takes what is wrong.
@@ -40,7 +40,7 @@ def defined_values(
                 if own_name in parameter.choices:
                     own.add((), f"{shown(own_name)} is there already; take another name")
                 loaded: dict[str, str] = {}
-                found.append(_named(parameter, own_name, table, partial(_load, folder, loaded), own))
+                found.append(_named(parameter, own_name, table, partial(_load, code, folder, loaded), own))
                 portable.setdefault(name, {})[own_name] = {
                     key: loaded.get(text, text) if isinstance(text, str) else text for key, text in table.items()
                 }
@@ -64,8 +64,8 @@ def _named(
     return Named(name, name, None)  # so that its name is known where it is used
 
 
-def _load(folder: Path, loaded: dict[str, str], reference: str) -> Function:
+def _load(code: Code, folder: Path, loaded: dict[str, str], reference: str) -> Function:
     """Return the function at a reference, and note the reference that works from any directory."""
-    function = load_function(reference, folder)
+    function = code.function(reference, folder)
     loaded[reference] = function.reference
     return function

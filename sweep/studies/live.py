@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from sweep.code.load import Imports, keep
 from sweep.contract import Experiment, SweepError, shown
 from sweep.contract.units import is_quantity
 from sweep.functions.adapter import is_plain_function
 from sweep.functions.signature import name_of
-from sweep.session import importable, keep
 from sweep.studies.points import columns_of
 from sweep.studies.reader import study_from_dict
 from sweep.studies.study import Study
@@ -54,15 +54,16 @@ def live_study(document: Mapping[str, Any]) -> Study:
     plain["experiment"] = given if isinstance(given, str) else reference_of(given)
     name = plain["experiment"].rpartition(":")[2] if isinstance(given, str) else _name_of(given)
     plain.setdefault("title", name)
+    code = Imports(afresh=isinstance(given, str))
     text = json.dumps(plain, sort_keys=True, default=_digest)
-    return study_from_dict(plain, f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}", where=name)
+    return study_from_dict(plain, f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}", name, code)
 
 
 def reference_of(function: Mentioned) -> str:
     """Return the reference by which a function or experiment is found, here and on workers."""
     if not isinstance(function, Experiment) and not is_plain_function(function):
         raise SweepError(f"{shown(function)} is neither a function nor an Experiment")
-    return importable(function) or keep(function)
+    return keep(function)
 
 
 def _name_of(function: Mentioned) -> str:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from sweep.code.load import Code
 from sweep.contract import Experiment, SweepError, shown, suggest
 from sweep.contract.units import factor_between, is_quantity
-from sweep.load import load_function
 from sweep.studies.designs import DESIGNS, MORRIS_LEVELS
 from sweep.studies.form import PointsForm
 from sweep.studies.problems import Problems
@@ -26,7 +26,7 @@ Columns = Mapping[str, list[Any]]
 
 
 def read_points(
-    form: PointsForm, experiment: Experiment, fixed: Mapping[str, Any], folder: Path, problems: Problems
+    form: PointsForm, experiment: Experiment, fixed: Mapping[str, Any], folder: Path, code: Code, problems: Problems
 ) -> tuple[Columns, dict[str, Any]]:
     """Return the columns of a table of points as they are written, all of one length, and where they come from.
 
@@ -52,7 +52,8 @@ def read_points(
         columns = _in_units(columns, form.units, experiment, ("points", "columns"), problems)
     columns = _checked(columns, problems)
     if form.derive is not None and columns:
-        columns = {**columns, **_derived(form.derive, columns, experiment.defaults() | dict(fixed), folder, problems)}
+        settings = experiment.defaults() | dict(fixed)
+        columns = {**columns, **_derived(form.derive, columns, settings, folder, code, problems)}
         origin["derive"] = form.derive
     return columns, origin
 
@@ -157,13 +158,13 @@ def _column(values: list[Any], own: str, unit: str) -> list[Any]:
 
 
 def _derived(
-    reference: str, columns: Columns, settings: Mapping[str, Any], folder: Path, problems: Problems
+    reference: str, columns: Columns, settings: Mapping[str, Any], folder: Path, code: Code, problems: Problems
 ) -> Columns:
     """Return the columns that a user's function returns for each row of a table."""
     found: dict[str, list[Any]] = {}
     names = list(columns)
     with problems.at(("points", "derive")):
-        function = load_function(reference, folder)
+        function = code.function(reference, folder)
         for number, values in enumerate(zip(*columns.values(), strict=True), start=1):
             try:
                 given = function({**settings, **dict(zip(names, values, strict=True))})

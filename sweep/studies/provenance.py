@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sweep.distributions import version_of
+from sweep.code.reach import version_of
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import POINT_TABLE, Study
 from sweep.tables.file import content_digest

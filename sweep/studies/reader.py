@@ -1,13 +1,13 @@
 """From a study file to a Study: finds it, reads it, and reports every problem at once."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sweep.code.load import Code, Imports, absolute_reference
 from sweep.contract import Experiment, SweepError, Value
-from sweep.load import absolute_reference, read_experiment
 from sweep.studies.claims import ClaimContext, check_figure, checked_claim, checked_conclusion
 from sweep.studies.definitions import defined_values
 from sweep.studies.form import Form, Sampling
@@ -63,25 +63,24 @@ def load_study(
         text = read_text(path)
         document = parsed(text, path)
     overrides = override(document, settings, axes, points, design, ranges)
-    return _Reader(document, text, path, function or str(path), overrides).study()
+    return _Reader(document, text, path, function or str(path), overrides, Imports()).study()
 
 
-def study_from_dict(document: Mapping[str, Any], name: str = "study", where: str | None = None) -> Study:
+def study_from_dict(
+    document: Mapping[str, Any], name: str = "study", where: str | None = None, code: Code | None = None
+) -> Study:
     """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError, which says
     ``where``, as `load_study`.
     """
     path = Path.cwd() / f"{name}.toml"
-    return _Reader(dict(document), "", path, where or str(path), Overrides()).study()
+    return _Reader(dict(document), "", path, where or str(path), Overrides(), code or Imports()).study()
 
 
-def study_of_attributes(
-    attributes: Mapping[str, Any], where: str, experiment: Callable[[str], Experiment] | None = None
-) -> Study:
+def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -> Study:
     """Return the study whose results have these attributes; raises SweepError as `load_study`, for example where the
     file of its experiment is gone.
 
-    Published numbers are left out if their file is gone.  ``experiment`` returns the experiment for a reference; by
-    default it is imported.
+    All that it names is loaded by ``code`` or not at all.  Published numbers are left out if their file is gone.
     """
     try:
         document = json.loads(attributes["study_document"])
@@ -93,7 +92,7 @@ def study_of_attributes(
     laid = Overrides()
     if overrides:
         laid = Overrides((overrides,), {(table, k): "" for table in ("axes", "fixed") for k in document.get(table, {})})
-    return replace(_Reader(document, text, Path(where), where, laid, experiment).study(), name=name)
+    return replace(_Reader(document, text, Path(where), where, laid, code).study(), name=name)
 
 
 @dataclass
@@ -105,7 +104,7 @@ class _Reader:
     path: Path
     where: str
     overrides: Overrides
-    find_experiment: Callable[[str], Experiment] | None = None
+    code: Code
 
     def __post_init__(self) -> None:
         self.problems = Problems(self.where, self.text, self.overrides.problems, self.overrides.by_place)
@@ -117,7 +116,7 @@ class _Reader:
             raise SweepError(self.problems.found, self.where)
         if experiment.deterministic:
             form = self._without_sampling_of_parameters(form, experiment)
-        experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.problems)
+        experiment, definitions = defined_values(experiment, form.define, self.path.parent, self.code, self.problems)
         values = Values(experiment, self.path.parent, self.problems)
         points, origin, columns = self._points(values, form)
         axes = points | {name: values.axis(name, spec) for name, spec in form.axes.items()}
@@ -210,7 +209,7 @@ class _Reader:
         parameters, outputs = ({one.name for one in ones} for ones in (experiment.parameters, experiment.outputs))
         if POINT in parameters | outputs | experiment.coordinates.keys():
             self.problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
-        columns, origin = read_points(form.points, experiment, form.fixed, self.path.parent, self.problems)
+        columns, origin = read_points(form.points, experiment, form.fixed, self.path.parent, self.code, self.problems)
         found: dict[str, tuple[Value, ...] | None] = {}
         for name, raw_values in columns.items():
             where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)
@@ -232,10 +231,8 @@ class _Reader:
                 self.problems.add(("fixed", parameter.name), sentence)
 
     def _experiment(self, form: Form) -> Experiment | None:
-        if self.find_experiment is not None:
-            return self.find_experiment(form.experiment)
         try:
-            return read_experiment(form.experiment, self.path.parent)
+            return self.code.experiment(form.experiment, self.path.parent)
         except SweepError as error:
             for problem in error.problems:
                 self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)

@@ -2,10 +2,12 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
-from sweep.contract import Experiment, Named, Output, Parameter, SweepError
+from sweep.code.load import SourceFunction
+from sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.record import experiment_of_record, layout_of_record
 from sweep.studies.reader import study_of_attributes
@@ -14,6 +16,22 @@ from sweep.tables.file import as_json
 
 RECORD = "experiment_record"
 """The attribute of a store that holds the record, as JSON."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a study has that was read from a store, to be looked at: its recorded ``experiment``, and no way to load code."""
+
+    recorded: Experiment
+
+    def experiment(self, reference: str, folder: Path) -> Experiment:
+        """Return the recorded experiment, whatever is named."""
+        return self.recorded
+
+    def function(self, reference: str, folder: Path) -> SourceFunction:
+        """Raise SweepError: looking at a store never runs what it names."""
+        raise SweepError(f"names {shown(reference)}, and looking at a store never runs what it names")
+
 
 Costs = tuple[tuple[str, ...], Mapping[tuple[Any, ...], float]]
 """The axes on which the cost of a point depends, and the cost by their values."""
@@ -48,12 +66,12 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
     if RECORD not in attributes:
         raise SweepError("has no record of its experiment: it was written by an older version", where)
     try:
-        experiment = _experiment(json.loads(attributes[RECORD]))
+        code = Recorded(_experiment(json.loads(attributes[RECORD])))
         document = json.loads(attributes["study_document"])
         plain = {
             key: value for key, value in document.items() if key not in ("define", "published", "claim", "conclusion")
         }
-        return study_of_attributes({**attributes, "study_document": json.dumps(plain)}, where, lambda _: experiment)
+        return study_of_attributes({**attributes, "study_document": json.dumps(plain)}, where, code)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
 

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from sweep.code.load import load_function
 from sweep.contract import Named, SweepError
 from sweep.executing.choose import Resources
-from sweep.load import load_function
 from sweep.planning.grid import Grid
 from sweep.running.reproduce import reproduce
 from sweep.running.run import run_study

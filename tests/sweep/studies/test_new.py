@@ -8,8 +8,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from jsonschema import Draft202012Validator
 
+from sweep.code.load import load_experiment
 from sweep.contract import SweepError
-from sweep.load import load_experiment
 from sweep.planning.checked_grid import make_grid
 from sweep.studies.reader import study_from_dict
 from sweep.studies.schema import study_schema

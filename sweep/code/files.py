@@ -1,0 +1,192 @@
+"""The local modules of a user's file: those of its folder that it imports, as in a script, and visible to no other file.
+
+They are modules of a package of their own, named after their content.  Import statements in them name that package where
+they name a local module, so versions of a file, and files of the same name in other folders, exist beside each other.
+"""
+
+import ast
+import hashlib
+import importlib
+import importlib.abc
+import importlib.machinery
+import importlib.util
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from types import ModuleType
+
+OURS = ("core", "sweep", "sweeps", "linksweep")
+"""Our packages, never looked for beside a user's file."""
+
+PREFIX = "linksweep_local_"
+"""Begins the names of the packages that local modules are in."""
+
+SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
+
+
+@dataclass(frozen=True)
+class LocalFiles:
+    """A file by its absolute path, and the contents of it and of the local modules it imports, by relative path."""
+
+    path: str
+    contents: Mapping[str, bytes]
+
+    @cached_property
+    def digest(self) -> str:
+        """The digest of all contents."""
+        each = {name: hashlib.sha256(content).hexdigest() for name, content in self.contents.items()}
+        return hashlib.sha256(repr(sorted(each.items())).encode()).hexdigest()[:12]
+
+    @cached_property
+    def package(self) -> str:
+        """The name of the package that the modules are in."""
+        return PREFIX + hashlib.sha256(f"{self.path} {self.digest}".encode()).hexdigest()[:12]
+
+    @cached_property
+    def modules(self) -> dict[str, str]:
+        """The file of each module by its name in import statements, '' for a folder without ``__init__.py``."""
+        found = {_dotted(file): file for file in self.contents}
+        around = {name.rsplit(".", n)[0] for name in found for n in range(1, name.count(".") + 1)}
+        return dict.fromkeys(around - found.keys(), "") | found
+
+    def name_of(self, filename: str) -> str | None:
+        """Return the relative path of a file, None for one that is not among them."""
+        return next((name for name in self.contents if filename == str(Path(self.path).parent / name)), None)
+
+    def module(self) -> ModuleType:
+        """Return the module of the file, executed once; raises whatever it raises."""
+        if self.package not in _packages:
+            _packages[self.package] = self
+            if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+                sys.meta_path.insert(0, _Finder())
+        return importlib.import_module(f"{self.package}.{Path(self.path).stem}")
+
+    def tree(self, file: str) -> ast.Module:
+        """Return the syntax tree of a file in which imports of local modules name their package."""
+        tree = _Localised(self, file).visit(ast.parse(self.contents[file]))
+        assert isinstance(tree, ast.Module)
+        return ast.fix_missing_locations(tree)
+
+
+_packages: dict[str, LocalFiles] = {}
+
+
+def read_files(path: Path) -> LocalFiles:
+    """Return a file with all modules of its folder that it imports, directly or through others, wherever the import
+    statements are; raises OSError where the file cannot be read.
+    """
+    folder, main = path.parent, path.name
+    contents = {main: path.read_bytes()}
+    todo = [main]
+    while todo:
+        name = todo.pop()
+        for found in _imported(folder, name, contents[name]):
+            if found not in contents:
+                contents[found] = (folder / found).read_bytes()
+                todo.append(found)
+    return LocalFiles(str(path), {main: contents.pop(main), **dict(sorted(contents.items()))})
+
+
+def local_files_of(module: str) -> LocalFiles | None:
+    """Return the files that a module belongs to, None for a module that was imported as usual."""
+    return _packages.get(module.partition(".")[0])
+
+
+def _imported(folder: Path, name: str, content: bytes) -> Iterator[str]:
+    """Yield the files of a folder that the import statements of one of them name."""
+    if not name.endswith(".py"):
+        return
+    try:
+        nodes = list(ast.walk(ast.parse(content)))
+    except (SyntaxError, ValueError, RecursionError):  # reported when the file is executed
+        return
+    own = _dotted(name).split(".")
+    package = own if name.endswith("__init__.py") else own[:-1]
+    for node in nodes:
+        wanted: list[str] = []
+        if isinstance(node, ast.Import):
+            wanted = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(
+                [*package[: len(package) - node.level + 1], node.module or ""] if node.level else [node.module or ""]
+            )
+            wanted = [f"{base.strip('.')}.{alias.name}".strip(".") for alias in node.names]
+        for parts in (module.split(".") for module in wanted if module.partition(".")[0] not in OURS):
+            for end in range(1, len(parts) + 1):
+                stem = PurePosixPath(*parts[:end])
+                files = [f"{stem}/__init__.py", *(f"{stem}{suffix}" for suffix in SUFFIXES)]  # as Python prefers them
+                yield from [file for file in files if file != name and (folder / file).is_file()][:1]
+
+
+def _dotted(file: str) -> str:
+    stem = file.removesuffix(next(suffix for suffix in SUFFIXES if file.endswith(suffix)))
+    return stem.removesuffix("/__init__").replace("/", ".")
+
+
+class _Localised(ast.NodeTransformer):
+    """Lets the import statements of a file name the package of the local modules."""
+
+    def __init__(self, files: LocalFiles, file: str) -> None:
+        self._package, self._file = files.package, file
+        own = {_dotted(file)} if "/" not in file else set()  # a file random.py may import Python's module random
+        self._local = {name.partition(".")[0] for name in files.modules} - own
+
+    def visit_Import(self, node: ast.Import) -> ast.Import:
+        names: list[ast.alias] = []
+        for alias in node.names:
+            top, _, below = alias.name.partition(".")
+            whole = f"{self._package}.{alias.name}"
+            if top not in self._local:
+                names.append(alias)
+            elif alias.asname or not below:
+                names.append(ast.alias(whole, alias.asname or top))
+            else:  # import a.b loads a.b and binds a
+                names += [ast.alias(whole, "_"), ast.alias(f"{self._package}.{top}", top)]
+        return ast.copy_location(ast.Import(names), node)
+
+    def visit_ImportFrom(self, node: ast.ImportFrom) -> ast.ImportFrom:
+        if node.level and "/" not in self._file:
+            raise ImportError("attempted relative import with no known parent package")
+        if node.level or node.module is None or node.module.partition(".")[0] not in self._local:
+            return node
+        return ast.copy_location(ast.ImportFrom(f"{self._package}.{node.module}", node.names, 0), node)
+
+
+class _Finder(importlib.abc.MetaPathFinder):
+    """Finds local modules in the contents that were read."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        package, _, name = fullname.partition(".")
+        if (files := _packages.get(package)) is None:
+            return None
+        file = files.modules.get(name) if name else ""
+        if file is None:
+            return None
+        if not file:
+            return importlib.machinery.ModuleSpec(fullname, None, is_package=True)
+        place = str(Path(files.path).parent / file)
+        if not file.endswith(".py"):
+            return importlib.util.spec_from_file_location(fullname, place)
+        inside: list[str] | None = [] if file.endswith("__init__.py") else None
+        loader = _Loader(files, file)
+        return importlib.util.spec_from_file_location(fullname, place, loader=loader, submodule_search_locations=inside)
+
+
+class _Loader(importlib.abc.SourceLoader):
+    """Makes a module of what was read; it keeps no bytecode, which Python finds by the second and the size of a file."""
+
+    def __init__(self, files: LocalFiles, file: str) -> None:
+        self._files, self._file = files, file
+
+    def get_filename(self, fullname: str) -> str:
+        return str(Path(self._files.path).parent / self._file)
+
+    def get_data(self, path: str) -> bytes:
+        return self._files.contents[self._file]
+
+    def source_to_code(self, data: object, path: str = "<string>") -> object:  # type: ignore[override]
+        return compile(self._files.tree(self._file), path, "exec", dont_inherit=True)

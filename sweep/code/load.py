@@ -1,0 +1,447 @@
+"""Finds a user's code by its reference, keeps code of this session under one, and brings it to other processes.
+
+References are ``module:attribute``, ``path/to/file.py:attribute``, and ``session:NAME-DIGEST`` for a function that only
+this session has.  A function that is given in Python is computed as this session has it, whatever its file holds.
+"""
+
+import hashlib
+import importlib.machinery
+import io
+import json
+import logging
+import os
+import pickle
+import re
+import subprocess
+import sys
+import traceback
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache, lru_cache
+from pathlib import Path
+from types import ModuleType
+from typing import IO, Any, Protocol
+from weakref import WeakKeyDictionary
+
+from sweep.code.files import OURS, LocalFiles, read_files
+from sweep.code.reach import Reach, distributions_at, distributions_of, version_of, without_package
+from sweep.contract import Experiment, SweepError, shown
+from sweep.functions.adapter import experiment_of, is_plain_function
+from sweep.functions.declared import ATTRIBUTE
+from sweep.functions.signature import name_of
+
+SESSION = "session"
+"""Stands in place of a module in the reference of a function that only this session has."""
+
+log = logging.getLogger("linksweep")
+
+_read: dict[str, LocalFiles] = {}
+"""Files as they were read last, by path."""
+
+_provided: dict[tuple[str, str], "LocalFiles | Live"] = {}
+"""Code that another process has sent, by path or reference and digest: the file may be missing here, or be another."""
+
+_live: dict[str, "Live"] = {}
+_places: dict[str, str] = {}
+_warned: set[str] = set()
+
+DIGEST = re.compile("[0-9a-f]{24}")
+DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
+"""Fields of an experiment that its code does not depend on, or that count by themselves."""
+
+
+class Live:
+    """A function or experiment as a session has it, with its ``parts``: see `code_of`."""
+
+    def __init__(self, found: Callable[..., Any] | Experiment) -> None:
+        self.found, reach = found, _reach(found)
+        self.parts, self.modules, self.taken, self.paths = reach.parts, reach.modules, reach.taken, tuple(sys.path)
+        self.digest = _digest(self.parts)
+        self.name = found.name if isinstance(found, Experiment) else name_of(found)
+        self.path = _importable(found) or f"{SESSION}:{self.name}-{self.digest}"
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state with the function pickled; raises SweepError where that is not possible."""
+        import cloudpickle
+
+        modules = (
+            {one.__name__ for one in self.modules} - {"__main__"} - set(cloudpickle.list_registry_pickle_by_value())
+        )
+        here = [sys.modules[name] for name in modules if name in sys.modules]
+        payload = io.BytesIO()
+        try:
+            for module in here:  # workers may not have them, or not as they are in this session
+                cloudpickle.register_pickle_by_value(module)
+            by_value(payload, self.taken).dump(self.found)
+        except Exception as error:  # whatever keeps an object from being pickled
+            raise SweepError(
+                f"the function {self.name} cannot be sent to workers "
+                f"({type(error).__name__}: {error}); use pool='threads' or pool='serial', or move it into a module"
+            ) from error
+        finally:
+            for module in here:
+                cloudpickle.unregister_pickle_by_value(module)
+        return {**vars(self), "found": payload.getvalue(), "modules": [], "taken": {}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore the state, and the function from its bytes."""
+        vars(self).update(state)
+        sys.path += [path for path in self.paths if path not in sys.path]  # what it imports when it is called
+        self.found = pickle.loads(state["found"])
+
+
+def by_value(file: IO[bytes], taken: Mapping[str, Collection[str]]) -> pickle.Pickler:
+    """Return a pickler of functions as they are: with the attributes of modules that are ``taken``, and without caches."""
+    import cloudpickle
+
+    class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
+        def reducer_override(self, value: Any) -> Any:
+            name = getattr(value, "__name__", None)
+            if isinstance(value, ModuleType) and name in cloudpickle.list_registry_pickle_by_value():
+                # cloudpickle fails where a function in a module refers to the module
+                state = {one: vars(value)[one] for one in taken.get(value.__name__, ()) if one in vars(value)}
+                return ModuleType, (name,), state
+            if isinstance(value, WeakKeyDictionary):
+                return WeakKeyDictionary, ()
+            if isinstance(value, type(_function)) and distributions_of(value.__module__) is None:
+                return _cached, (value.__wrapped__, value.cache_parameters())
+            return super().reducer_override(value)
+
+    return Pickler(file)
+
+
+def _cached(function: Callable[..., Any], parameters: Mapping[str, Any]) -> Callable[..., Any]:
+    made: Callable[..., Any] = lru_cache(**parameters)(function)
+    return made
+
+
+@dataclass(frozen=True)
+class SourceFunction:
+    """A user's function: found by its reference in whichever process calls it, and identified by its code.
+
+    Calling it raises SweepError if the file is gone, or the code is not that with which it was loaded.
+    """
+
+    reference: str = field(compare=False)
+    name: str
+    digest: str
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function."""
+        return _function(self)(*arguments)
+
+
+class Code(Protocol):
+    """How a study loads the code that it names; where that may not be, these raise SweepError."""
+
+    def experiment(self, reference: str, folder: Path) -> Experiment:
+        """Return the experiment at a reference."""
+        ...
+
+    def function(self, reference: str, folder: Path) -> SourceFunction:
+        """Return the function at a reference."""
+        ...
+
+
+@dataclass(frozen=True)
+class Imports:
+    """Loads the code that a study names: from its files as they are now (``afresh``), or as this session has it."""
+
+    afresh: bool = True
+
+    def experiment(self, reference: str, folder: Path) -> Experiment:
+        """Return an experiment; raises SweepError as `load_experiment`."""
+        return load_experiment(reference, folder, afresh=self.afresh)
+
+    def function(self, reference: str, folder: Path) -> SourceFunction:
+        """Return a function; raises SweepError as `load_experiment`."""
+        absolute = absolute_reference(reference, folder)
+        found = _find(absolute, afresh=self.afresh)
+        if not callable(found):
+            raise _is_no("a function", reference, found)
+        return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(_reach(found).parts))
+
+
+def load_experiment(
+    reference: str, folder: Path | None = None, digest: str | None = None, afresh: bool = False
+) -> Experiment:
+    """Return the Experiment that a reference names, made from a plain function if need be; a file's path is relative to
+    ``folder``.
+
+    With a ``digest``, the code that was provided with this digest is used, if any, whatever the file holds now; with
+    ``afresh``, files are read again.  Raises SweepError where the module, the file or the attribute does not exist or is
+    something else.
+    """
+    found = _find(reference, folder, digest, afresh)
+    if isinstance(found, Experiment):
+        return found
+    if not is_plain_function(found):
+        raise _is_no("an Experiment or a function", reference, found)
+    try:
+        return experiment_of(found)
+    except SweepError as error:
+        raise SweepError(error.problems, error.where if reference in _live else reference.rpartition(":")[2]) from error
+
+
+def keep(function: Callable[..., Any] | Experiment) -> str:
+    """Make a function available in this process, as it is now, by the reference that is returned."""
+    known = None if isinstance(function, Experiment) else _importable(function)
+    if known is not None and distributions_of(function.__module__) is not None:
+        return known
+    live = Live(function)
+    _live[live.path] = live
+    return live.path
+
+
+def provide(code: "LocalFiles | Live") -> None:
+    """Let this process load what another one has sent."""
+    _provided[code.path, code.digest] = code
+
+
+def sources_of(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
+    """Return what another process needs to load a loaded reference; None where that is a module."""
+    place = reference.rpartition(":")[0]
+    known = [
+        _live.get(reference),
+        _read.get(place),
+        *(_provided.get((key, digest or "")) for key in (reference, place)),
+    ]
+    return next((one for one in known if one is not None and digest in (None, one.digest)), None)
+
+
+def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
+    """Return what to send to a process that is to load a loaded reference; None where it can only import it itself.
+
+    Raises SweepError for a function of this session that cannot be pickled, or would be another where it is imported.
+    """
+    sources = sources_of(reference, digest)
+    try:
+        pickle.dumps(sources)
+    except SweepError as error:
+        assert isinstance(sources, Live), "files can be pickled"
+        if reference.startswith(f"{SESSION}:") or _differences_elsewhere(reference, sources.parts):
+            raise SweepError(
+                [*error.problems, *_differences_elsewhere(reference, sources.parts)], error.where
+            ) from error
+        return None
+    return sources
+
+
+@cache
+def unsteady(reference: str) -> frozenset[str]:
+    """Return the names of values that two processes of the same code have otherwise, such as a time; say so."""
+    one, other = _elsewhere(reference)
+    found = frozenset(name for name in one if one[name] != other.get(name))
+    for name in sorted(found):
+        log.warning("%s differs from process to process; its changes are not noticed", name)
+    return found
+
+
+def _differences_elsewhere(reference: str, parts: Mapping[str, str]) -> list[str]:
+    if reference.startswith(f"{SESSION}:"):
+        return []
+    there = {name: text for name, text in _elsewhere(reference)[0].items() if name not in unsteady(reference)}
+    return code_differences({name: parts.get(name, "") for name in there}, there, "here", "where it is imported")
+
+
+@cache
+def _elsewhere(reference: str) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the parts of what a reference names as two new processes have them, none for a function of this session."""
+    code = f"import json; from sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
+    around = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+    command = [sys.executable, "-c", code]
+    some = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=around) for _ in range(2)]
+    one, other = (json.loads((process.communicate()[0].splitlines() or [b"{}"])[-1]) for process in some)
+    return one, other
+
+
+def source_digest(reference: str) -> str | None:
+    """Return the digest of a loaded reference; None where that is a module."""
+    sources = sources_of(reference)
+    return None if sources is None else sources.digest
+
+
+def absolute_reference(reference: str, folder: Path) -> str:
+    """Return the reference as it works from any directory: a file's path is made absolute."""
+    place, _, attribute = reference.rpartition(":")
+    return f"{(folder / place).resolve()}:{attribute}" if place.endswith(".py") else reference
+
+
+def code_of(reference: str, experiment: Experiment, digest: str | None = None) -> dict[str, str]:
+    """Return what determines the results of a loaded experiment besides its version, by kind and name: see `Reach`.
+
+    Experiments that come with linksweep are identified by their own version alone.
+    """
+    place = reference.rpartition(":")[0]
+    declared = {f"package {name}": version_of(name) for name in experiment.packages}
+    if place.partition(".")[0] in OURS and distributions_of(place) == ():
+        return declared
+    sources = sources_of(reference, digest)
+    parts = sources.parts if isinstance(sources, Live) else _parts(reference, digest or source_digest(reference))
+    defaults = {p.name: json.dumps(p.written_default(), default=str) for p in experiment.parameters}
+    return {**parts, **{f"default of {name}": text for name, text in defaults.items()}, **declared}
+
+
+def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
+    """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
+    phrases = []
+    for name in sorted({*old, *new}):
+        before, after = old.get(name), new.get(name)
+        place = f" ({_places[name]})" if name in _places else ""
+        if before == after:
+            continue
+        if before is None or after is None:
+            phrases.append(f"{name}{place} is only {was if after is None else now}")
+        elif name.startswith(("function ", "class ", "module ", "file ")) or DIGEST.fullmatch(before + after):
+            phrases.append(f"{name}{place} has changed")
+        else:
+            phrases.append(f"{name} is {before} {was}, {after} {now}")
+    return phrases
+
+
+def parts_of(reference: str) -> Mapping[str, str]:
+    """Return the parts of what a reference names, as `Reach` has them."""
+    return _parts(reference, source_digest(reference))
+
+
+@lru_cache(maxsize=64)  # the attributes of modules count as they are when a run starts
+def _parts(reference: str, digest: str | None) -> Mapping[str, str]:
+    return _reach(_find(reference, digest=digest)).parts
+
+
+def _reach(found: Any) -> Reach:
+    """Return what a function or an experiment reaches; warn once of what has no canonical form."""
+    roots = {"result": found}
+    if isinstance(found, Experiment):
+        roots = {one.name: getattr(found, one.name) for one in fields(found) if one.name not in DESCRIBING}
+        roots |= {f"define of {p.name}": p.define for p in found.parameters if p.define is not None}
+    reach = Reach(roots)
+    _places.update(reach.places)
+    for name, kind in reach.unnoticed.items():
+        if name not in _warned:
+            _warned.add(name)
+            log.warning("changes of %s, a %s, are not noticed", name, kind)
+    folder = Path(getattr(sys.modules.get(found.__module__), "__file__", None) or "x").parent
+    for name in getattr(getattr(found, ATTRIBUTE, None), "reads", ()):
+        file = folder / name
+        content = file.read_bytes() if file.is_file() else b""
+        reach.parts[f"file {name}"] = hashlib.sha256(content).hexdigest()[:12] if content else "not there"
+    return reach
+
+
+def file_of(reference: str) -> str:
+    """Return the file that a reference names, or its module where there is none; imports nothing."""
+    place = reference.rpartition(":")[0]
+    if place.endswith(".py"):
+        return place
+    found = importlib.machinery.PathFinder.find_spec(place.partition(".")[0])
+    return found.origin if found is not None and found.origin else f"the module {place}"
+
+
+def _digest(parts: Mapping[str, str]) -> str:
+    return hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()[:12]
+
+
+@lru_cache(maxsize=16)
+def _function(wanted: SourceFunction) -> Callable[..., Any]:
+    found = _find(wanted.reference)
+    if not callable(found) or _digest(_reach(found).parts) != wanted.digest:
+        raise SweepError(f"{wanted.reference}: its code is not that with which the study was read")
+    function: Callable[..., Any] = found
+    return function
+
+
+def _find(reference: str, folder: Path | None = None, digest: str | None = None, afresh: bool = False) -> Any:
+    """Return the object that a reference names, None where its module has no such attribute."""
+    place, colon, attribute = reference.rpartition(":")
+    if not colon or not place or not attribute:
+        raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
+    if afresh and place != SESSION:
+        _live.pop(reference, None)
+        _parts.cache_clear()
+    live = _provided.get((reference, digest or ""), _live.get(reference))
+    if isinstance(live, Live) and digest in (None, live.digest):
+        return live.found
+    if place == SESSION:
+        raise SweepError(
+            f"the function {shown(attribute.rpartition('-')[0])} was defined in a script or notebook, not in a module; "
+            "compute with it from there"
+        )
+    try:
+        is_file = place.endswith(".py")
+        module = _module_of_file(place, folder, digest, afresh) if is_file else importlib.import_module(place)
+        return getattr(module, attribute, None)
+    except SweepError as error:
+        if not error.where:
+            raise
+        raise SweepError(error.problems, f"{reference}, {error.where}") from error  # an error in a declaration
+    except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
+        text = without_package(error.msg if isinstance(error, SyntaxError) else str(error))
+        message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
+        hint = _how_to_find(error, place, attribute)
+        raise SweepError(f"{shown(reference)}: cannot be imported: {message}{hint}") from error
+
+
+def _module_of_file(place: str, folder: Path | None, digest: str | None, afresh: bool) -> ModuleType:
+    path = ((folder or Path.cwd()) / place).resolve()
+    files = _provided.get((str(path), digest or ""), _read.get(str(path)))
+    if not isinstance(files, LocalFiles) or afresh or digest not in (None, files.digest):
+        try:
+            files = _read[str(path)] = read_files(path)
+        except FileNotFoundError:
+            raise SweepError(f"there is no file {shown(str(path))}") from None
+        except OSError as error:
+            raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
+    return files.module()
+
+
+def _importable(function: Callable[..., Any] | Experiment) -> str | None:
+    """Return the reference by which a function can be imported anywhere, None for one of this session."""
+    module = sys.modules.get(getattr(function, "__module__", None) or "")
+    name = getattr(function, "__qualname__", "")
+    if module is None or module.__name__ == "__main__" or getattr(module, name, None) is not function:
+        return None
+    file = getattr(module, "__file__", None)
+    if file is None or "." in module.__name__ or distributions_of(module.__name__) is not None:
+        return f"{module.__name__}:{name}"
+    return f"{Path(file).resolve()}:{name}" if file.endswith(".py") else None
+
+
+def _how_to_find(error: BaseException, place: str, attribute: str) -> str:
+    """Return a hint on how to name a function of a package that is not installed, '' for other errors."""
+    if isinstance(error, ImportError) and "attempted relative import" in str(error):
+        names = [Path(place).stem]
+        folder = Path(place).absolute().parent
+        while (folder / "__init__.py").is_file():
+            names.insert(0, folder.name)
+            folder = folder.parent
+        if len(names) == 1:
+            return ""
+        return (
+            f"; a file of a package is named by its module: PYTHONPATH={folder} sweep run {'.'.join(names)}:{attribute}"
+        )
+    missing = error.name if isinstance(error, ModuleNotFoundError) else None
+    if missing and f"{place}.".startswith(f"{missing}.") and Path(*place.split(".")).with_suffix(".py").is_file():
+        return f"; it is not installed: PYTHONPATH={Path.cwd()} finds it here"
+    return ""
+
+
+def _line_of(error: BaseException) -> str:
+    """Return the file and line of a user's code at which an exception was raised, in brackets."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f" ({error.filename}, line {error.lineno})"
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
+    own = [
+        f for f in frames if distributions_at(f.filename, Path(f.filename).stem) is None and not _is_ours(f.filename)
+    ]
+    return f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
+
+
+def _is_ours(file: str) -> bool:
+    return Path(file).is_relative_to(Path(__file__).parents[1])
+
+
+def _is_no(wanted: str, reference: str, found: object) -> SweepError:
+    attribute = reference.rpartition(":")[2]
+    kind = "has no attribute" if found is None else f"has a {type(found).__name__}, not {wanted}, at"
+    return SweepError(f"{shown(reference)}: the module {kind} {shown(attribute)}")
