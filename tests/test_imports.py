@@ -12,15 +12,8 @@ ROOT = Path(__file__).parent.parent
 # ground, but for those of the roof.  Inside a package only a cycle is wrong.
 GROUND = "sweep"
 PACKAGES = [
-    *(
-        "linksweep._own_packages",
-        "sweep.formatting",
-        "sweep.contract",
-        "sweep.functions",
-        GROUND,
-        "sweep.tables",
-        "core",
-    ),
+    *("linksweep._own_packages", "sweep.formatting", "sweep.contract", "sweep.functions", "sweep.code", GROUND),
+    *("sweep.tables", "core"),
     *("sweep.studies", "sweep.planning", "sweep.executing", "sweep.stores", "sweep.running"),
     *("sweep.analysis", "sweep.paper", "sweep.tie", "sweep.plots", "sweep.report", "sweep.search", "sweep.cli"),
     *("sweep.api", "linksweep.__init__", "sweep.__init__", "sweep.__main__", "linksweep.__main__"),

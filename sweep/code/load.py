@@ -295,7 +295,7 @@ def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, n
         elif name.startswith(("function ", "class ", "module ", "file ")) or DIGEST.fullmatch(before + after):
             phrases.append(f"{name}{place} has changed")
         else:
-            phrases.append(f"{name} is {before} {was}, {after} {now}")
+            phrases.append(f"{name}{place} is {before} {was}, {after} {now}")
     return phrases
 
 

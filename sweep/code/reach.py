@@ -207,6 +207,8 @@ class Reach:
                 self._value = label.removeprefix("value ")
                 form = self.form(value, data=not changes)
                 self._keep(label, f"{form}{self._beginning(self._value, names)}" if changes else form)
+                if line := _bound(_tree(names.get("__file__") or "", names)).get(self._value.rpartition(".")[2]):
+                    self.places[label] = f"{names['__file__']}, line {line}"
             self._walk()
 
     def _is_used(self, method: str) -> bool:
@@ -542,6 +544,13 @@ def _definitions(tree: ast.Module) -> dict[int, list[Definition]]:
             lines = [decorator.lineno for decorator in getattr(node, "decorator_list", ())]
             found.setdefault(min([node.lineno, *lines]), []).append(node)
     return found
+
+
+@lru_cache(maxsize=256)
+def _bound(tree: ast.Module | None) -> dict[str, int]:
+    """Return the line in which each name of a module is bound first."""
+    nodes = [] if tree is None else [node for statement in reversed(tree.body) for node in ast.walk(statement)]
+    return {node.id: node.lineno for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
 
 
 def _definition(function: FunctionType) -> Definition | None:

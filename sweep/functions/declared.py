@@ -31,6 +31,7 @@ class Declaration:
     packages: tuple[str, ...] = ()
     citation: tuple[str, ...] = ()
     tolerance: float = ROUNDING
+    reads: tuple[str, ...] = ()
 
 
 def experiment(
@@ -40,6 +41,7 @@ def experiment(
     packages: Sequence[str] = (),
     citation: str | Sequence[str] = (),
     tolerance: float = ROUNDING,
+    reads: str | Sequence[str] = (),
 ) -> Callable[[AnyFunction], AnyFunction]:
     """Declare more about a function than its signature says.  The function can be called as before.
 
@@ -52,6 +54,7 @@ def experiment(
         citation: what users of the results should cite, for reports.
         tolerance: how far the results of a vectorised function for one point alone and among others may differ,
             relative to them; by default only by rounding.
+        reads: data files, relative to the file of the function, whose content counts as code does.
 
     Returns:
         A decorator that returns the function.  If that is already defined, for example in another package, it returns
@@ -71,7 +74,9 @@ def experiment(
 
     def declare(function: AnyFunction) -> AnyFunction:
         given = [_output(one) for one in _sequence(outputs)]
-        declaration = Declaration(tuple(given), vectorised, _sequence(packages), _sequence(citation), tolerance)
+        declaration = Declaration(
+            tuple(given), vectorised, _sequence(packages), _sequence(citation), tolerance, _sequence(reads)
+        )
         if found := problems(function, declaration):
             name = getattr(function, "__name__", type(function).__name__)
             raise SweepError(found, f"function {name}")

@@ -36,14 +36,15 @@ def change(folder, kind):
         write_experiment(
             folder, **HELPED | {"evaluate": '{"total": [100 * n_sim * helper.value(1.0) for p in points]}'}
         )
-        return "file user.py has changed"
+        return "function user.evaluate ("
     if kind == "default":
         parameters = 'Parameter("rate", "float", 1.0, "rate"), Parameter("kind", "int", 7, "which")'
         write_experiment(folder, **HELPED | {"parameters": parameters})
         return "default of kind is 0 in the store, 7 now"
     name = f"{kind}.py"
-    (folder / name).write_text((folder / name).read_text().replace("FACTOR", "FACTOR  ").replace("1.0", "100.0"))
-    return f"file {name} has changed"
+    content = (folder / name).read_text().replace("1.0", "100.0").replace("* rate", "* rate * 1.0")
+    (folder / name).write_text(content)
+    return {"deeper": "value deeper.FACTOR (", "helper": "function helper.value ("}[kind]
 
 
 @pytest.mark.parametrize("kind", ["body", "default", slow("helper"), slow("deeper")])
@@ -77,8 +78,8 @@ def test_accepted_code_is_told_for_each_point(folder, sweep):
     assert dataset["mean"].values.tolist() == [1.0, 2.0, 300.0]
     assert dataset["code"].values.tolist() == [1, 1, 2]
     first, second = json.loads(dataset.attrs["code"])
-    assert first["code"]["file deeper.py"] != second["code"]["file deeper.py"]
-    assert first["code"]["file user.py"] == second["code"]["file user.py"]
+    assert (first["code"]["value deeper.FACTOR"], second["code"]["value deeper.FACTOR"]) == ("1.0", "100.0")
+    assert first["code"]["function user.evaluate"] == second["code"]["function user.evaluate"]
     write_study(folder, "rate = [1.0, 2.0, 3.0, 4.0]")  # and the same code again needs no flag
     assert sweep("run", "s.toml", "-o", "s.zarr", cwd=folder)[0] == 0
     assert open_dataset(folder / "s.zarr")["code"].values.tolist() == [1, 1, 2, 2]
@@ -168,7 +169,8 @@ def test_a_python_process_that_runs_twice_sees_the_change(folder):
     change(folder, "deeper")
     changed = load_study(str(folder / "s.toml")).experiment
     assert changed.evaluate([{"rate": 1.0}], 1, None, None) == {"total": [100.0]}
-    assert reproduce(folder / "s.zarr", "rate=2.0").other_code == ["file deeper.py has changed"]
+    (other,) = reproduce(folder / "s.zarr", "rate=2.0").other_code
+    assert other == f"value deeper.FACTOR ({folder}/deeper.py, line 1) is 1.0 in the store, 100.0 now"
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_failures_are_kept_unless_the_other_store_has_the_point(run, tmp_path):
     assert ds.status.values.tolist() == [1, 1, 2]
     (tmp_path / "model.py").write_text(MODEL.replace("k == 9", "k == 99"))
     run("d.zarr", axes={"k": [9]})
-    with pytest.raises(SweepError, match=r"model\.py has changed"):
+    with pytest.raises(SweepError, match=r"model\.model .* has changed"):
         merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr")
     assert not (tmp_path / "e.zarr").exists()
     healed = merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr", accept_code=True)
