@@ -301,7 +301,6 @@ where = { model = "small" }
             "'curves.py:number': the module has a int, not a function, at 'number'",
         ),
         ("curves.py:motions", "curves", "'curves': write module:attribute or file.py:attribute"),
-        ("curves.py:motions", "math:exp", "'math:exp': has no source file by which its code could be identified"),
         ("[15.0, 16.0]", "[15.0, 16.5]", "v_max = 16.5 mag: the curve of 'small' ends at 16 mag (1 point)"),
     ],
 )
