@@ -1,0 +1,426 @@
+"""Analysis through the functions of linksweep, on generated results, against SciPy and closed forms."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import null_space
+from scipy.optimize import brentq, curve_fit
+from scipy.stats import chi2 as chi2_law
+from scipy.stats import f as f_law
+from scipy.stats import linregress
+
+import linksweep
+from sweep.analysis.compare import compare
+from sweep.planning.point_status import Status
+
+seeds = st.integers(0, 2**32 - 1)
+several = settings(max_examples=25, deadline=None)
+
+
+def results(x, y, errors=None, covariance=None, samples=None, name="n", **attributes):
+    """Results along one axis as `linksweep.open` returns them."""
+    variables = {
+        "width": (name, np.asarray(y, dtype=float), {"headline": 1}),
+        "status": (name, np.full(len(x), Status.DONE, np.int8)),
+    }
+    if errors is not None:
+        variables["width_mc_error"] = name, np.asarray(errors, dtype=float)
+    if covariance is not None:
+        told = {} if samples is None else {"samples": samples}
+        variables[f"width_mc_covariance_{name}"] = (name, f"{name}_other"), covariance, told
+    return xr.Dataset(variables, {name: np.asarray(x, dtype=float)}, {"title": "Widths", **attributes})
+
+
+def drawn(seed, least=4):
+    """Places, values near a power law, and their covariance, of between ``least`` and ``least`` + 5 points."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(least, least + 6))
+    x = np.sort(rng.choice(np.geomspace(2.0, 500.0, 60), n, replace=False))
+    relative = rng.uniform(0.005, 0.03, n)
+    y = 3.0 * x ** rng.uniform(-2.0, 2.0) * np.exp(relative * rng.standard_normal(n))
+    mixing = rng.standard_normal((n, 2 * n))
+    correlation = mixing @ mixing.T
+    correlation = correlation / np.sqrt(np.outer(np.diag(correlation), np.diag(correlation)))
+    return rng, x, y, relative * y, correlation * np.outer(relative * y, relative * y)
+
+
+def factor(samples):
+    return 1.0 + 2.0 / (samples - 3.0)
+
+
+# Power laws
+
+
+@several
+@given(seeds, st.sampled_from([None, 20, 100]))
+def test_a_power_law_through_correlated_points(seed, samples):
+    """The best estimate with all weights, or with those of the diagonal where the covariance is itself an estimate."""
+    _, x, y, _, covariance = drawn(seed)
+    found = linksweep.fit_power_law(results(x, y, covariance=covariance, samples=samples), "width", "n")
+    design, relative = np.stack([np.ones_like(x), np.log(x)], axis=1), covariance / np.outer(y, y)
+    weights = np.linalg.inv(relative if samples is None else np.diag(np.diag(relative)))
+    solve = np.linalg.inv(design.T @ weights @ design) @ design.T @ weights
+    constant, exponent = solve @ np.log(y)
+    spread = solve @ relative @ solve.T * (1.0 if samples is None else factor(samples))
+    at_pivot = np.array([1.0, np.log(found["pivot"].item())])
+    amplitude = np.exp(at_pivot @ [constant, exponent])
+    height = np.sqrt(at_pivot @ spread @ at_pivot)
+    assert found["exponent"].item() == pytest.approx(exponent, rel=1e-8)
+    assert found["exponent_error"].item() == pytest.approx(np.sqrt(spread[1, 1]), rel=1e-6)
+    assert found["amplitude"].item() == pytest.approx(amplitude, rel=1e-8)
+    assert found["amplitude_error"].item() == pytest.approx(amplitude * height, rel=1e-6)
+    together = at_pivot @ spread[:, 1] / (height * np.sqrt(spread[1, 1]))
+    assert found["correlation"].item() == pytest.approx(together, abs=1e-6)
+    free = null_space(design.T)  # what no power law explains
+    rest = free.T @ np.log(y)
+    chi2 = rest @ np.linalg.solve(free.T @ relative @ free, rest)
+    dof = len(x) - 2
+    assert found["dof"].item() == dof
+    if np.isnan(found["chi2"].item()):
+        assert samples is not None  # the covariance is of first order, and too much of the errors is shared
+        return
+    assert found["chi2"].item() == pytest.approx(chi2, rel=1e-6)
+    scaled = chi2 if samples is None else chi2 * (samples - dof) / (dof * (samples - 1))
+    law = chi2_law(dof) if samples is None else f_law(dof, samples - dof)
+    assert found["p_value"].item() == pytest.approx(law.sf(scaled), rel=1e-6)
+
+
+@settings(max_examples=4, deadline=None)
+@given(seeds, st.sampled_from([None, 20]))
+def test_the_band_of_a_drawn_law_is_that_of_its_errors(seed, samples):
+    _, x, y, _, covariance = drawn(seed)
+    upper = linksweep.plot(results(x, y, covariance=covariance, samples=samples), "law").axes[0]
+    design, relative = np.stack([np.ones_like(x), np.log(x)], axis=1), covariance / np.outer(y, y)
+    weights = np.linalg.inv(relative if samples is None else np.diag(np.diag(relative)))
+    solve = np.linalg.inv(design.T @ weights @ design) @ design.T @ weights
+    spread = solve @ relative @ solve.T * (1.0 if samples is None else factor(samples))
+    [band] = [one for one in upper.collections if str(one.get_label()).startswith("_law band")]
+    corners = band.get_paths()[0].vertices
+    for at in (x[0], x[-1]):
+        heights = corners[np.isclose(corners[:, 0], at, rtol=1e-9), 1]
+        row = np.array([1.0, np.log(at)])
+        middle, half = np.exp(row @ solve @ np.log(y)), np.sqrt(row @ spread @ row)
+        assert [heights.min(), heights.max()] == pytest.approx([middle * (1 - half), middle * (1 + half)], rel=1e-6)
+
+
+@several
+@given(seeds)
+def test_a_power_law_through_points_without_errors_is_a_linear_regression(seed):
+    _, x, y, _, _ = drawn(seed)
+    found = linksweep.fit_power_law(results(x, y), "width", "n")
+    theirs = linregress(np.log(x), np.log(y))
+    assert found["exponent"].item() == pytest.approx(theirs.slope, rel=1e-9)
+    assert found["exponent_error"].item() == pytest.approx(theirs.stderr, rel=1e-7)
+    scatter = np.sum((np.log(y) - theirs.intercept - theirs.slope * np.log(x)) ** 2) / (len(x) - 2)
+    assert found["amplitude_error"].item() / found["amplitude"].item() == pytest.approx(np.sqrt(scatter / len(x)))
+    assert np.isnan(found["chi2"].item())
+
+
+@several
+@given(seeds)
+def test_the_order_of_points_changes_nothing(seed):
+    rng, x, y, _, covariance = drawn(seed)
+    ordered = results(x, y, covariance=covariance)
+    order = rng.permutation(len(x))
+    mixed = ordered.isel(n=order, n_other=order)
+    one, other = (linksweep.fit_power_law(dataset, "width", "n") for dataset in (ordered, mixed))
+    for name in ("exponent", "exponent_error", "amplitude_error", "chi2"):
+        assert other[name].item() == pytest.approx(one[name].item(), rel=1e-9)
+
+
+def test_a_deviation_has_the_sign_and_the_unit_of_its_error():
+    x = np.array([10.0, 20.0, 40.0, 80.0])
+    found = linksweep.fit_power_law(results(x, x**-0.4, 0.02 * x**-0.4), "width", "n", expected=-0.5)
+    assert found["deviation"].item() == pytest.approx(0.1 / found["exponent_error"].item(), rel=1e-9)
+
+
+# The law that levels off
+
+
+def level(x, plateau, size, rate):
+    return np.sqrt(plateau**2 + size * np.exp(-rate * x))
+
+
+def levelled(seed, quality=1.0):
+    """Points near a law that levels off within them, at places from anywhere, with the start of a fit."""
+    rng = np.random.default_rng(seed)
+    length, first = rng.uniform(5.0, 12.0), rng.uniform(0.0, 3.0)
+    x = first + length * np.linspace(0.0, 1.0, int(rng.integers(9, 15)))
+    rate = rng.uniform(2.0, 4.0) / length
+    truth = rng.uniform(0.4, 2.0), np.exp(rate * first) * rng.uniform(2.0, 5.0), rate
+    relative = rng.uniform(0.004, 0.008, len(x))
+    y = level(x, *truth) * np.exp(quality * relative * rng.standard_normal(len(x)))
+    return x, y, relative, truth
+
+
+def derived(x, fall, plateau, size, rate):
+    """What follows from a law: the fall at the end, and the place where it falls by so much."""
+
+    def slope(at):
+        part = size * np.exp(-rate * at)
+        return 0.5 * rate * part / (plateau**2 + part)
+
+    reach = 60.0 / rate
+    return slope(x[-1]), brentq(lambda at: slope(at) - fall, x[0] - reach, x[-1] + reach)
+
+
+@several
+@given(seeds, st.sampled_from([0.5, 1.0, 4.0]))
+def test_the_levelling_law_is_that_of_scipy_with_its_errors(seed, quality):
+    x, y, relative, truth = levelled(seed, quality)
+    fall = 0.2 * truth[2]
+    found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
+    options = {"p0": truth, "sigma": relative, "absolute_sigma": True, "xtol": 1e-14, "ftol": 1e-14}
+    best, spread = curve_fit(lambda at, *law: np.log(level(at, *law)), x, np.log(y), **options)
+    chi2 = float(np.sum(((np.log(y) - np.log(level(x, *best))) / relative) ** 2))
+    dof = len(x) - 3
+    spread = spread * max(1.0, chi2 / dof)
+    assert found["chi2"].item() == pytest.approx(chi2, rel=1e-4)
+    assert (found["dof"].item(), found["points"].item()) == (dof, len(x))
+    assert found["p_value"].item() == pytest.approx(chi2_law(dof).sf(chi2), rel=1e-3, abs=1e-12)
+    wanted = np.array([best[0], best[2], *derived(x, fall, *best)])
+    steps = np.array([1e-5 * np.abs(best) * (np.arange(3) == k) for k in range(3)])
+    gradient = np.stack(
+        [
+            [1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0],
+            *np.transpose(
+                [
+                    (np.array(derived(x, fall, *(best + s))) - derived(x, fall, *(best - s))) / (2.0 * s.sum())
+                    for s in steps
+                ]
+            ),
+        ]
+    )
+    errors = np.sqrt(np.diag(gradient @ spread @ gradient.T))
+    for name, value, error in zip(("plateau", "rate", "end_fall", "limit"), wanted, errors, strict=True):
+        assert found[name].item() == pytest.approx(value, abs=0.01 * error), name
+        assert found[f"{name}_error"].item() == pytest.approx(error, rel=0.02), name
+
+
+@several
+@given(seeds, st.floats(1.02, 1.9))
+def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
+    """Its logarithm falls by at most rate/2 a unit, where the plateau does not count yet."""
+    x, _, relative, truth = levelled(seed)
+    y = level(x, *truth)
+    for share, meets in ((0.5 * times, False), (0.5 / times, True)):
+        found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=share * truth[2])
+        if meets:
+            assert found["limit"].item() == pytest.approx(derived(x, share * truth[2], *truth)[1], rel=1e-3)
+        else:
+            assert found["limit"].item() == -np.inf
+
+
+@several
+@given(seeds, st.sampled_from([20, 50]))
+def test_errors_of_a_covariance_from_samples_are_larger(seed, samples):
+    x, y, relative, _ = levelled(seed, 0.3)
+    covariance = np.diag((relative * y) ** 2)
+    exact, estimated = (
+        linksweep.fit_levelling(results(x, y, covariance=covariance, samples=n), "width", "n") for n in (None, samples)
+    )
+    for name in ("plateau", "rate", "end_fall"):
+        ratio = estimated[f"{name}_error"].item() / exact[f"{name}_error"].item()
+        assert ratio == pytest.approx(np.sqrt(factor(samples)), rel=1e-4)
+
+
+def test_points_that_share_random_numbers_without_a_covariance_judge_no_law():
+    x, y, relative, _ = levelled(7)
+    dataset = results(x, y, relative * y, common_random_numbers=1, error_convention=2)
+    for fit in (linksweep.fit_levelling, linksweep.fit_power_law):
+        found = fit(dataset, "width", "n")
+        assert np.isnan([found["chi2"].item(), found["p_value"].item()]).all()
+
+
+# Between points
+
+
+def delta(function, values, covariance):
+    """Return the error of a function of values, to first order."""
+    steps = [1e-6 * np.abs(values) * (np.arange(len(values)) == k) for k in range(len(values))]
+    gradient = np.array([(function(values + s) - function(values - s)) / (2.0 * s.sum()) for s in steps])
+    return np.sqrt(gradient @ covariance @ gradient)
+
+
+@several
+@given(seeds, st.floats(0.01, 0.99), st.booleans(), st.sampled_from([None, 20]))
+def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, samples):
+    rng, x, y, errors, covariance = drawn(seed)
+    y = np.sort(y)
+    errors, spread = (None, covariance) if shared else (errors, np.diag(errors**2))
+    more = (factor(samples) if samples is not None else 1.0) if shared else 1.0
+    dataset = results(x, y, errors, covariance if shared else None, samples)
+    at = float(np.exp(np.interp(share, [0.0, 1.0], np.log(x[[0, -1]]))))
+
+    def between(values):
+        return np.exp(np.interp(np.log(at), np.log(x), np.log(values)))
+
+    found = linksweep.interpolate(dataset, "width", over="n", at=at)
+    assert found["width"].item() == pytest.approx(between(y), rel=1e-9)
+    assert found["width_mc_error"].item() == pytest.approx(delta(between, y, spread) * np.sqrt(more), rel=1e-5)
+    limit = float(np.exp(np.interp(share, [0.0, 1.0], np.log(y[[0, -1]]))))
+
+    def place(values):
+        return np.exp(np.interp(np.log(limit), np.log(values), np.log(x)))
+
+    crossing = linksweep.find(dataset, f"width < {limit!r}", over="n")
+    assert crossing["first"].item() == crossing["last"].item() == pytest.approx(place(y), rel=1e-9)
+    assert crossing["first_error"].item() == pytest.approx(delta(place, y, spread) * np.sqrt(more), rel=1e-4)
+    assert rng is not None
+
+
+@several
+@given(seeds)
+def test_first_last_and_number_of_crossings(seed):
+    rng = np.random.default_rng(seed)
+    y = rng.uniform(-1.0, 1.0, 12)
+    found = linksweep.find(
+        results(np.arange(1.0, 13.0), y, name="v").assign_coords(v=("v", np.arange(1.0, 13.0), {"units": "mag"})),
+        "width > 0",
+        over="v",
+    )
+    flips = [i for i in range(11) if (y[i] > 0.0) != (y[i + 1] > 0.0)]
+    assert found["crossings"].item() == len(flips)
+    if flips:
+        places = [1.0 + i + y[i] / (y[i] - y[i + 1]) for i in (flips[0], flips[-1])]
+        assert [found["first"].item(), found["last"].item()] == pytest.approx(places)
+    else:
+        assert found["nearest"].item() == (y.max() if y[0] <= 0.0 else y.min())
+
+
+@several
+@given(seeds, st.sampled_from([None, 20, 200]))
+def test_a_ratio_of_two_points(seed, samples):
+    _, x, y, errors, covariance = drawn(seed)
+    pair, less = [0, len(x) - 1], np.ix_([0, -1], [0, -1])
+    apart = linksweep.ratio(results(x, y, errors), "width", "n", of=x[0], to=x[-1])
+    together = linksweep.ratio(
+        results(x, y, None, covariance, samples).assign(width_mc_error=("n", errors)), "width", "n", of=x[0], to=x[-1]
+    )
+    for found, spread, more in (
+        (apart, np.diag(errors[pair] ** 2), 1.0),
+        (together, covariance[less], 1.0 if samples is None else factor(samples)),
+    ):
+        assert found["ratio"].item() == pytest.approx(y[0] / y[-1], rel=1e-12)
+        wanted = delta(lambda two: two[0] / two[1], y[pair], spread) * np.sqrt(more)
+        assert found["ratio_error"].item() == pytest.approx(wanted, rel=1e-5)
+
+
+@several
+@given(seeds, st.sampled_from([None, 20]))
+def test_claims_of_slopes_and_ratios_have_the_errors_of_the_fits(seed, samples):
+    _, x, y, errors, covariance = drawn(seed)
+    where = {"variable": "width", "of": {"n": float(x[0])}, "to": {"n": float(x[-1])}}
+    claims = [
+        {"text": "a", "source": "b", "published": "1", "ratio": where},
+        {"text": "c", "source": "d", "published": "-1.0", "slope": {"variable": "width", "over": "n"}},
+    ]
+    dataset = results(x, y, errors, covariance, samples, claims=json.dumps(claims))
+    quotient, slope = compare(dataset)
+    fit = linksweep.fit_power_law(dataset, "width", "n")
+    better = linksweep.ratio(dataset, "width", "n", of=x[0], to=x[-1])
+    assert (quotient.value, quotient.mc_error) == pytest.approx((better["ratio"].item(), better["ratio_error"].item()))
+    assert (slope.value, slope.mc_error) == pytest.approx((fit["exponent"].item(), fit["exponent_error"].item()))
+    for one, rounding in ((quotient, 0.5), (slope, 0.05)):
+        assert one.allowance == pytest.approx(rounding + 3.0 * one.mc_error)
+        assert one.detectable == pytest.approx(rounding + 4.6449 * one.mc_error)
+
+
+# Sensitivity
+
+
+def table(columns, y):
+    """Results at the points of a table, as `linksweep.open` returns them."""
+    coords = {name: ("point", np.asarray(values)) for name, values in columns.items()}
+    variables = {"y": ("point", np.asarray(y, dtype=float), {"headline": 1})}
+    variables["status"] = "point", np.full(len(y), Status.DONE, np.int8)
+    attributes = {"title": "", "function": "f", "point_table": json.dumps({"parameters": list(columns)})}
+    return xr.Dataset(variables, coords, attributes)
+
+
+@several
+@given(seeds, st.integers(1, 6), st.integers(64, 150))
+def test_a_function_of_the_ranks_alone_is_all_that_decides(seed, waves, n):
+    """The places of given points are their ranks, ties in the middle of theirs; waves over them are fitted exactly."""
+    rng = np.random.default_rng(seed)
+    x = np.round(rng.uniform(0.0, 5.0, n), 1)
+    place = np.array([(np.sum(x < one) + 0.5 * np.sum(x == one)) / n for one in x])
+    found = linksweep.sensitivity(table({"x": x, "other": rng.random(n)}, np.cos(np.pi * waves * place)))
+    assert found["first"].values[0] == pytest.approx(1.0, abs=1e-9)
+    assert found["first"].values[1] < 0.9
+
+
+@several
+@given(seeds, st.integers(2, 9), st.integers(40, 80))
+def test_groups_explain_the_adjusted_share(seed, groups, n):
+    rng = np.random.default_rng(seed)
+    kind = np.concatenate([np.arange(groups), rng.integers(0, groups, n - groups)])
+    y = kind + rng.standard_normal(n)
+    names = np.array([f"k{k}" for k in kind])
+    found = linksweep.sensitivity(table({"kind": names, "x": rng.random(n)}, y))
+    inside = sum(np.sum((y[kind == k] - y[kind == k].mean()) ** 2) for k in range(groups))
+    share = 1.0 - inside / np.sum((y - y.mean()) ** 2) * (n - 1) / (n - groups)
+    assert found["first"].values[0] == pytest.approx(share, abs=1e-9)
+    even = table({"kind": names, "x": rng.random(n)}, y)
+    told = {"parameters": ["kind", "x"], "design": "sobol", "n": n, "ranges": {"kind": {"values": ["a"]}, "x": [0, 1]}}
+    even.attrs["point_table"] = json.dumps(told)
+    chance = inside / np.sum((y - y.mean()) ** 2) * (groups - 1) / (n - groups)
+    spread = linksweep.sensitivity(even)
+    assert spread["first"].values[0] == pytest.approx(share + 0.5 * chance, abs=1e-9)
+    squares = spread["first_error"].values[0] ** 2 - found["first_error"].values[0] ** 2
+    assert squares == pytest.approx((0.5 * chance) ** 2, rel=1e-6, abs=1e-12)
+
+
+def test_what_only_the_shortest_waves_explain_is_in_the_error():
+    n = 400
+    place = (np.random.default_rng(3).permutation(n) + 0.5) / n
+    found = linksweep.sensitivity(table({"x": place}, np.cos(np.pi * 8 * place)))
+    assert found["first"].item() == pytest.approx(1.0, abs=1e-9)
+    assert found["first_error"].item() == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_stated_errors_of_given_points_are_their_scatter():
+    found = []
+    for seed in range(250):
+        x, other = np.random.default_rng(seed).random((2, 300))
+        dataset = table({"x": x, "other": other}, np.cos(np.pi * x) + 0.7 * np.cos(np.pi * other))
+        one = linksweep.sensitivity(dataset)
+        found.append((one["first"].values, one["first_error"].values))
+    estimates, errors = np.moveaxis(np.array(found), 1, 0)
+    assert np.std(estimates, axis=0) == pytest.approx(np.sqrt(np.mean(errors**2, axis=0)), rel=0.3)
+
+
+@several
+@given(seeds, st.tuples(st.integers(2, 5), st.integers(2, 5), st.integers(2, 4)))
+def test_indices_of_a_grid_without_the_part_of_the_noise(seed, sizes):
+    """Against expectations written out: the variance of a mean of independent errors is a sum of theirs."""
+    rng = np.random.default_rng(seed)
+    values, errors = 3.0 * rng.standard_normal(sizes), rng.uniform(0.1, 1.0, sizes)
+    axes = {"a": np.arange(sizes[0]), "b": np.arange(sizes[1]), "c": np.arange(sizes[2])}
+    variables = {
+        "y": (tuple(axes), values, {"headline": 1}),
+        "y_mc_error": (tuple(axes), errors),
+        "status": (tuple(axes), np.full(sizes, Status.DONE, np.int8)),
+    }
+    found = linksweep.sensitivity(xr.Dataset(variables, axes, {"title": "", "function": "f"}))
+
+    def variance(kept):
+        others = tuple(k for k in range(3) if k not in kept)
+        means = values.mean(axis=others)
+        noise = (errors**2).sum(axis=others) / np.prod([sizes[k] for k in others], dtype=float) ** 2
+        return means.var() - noise.mean() * (1.0 - 1.0 / means.size)
+
+    whole = variance((0, 1, 2))
+    if whole <= 0.0:
+        assert np.isnan(found["first"].values).all()
+        return
+    assert found["first"].values == pytest.approx([variance((k,)) / whole for k in range(3)], abs=1e-9)
+    rest = [variance(tuple(j for j in range(3) if j != k)) for k in range(3)]
+    assert found["total"].values == pytest.approx([1.0 - one / whole for one in rest], abs=1e-9)
+    assert np.all(found["first_error"].values > 0.0)
