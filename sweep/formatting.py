@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
@@ -31,6 +32,23 @@ LINES_ESCAPED = {code: escaped for code, escaped in ESCAPED.items() if chr(code)
 
 FORMULA = tuple("=+-@＝＋－＠")
 """How a cell of CSV begins that a spreadsheet would compute."""
+
+
+COMMAND: list[str] = []
+"""The words of the `sweep` command that this process runs; a script of the user's runs none, whatever its own are."""
+
+_ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*://)(?:[^\s?#'\"]*@)?([^\s/?#'\"]*)([^\s?#'\"]*)(?:[?#][^\s'\"]*)?", re.I)
+
+
+def without_secrets(text: str) -> str:
+    """Return text whose addresses have no passwords, keys and tokens: of a bucket's its name and the path are left, of
+    others the host and the port.
+
+    Examples:
+        >>> without_secrets("sweep run x --scheduler=tls://me:secret@host:8786/?token=1 -o s3://key:secret@b/s.zarr")
+        'sweep run x --scheduler=tls://host:8786 -o s3://b/s.zarr'
+    """
+    return _ADDRESS.sub(lambda found: found[1] + found[2] + (found[3] if found[1].lower() == "s3://" else ""), text)
 
 
 def harmless(text: str) -> str:

@@ -3,11 +3,13 @@
 import atexit
 import gc
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import click
 
 from sweep.cli.streams import harmless_streams, output_problem
+from sweep.formatting import COMMAND
 
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
@@ -64,15 +66,18 @@ class _Group(click.Group):
             with formatter.section(title):
                 formatter.write_dl(list(commands.items()), col_spacing=max(2, 12 - max(map(len, commands))))
 
-    def main(self, *arguments: Any, **named: Any) -> Any:
+    def main(self, args: Sequence[str] | None = None, *further: Any, **named: Any) -> Any:
+        before, COMMAND[:] = COMMAND[:], ["sweep", *(sys.argv[1:] if args is None else args)]
         with harmless_streams():
             try:
-                return super().main(*arguments, **named)
+                return super().main(args, *further, **named)
             except SystemExit as end:
                 if (problem := output_problem()) is None:
                     raise
                 click.echo(f"error: {problem}", err=True)
                 sys.exit(end.code or EXIT_BAD_INPUT)
+            finally:
+                COMMAND[:] = before
 
     def invoke(self, ctx: click.Context) -> Any:
         from sweep.cli.signals import end_stopped

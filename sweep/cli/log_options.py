@@ -1,7 +1,7 @@
 """The options that say what of a run goes to standard error, and what to a log file."""
 
 import logging
-import sys
+import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from typing import TextIO
 import click
 
 from sweep.cli.options import gathered
-from sweep.formatting import harmless
+from sweep.formatting import COMMAND, harmless, without_secrets
 
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
 """The second does not pass its messages on to the first."""
@@ -69,7 +69,7 @@ def told(watching: Watching) -> Iterator[None]:
             stack.enter_context(_handled(warnings, *DASK))
         if watching.log is not None:
             stack.enter_context(_handled(_Lines(watching.log), SENTENCES, RECORD, *DASK))
-            RECORD.info("%s", " ".join(["sweep", *sys.argv[1:]]))
+            RECORD.info("%s", shlex.join(COMMAND))
         try:
             yield
         except SweepError as error:
@@ -101,6 +101,6 @@ class _Lines(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
-            self._file.write(harmless(self.format(record)) + "\n")
+            self._file.write(without_secrets(harmless(self.format(record))) + "\n")
         except OSError:
             self.handleError(record)

@@ -40,7 +40,8 @@ class Holder:
     token: str
 
     def __str__(self) -> str:
-        return f"process {self.pid} on {self.host}, since {self.since} ({self.command})"
+        command = f" ({self.command})" if self.command else ""
+        return f"process {self.pid} on {self.host}, since {self.since}{command}"
 
     def state(self) -> Literal["runs", "has ended", "cannot be judged"]:
         """Say whether the holder runs, as far as that can be told on this host."""

@@ -4,7 +4,6 @@ import json
 import platform
 import shlex
 import subprocess
-import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sweep.code.reach import version_of
+from sweep.formatting import COMMAND, without_secrets
 from sweep.functions.adapter import FunctionExperiment
 from sweep.studies.study import POINT_TABLE, Study
 from sweep.tables.file import content_digest
@@ -67,7 +67,7 @@ def provenance(study: Study) -> dict[str, Any]:
         "versions": json.dumps({"python": platform.python_version()} | {p: version_of(p) for p in PACKAGES}),
         "host": host(),
         "machine": f"{platform.system()} {platform.machine()}",
-        "command": command_line(),
+        "command": command_line() or None,
         "started": now(),
         "defined": json.dumps(defined) if defined else None,
         "claims": json.dumps(claims) if claims else None,
@@ -93,8 +93,8 @@ def host() -> str:
 
 
 def command_line() -> str:
-    """Return the command that started this process, as a person would type it."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    """Return the `sweep` command that this process runs, as a person would type it but for secrets; '' in a script."""
+    return without_secrets(shlex.join(COMMAND))
 
 
 def now() -> str:

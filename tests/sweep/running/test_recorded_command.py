@@ -1,0 +1,67 @@
+"""What is recorded of the command line: the options of `sweep` without secrets, and nothing of a user's own script."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sweep.formatting import without_secrets
+
+SECRET = "hunter2"
+
+SCRIPT = """
+import linksweep
+
+def double(x: float = 1.0):
+    return 2.0 * x
+
+if __name__ == "__main__":
+    linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", pool="serial")
+"""
+
+
+def everything_in(folder):
+    """Return all that is in the files of a folder, but for the script."""
+    return b"".join(file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.suffix != ".py")
+
+
+@pytest.mark.parametrize("name", ["script.py", "sweep", "sweep.py"])
+def test_nothing_of_a_scripts_own_options(tmp_path, sweep, name):
+    (tmp_path / name).write_text(SCRIPT)
+    command = [sys.executable, name, "--password", SECRET, f"--token={SECRET}"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    code, _, err = sweep("report", tmp_path / "s.zarr", "-o", tmp_path / "page.html")
+    assert code == 0, err
+    assert (tmp_path / "page.html").exists()
+    (tmp_path / name).unlink()
+    assert SECRET.encode() not in everything_in(tmp_path)
+
+
+def test_the_options_of_sweep_without_secrets(tmp_path, sweep):
+    (tmp_path / "double.py").write_text(SCRIPT)
+    options = ("--axis", "x=1,2", "--log", "x.log", "-o", "s.zarr")
+    scheduler = f"tcp://me:{SECRET}@127.0.0.1:1/?token={SECRET}"
+    code, _, err = sweep("run", "double.py:double", *options, "--scheduler", scheduler, cwd=tmp_path)
+    assert code == 2, err
+    code, _, err = sweep("run", "double.py:double", *options, cwd=tmp_path)
+    assert code == 0, err
+    kept = everything_in(tmp_path)
+    assert b"sweep run double.py:double --axis x=1,2 --log x.log" in kept
+    assert SECRET.encode() not in kept
+
+
+@given(
+    scheme=st.sampled_from(["tcp", "tls", "https", "s3", "WSS"]),
+    user=st.sampled_from(["", f"me:{SECRET}@", f"{SECRET}@", f"me:{SECRET}/x@", f"me:@{SECRET}:@"]),
+    host=st.from_regex(r"[a-z][a-z0-9.-]{0,9}(:[0-9]{1,4})?", fullmatch=True),
+    rest=st.sampled_from(["", f"/?token={SECRET}", f"?X-Amz-Signature={SECRET}&x=1", f"/#{SECRET}", "/a/b"]),
+    around=st.sampled_from(["{}", "--scheduler={}", "run -o '{}' x", '"{}"']),
+)
+def test_addresses_have_no_secrets(scheme, user, host, rest, around):
+    said = without_secrets(around.format(f"{scheme}://{user}{host}{rest}"))
+    assert SECRET not in said
+    assert re.search(re.escape(f"{scheme}://{host}"), said)
