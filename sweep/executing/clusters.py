@@ -99,7 +99,7 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
     try:
         get_address_host_port(address)
     except (ValueError, TypeError) as error:
-        message = f"no Dask scheduler has the address {address!r}: {error}; expected tcp://HOST:PORT or tls://HOST:PORT"
+        message = f"no Dask scheduler has the address {address!r}; expected tcp://HOST:PORT or tls://HOST:PORT"
         raise SweepError(message) from error
     with without_logs(), ExitStack() as stack:
         try:
