@@ -16,10 +16,10 @@ from sweep.executing.execute import NO_LIMITS, Limits
 from sweep.executing.pools import PoolName
 from sweep.executing.upstream import leave_a_worker_that_runs_its_script
 from sweep.formatting import harmless
+from sweep.running.failures import MaxFailures, failed_points
 from sweep.running.notebook import NotebookProgress, in_notebook
 from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
-from sweep.running.run_summary import failed_points
 from sweep.stores.location import Where, located
 from sweep.stores.named import default_store, store_named
 from sweep.stores.store import open_dataset
@@ -55,6 +55,7 @@ def run(
     progress: Progress | None = None,
     accept_code: bool = False,
     fresh: bool = False,
+    max_failures: int | str | None = None,
 ) -> xr.Dataset:
     """Run a study, or sweep a function, and return the results.
 
@@ -83,13 +84,15 @@ def run(
         accept_code: continue a store that other code made, and record for each point which code made it; otherwise
             such a store is refused.
         fresh: replace the store.
+        max_failures: end the run when more points than this number, or than this percentage, "5%", of those that ended
+            fail; by default if the first 20 all fail for the same reason, with "100%" never.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
 
     Returns:
         The outputs of the study over its axes, in memory, as from `open`.
 
     Raises:
-        SweepError: for bad input, before anything is written.
+        SweepError: for bad input, before anything is written; and where too many points fail, with what was done kept.
         KeyboardInterrupt: on Ctrl-C and signals that end a process; what was done is kept.
 
     Example:
@@ -112,8 +115,14 @@ def run(
     place = located(store or default_store(loaded.name))
     file = None if cluster is None else Path(cluster)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard)
+    try:
+        most = None if max_failures is None else MaxFailures.of(max_failures)
+    except ValueError as error:
+        raise SweepError(f"max_failures = {error}") from error
     with _watching(loaded, progress) as watching:
-        dataset, failures = run_study(loaded, place, resources, watching, accept_code=accept_code, fresh=fresh)
+        dataset, failures = run_study(
+            loaded, place, resources, watching, accept_code=accept_code, fresh=fresh, max_failures=most
+        )
     if failures:
         log.warning("%s: %s", place, harmless(failed_points(failures)))
     return _drawable(dataset)
@@ -240,7 +249,7 @@ def _watching(study: Study, progress: Progress | None) -> AbstractContextManager
     if progress is not None:
         return nullcontext(progress)
     if in_notebook():
-        return nullcontext(NotebookProgress())
+        return nullcontext(NotebookProgress(study))
     if sys.stderr is not None and sys.stderr.isatty():
         return TerminalProgress(study)
     return nullcontext(Silent())

@@ -48,6 +48,8 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     if not finite.any():
         yield "No point has a value yet."
         return
+    unfinished = bool(part["status"].isin([Status.MISSING, Status.FAILED]).any())
+    all_of = "" if unfinished else "all "
     if is_truth(part[variable]):
         true, count = int(values[finite].sum()), int(finite.sum())
         yield f"It is True at {true:,} of {counted(count, 'point')}." if count > 1 else f"It is {bool(true)}."
@@ -56,8 +58,6 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     of = {words: part.get(f"{variable}_{suffix}") for suffix, words in ERROR_WORDS.items()}
     known_ones = [words for words, error in of.items() if error is not None and bool(error.notnull().any())]
     origin = " and ".join(known_ones).replace("catalogue", outer_draw_of(part.attrs))
-    unfinished = bool(part["status"].isin([Status.MISSING, Status.FAILED]).any())
-    all_of = "" if unfinished else "all "
     yield _range(part, variable, finite, errors, unit, all_of)
     yield "" if unfinished else _what_changes_it(dims, values)
     yield _accuracy(values[finite], errors[finite], origin)

@@ -103,7 +103,7 @@ class _Group(click.Group):
                 click.echo(f"error: {where}{len(error.problems)} problems", err=True)
                 for problem in error.problems:
                     click.echo(f"  - {problem}", err=True)
-            sys.exit(EXIT_BAD_INPUT)
+            sys.exit(error.exit_code)
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})

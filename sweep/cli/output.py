@@ -61,7 +61,7 @@ def print_plan(report: dict[str, Any]) -> None:
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
     from sweep.running.eta import in_words
-    from sweep.running.run_summary import failed_before
+    from sweep.running.failures import failed_before
 
     failed = failed_before(report["points_failed"])
     words = {
@@ -162,7 +162,7 @@ def print_status(report: dict[str, Any]) -> None:
 
 def _print_failures(failures: dict[str, str]) -> None:
     """Print why points failed: each of a few, else the reasons with their counts, and the first points."""
-    from sweep.running.run_summary import failed_points
+    from sweep.running.failures import failed_points
 
     click.echo("failures:")
     if len(failures) > MOST_FAILURES:

@@ -20,6 +20,7 @@ from sweep.formatting import to_json
 
 if TYPE_CHECKING:
     from sweep.executing.choose import Resources
+    from sweep.running.failures import MaxFailures
     from sweep.stores.location import Location
     from sweep.studies.study import Study
 
@@ -33,6 +34,26 @@ class Running:
     as_json: bool | None
     break_lock: bool = False
     accept_code: bool = False
+    max_failures: "MaxFailures | None" = None
+
+
+def _max_failures(_context: click.Context, _parameter: click.Parameter, value: str | None) -> "MaxFailures | None":
+    if value is None:
+        return None
+    from sweep.running.failures import MaxFailures
+
+    try:
+        return MaxFailures.of(value)
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from error
+
+
+max_failures_option = click.option(
+    "--max-failures",
+    metavar="N|P%",
+    callback=_max_failures,
+    help="End the run when more points fail; 100% never.  [default: if the first 20 all fail for one reason]",
+)
 
 
 def run_with_progress(
@@ -50,7 +71,7 @@ def run_with_progress(
     with a_signal_ends_the_command(), told(how.watching), TerminalProgress(study, bar) as progress:
         try:
             dataset, failures = run_study(
-                study, store, how.resources, progress, retry, how.break_lock, how.accept_code, fresh
+                study, store, how.resources, progress, retry, how.break_lock, how.accept_code, fresh, how.max_failures
             )
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
@@ -70,6 +91,7 @@ def run_with_progress(
 @resource_options
 @options.break_lock_option
 @options.accept_code_option
+@max_failures_option
 @click.option("--fresh", is_flag=True, help="Replace an existing store, whatever its study and code.")
 @watching_options
 @options.trust_option
@@ -121,6 +143,7 @@ def plan(asked: options.AskedStudy, workers: int | None, accept_code: bool, as_j
 @resource_options
 @options.break_lock_option
 @options.accept_code_option
+@max_failures_option
 @watching_options
 @options.trust_option
 @options.json_option

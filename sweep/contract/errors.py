@@ -19,6 +19,9 @@ class SweepError(Exception):
         where: the file or command that they are about.
     """
 
+    exit_code = 2
+    """With which a command ends."""
+
     def __init__(self, problems: str | Sequence[str], where: str = "") -> None:
         self.problems = [harmless(text) for text in ([problems] if isinstance(problems, str) else problems)]
         self.where = where

@@ -113,18 +113,23 @@ def measured_first(
         first = stack.enter_context(ExitStack())
         place, compute = first.enter_context(serial(study, apart=not study.is_ours))
         moved: list[Executor] = []
+        done = busy = 0.0
+        slowest = (1.0, 0.0)  # the cost and the seconds of that task, which may have imported: it decides nothing
 
         def run(take: Take) -> Results:
+            nonlocal done, busy, slowest
             if moved:
                 yield from moved[0](take)
                 return
-            done = busy = 0.0
             for works, result in compute(take):
                 yield works, result
-                done += sum(work.cost for work in works) * len(result.seconds) / sum(len(w.points) for w in works)
-                busy += float(result.seconds.sum())
-                left = max(0.0, cost - done) * busy / max(done, 1e-9)
-                if busy > JUDGED_S and left * (1.0 - 1.0 / cores) > WORKERS_START_S:
+                share = len(result.seconds) / sum(len(work.points) for work in works)
+                one = (sum(work.cost for work in works) * share, float(result.seconds.sum()))
+                done, busy = done + one[0], busy + one[1]
+                slowest = max(slowest, one, key=lambda task: task[1] / task[0])
+                usual = busy - slowest[1]
+                left = max(0.0, cost - done) * usual / max(done - slowest[0], 1e-9)
+                if usual > JUDGED_S and left * (1.0 - 1.0 / cores) > WORKERS_START_S:
                     first.close()
                     there, executor = stack.enter_context(elsewhere())
                     moved.append(executor)

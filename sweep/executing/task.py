@@ -69,7 +69,8 @@ class TaskResult:
     By the number of a row, ``failures`` has the reason why it could not be computed, ``samples`` its samples where they
     are kept, (realisations, width), and ``said`` what was printed in the unit whose first row it is.  For a plain
     function ``values`` has the results by row; the client turns them into sums, since only it knows their layout.
-    ``texts`` are the texts in these results, by their digests.
+    ``texts`` are the texts in these results, by their digests.  ``cold`` says that the first row was the first call in
+    its process, which may include imports.
     """
 
     sums: NDArray[np.float64]
@@ -79,6 +80,7 @@ class TaskResult:
     said: dict[int, Captured] = field(default_factory=dict)
     values: dict[int, Flat] = field(default_factory=dict)
     texts: dict[bytes, str] = field(default_factory=dict)
+    cold: bool = False
 
 
 def failure_of(error: BaseException) -> Failure:
@@ -115,6 +117,7 @@ def joined(results: Sequence[TaskResult]) -> TaskResult:
         {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
         {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
         {first + row: value for first, r in zip(starts, results, strict=False) for row, value in r.values.items()},
+        cold=any(result.cold for result in results[:1]),
     )
 
 

@@ -1,5 +1,6 @@
 """Computes a task on a worker: the sums of its blocks, one after the other."""
 
+import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -24,6 +25,13 @@ ENOUGH_S = 2.0
 """Seconds after which a task returns what it has, so that its results do not wait for those of slower points."""
 
 
+IMPORTS_S = 30.0
+"""A first call in a process that takes longer is slow by itself; a shorter one may be so for what it imports."""
+
+_called: set[tuple[str, str | None, int]] = set()
+"""The experiments that were called in this process, by reference, digest and thread."""
+
+
 def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
     """Compute the blocks of a task, but begin no further one after `ENOUGH_S` or the task's ``enough_s``, whichever is
     longer; a point that raises is recorded and the rest goes on.
@@ -41,6 +49,14 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
 
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     """Yield the result of each unit of a task; the other blocks of a point that took too long are not tried."""
+    who = task.experiment_reference, task.source_digest, threading.get_ident()
+    for result in _run_units(task, deadlines):
+        result.cold = who not in _called and float(result.seconds[0]) < IMPORTS_S
+        _called.add(who)
+        yield result
+
+
+def _run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     if isinstance(experiment, FunctionExperiment) and experiment.vectorised and len(task.units) > 1:
         together = points_together(experiment, task, deadlines)

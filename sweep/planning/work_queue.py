@@ -48,11 +48,11 @@ class Pending:
     """
 
     def __init__(self, plan: Plan, accumulator: Accumulator, tuning: Tuning = TUNED) -> None:
-        self._plan, self._accumulator, self._most_blocks = plan, accumulator, tuning.most_blocks
+        self._plan, self._accumulator, self.most_blocks = plan, accumulator, tuning.most_blocks
         self._known: deque[Work] = deque()
         self._fresh = self._shared() if plan.grid.study.sampling.common_random_numbers else self._alone()
         self._left = accumulator.survey.pending.cost
-        self._begun = False
+        self._begun = self._warm = False
         self._tasks_out = 0
         self._measured_cost = self._measured_s = 0.0
 
@@ -75,25 +75,31 @@ class Pending:
             self._tasks_out += 1
         return tasks
 
-    def settle(self, works: Sequence[Work], seconds: Array) -> list[Work]:
-        """Note the ``seconds``, (rows,), that each point of each block of a task took; return the computed blocks.
+    def settle(self, works: Sequence[Work], seconds: Array, cold: bool = False) -> list[Work]:
+        """Note the ``seconds``, (rows,), that each point of each block of a task took, the first of them perhaps for
+        imports if it was ``cold``; return the computed blocks.
 
         There may be fewer seconds than points: a worker stops where a task takes too long.  The rest is pending again.
         """
-        rows = accumulate(len(work.points) for work in works)
-        done = bisect_right(list(rows), len(seconds))
+        rows = list(accumulate(len(work.points) for work in works))
+        done = bisect_right(rows, len(seconds))
         for work in reversed(works[done:]):
             self._known.appendleft(work)
             self._left += work.cost
         self._tasks_out = max(0, self._tasks_out - 1)
-        self._measured_cost = KEPT * self._measured_cost + sum(work.cost for work in works[:done])
-        self._measured_s = KEPT * self._measured_s + float(seconds.sum())
+        usual = works[int(cold) : done]
+        if usual or not self._warm:
+            kept = KEPT if self._warm or not usual else 0.0  # what was cold tells nothing beside others
+            skipped = rows[0] if cold and usual else 0
+            self._warm |= bool(usual)
+            self._measured_cost = kept * self._measured_cost + sum(work.cost for work in usual or works[:done])
+            self._measured_s = kept * self._measured_s + float(seconds[skipped:].sum())
         return list(works[:done])
 
     def _task(self) -> list[Work]:
         task: list[Work] = []
         cost, most = 0.0, self._task_cost()
-        while len(task) < self._most_blocks and (work := self._next()) is not None:
+        while len(task) < self.most_blocks and (work := self._next()) is not None:
             if task and cost + work.cost > most:
                 self._known.appendleft(work)
                 break

@@ -4,6 +4,8 @@ import math
 from bisect import bisect_right, insort
 from dataclasses import dataclass
 
+from sweep.executing.task import TaskResult
+
 OVERLAP = 0.25
 """A task may seem to begin this fraction of its length before the last one on its worker ended: results come late."""
 
@@ -24,7 +26,8 @@ class Eta:
     """Estimates the time left, with all times in seconds of one clock.
 
     Which results can come from one worker is inferred from their times; there are at most ``workers`` workers if that
-    is known.  The time since a worker's last result counts as work under way.
+    is known.  The time since a worker's last result counts as work under way.  A first call in a process may have
+    imported modules: its time counts for that worker, but not for what is left.
 
     Example: two of ten tasks have come from one worker, which takes 3 s for each.
 
@@ -39,7 +42,7 @@ class Eta:
         """Start with the ``cost`` of all work that is known."""
         self._known = cost
         self._workers = math.inf if workers is None else max(1, workers)
-        self._done = self._busy = self._longest = 0.0
+        self._done = self._cost = self._busy = self._longest = 0.0
         self._tasks = 0
         self._lanes: list[_Lane] = []
 
@@ -47,13 +50,22 @@ class Eta:
         """Add work that was not known before."""
         self._known += cost
 
-    def take(self, now: float, cost: float, seconds: float) -> None:
-        """Count a task's result that came ``now`` after ``seconds`` on its worker."""
+    def take_result(self, now: float, cost: float, result: TaskResult) -> None:
+        """Count a task's result that came ``now``."""
+        cold = float(result.seconds[0]) if result.cold else 0.0
+        self.take(now, cost, float(result.seconds.sum()), cold, len(result.seconds))
+
+    def take(self, now: float, cost: float, seconds: float, cold: float = 0.0, rows: int = 1) -> None:
+        """Count a task's result that came ``now`` after ``seconds`` on its worker; ``cold`` of them for the first of
+        its ``rows``, which may have imported modules.
+        """
         seconds = max(seconds, 1e-9)
         self._done += cost
-        self._busy += seconds
-        self._tasks += 1
-        self._longest = max(self._longest, seconds)
+        if usual := 1.0 - (1.0 / rows if cold else 0.0):
+            self._cost += usual * cost
+            self._busy += max(seconds - cold, 1e-9)
+            self._tasks += 1
+            self._longest = max(self._longest, seconds - cold)
         begin = now - seconds
         free = bisect_right(self._lanes, begin + OVERLAP * seconds, key=lambda lane: lane.end)
         if free or len(self._lanes) >= self._workers:
@@ -64,13 +76,13 @@ class Eta:
         insort(self._lanes, lane)
 
     def left(self, now: float) -> float | None:
-        """Return the seconds left, never negative; None while nothing is known."""
+        """Return the seconds left, never negative; None while nothing is known but the time of first calls."""
         if not self._tasks:
             return None
         lanes = [lane for lane in self._lanes if now - lane.end <= SILENT * self._longest] or self._lanes[-1:]
         share = sum(lane.busy for lane in lanes) / sum(max(lane.end - lane.begin, lane.busy) for lane in lanes)
         under_way = sum(min(max(now - lane.end, 0.0), self._longest) for lane in lanes) * share
-        needed = max(self._known - self._done, 0.0) * self._busy / max(self._done, 1e-9)
+        needed = max(self._known - self._done, 0.0) * self._busy / max(self._cost, 1e-9)
         at_once = min(float(len(lanes)), max(1.0, needed * self._tasks / self._busy))
         return max(needed - under_way, needed / 2) / (at_once * share)
 

@@ -1,6 +1,6 @@
 """Takes the layout of a plain function's results from the first one, and requires it of later ones."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,41 +10,62 @@ from sweep.executing.task import Failure, TaskResult
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.layout import differences, with_head
 from sweep.functions.results import Flat
-from sweep.planning.plan import Work
+from sweep.planning.plan import PlanSize, Work
 from sweep.planning.work_queue import Pending
+from sweep.running.failures import FailureCount
+from sweep.running.writer import Taken, size_of
 from sweep.studies.study import Study
 
 Done = tuple[list[Work], TaskResult]
 
 
-def first_results(study: Study, pending: Pending, run: Executor, workers: int = 1) -> tuple[Study, list[Done]]:
+def first_results(
+    study: Study,
+    pending: Pending,
+    run: Executor,
+    workers: int,
+    failing: FailureCount,
+    tell: Callable[[list[Work], TaskResult, Taken], None],
+) -> tuple[Study, list[Done]]:
     """Return a study with the layout of the first result, and all work done to get one; where its outputs are declared,
     return it as it is.
 
     Each of the ``workers`` gets one task; the first of these, in the order of the points, that has a result decides.
-    Where every point fails nothing is known of the results, and the study stays as it is.
+    Where every point fails nothing is known of the results, and the study stays as it is.  Tasks without any result are
+    counted by ``failing``, which ends this too, and told at once.
     """
     experiment = study.experiment
     if not isinstance(experiment, FunctionExperiment) or not experiment.undeclared:
         return study, []
     done: list[Done] = []
     values: dict[int, Flat] = {}  # by the index of their point
+    failed: set[int] = set()
     tasks = points_out = 0
+    most_blocks = pending.most_blocks
 
     def take(_count: int) -> list[list[Work]]:
         nonlocal tasks, points_out
-        if tasks == workers or values:
+        if tasks == workers or values or failing.too_many():
             return []
+        pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
         given = pending.take(1)
         tasks += len(given)
         points_out += sum(len(work.points) for works in given for work in works)
         return given
 
     for given, result in run(take):
-        done.append((pending.settle(given, result.seconds), result))
-        points = [point for work in given for point in work.points]
+        works = pending.settle(given, result.seconds, result.cold)
+        done.append((works, result))
+        points = [point for work in works for point in work.points]
         values |= {points[row].index: value for row, value in result.values.items()}
-        points_out -= len(points)
+        points_out -= sum(len(work.points) for work in given)
+        if not result.values:
+            why = {points[row].index: failure for row, failure in result.failures.items()}
+            ended = {point.index: point for point in points if point.index not in failed}
+            failed |= why.keys()
+            failing.take(ended.values(), why)
+            size = replace(size_of(works, len(ended)), realisations=0)
+            tell(works, result, Taken(size, PlanSize(0, 0, 0, 0.0), tuple(ended.values()), why))
         if not points_out:
             tasks = 0
     if not values:

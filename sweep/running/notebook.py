@@ -10,7 +10,9 @@ from sweep.executing.task import TaskResult
 from sweep.formatting import harmless
 from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
+from sweep.running.failures import FailureCount
 from sweep.running.writer import Taken
+from sweep.studies.study import Study
 
 EVERY_S = 0.5
 """Seconds between two updates of the line, at least."""
@@ -24,18 +26,18 @@ def in_notebook() -> bool:
 
 
 class NotebookProgress:
-    """Shows points done and the time left below the cell that runs."""
+    """Shows points done and failed, and the time left, below the cell that runs."""
 
-    def __init__(self) -> None:
+    def __init__(self, study: Study) -> None:
         self._handle: Any = None
-        self._points = self._all_points = 0
+        self._study = study
         self._shown = 0.0
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
         """Show that work begins."""
         self._eta = Eta(survey.pending.cost, workers)
-        self._all_points = survey.total.points
-        self._points = survey.total.points - survey.pending.points
+        total = survey.total.points
+        self._count = FailureCount(self._study, total, total - survey.pending.points, survey.failed)
         self._where = where
         self._show()
 
@@ -43,8 +45,8 @@ class NotebookProgress:
         """Count a task's results."""
         now = time.monotonic()
         self._eta.extend(taken.more.cost)
-        self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
-        self._points += taken.done.points
+        self._eta.take_result(now, taken.done.cost, result)
+        self._count.take(taken.ended, taken.failed)
         if now - self._shown > EVERY_S:
             self._show()
 
@@ -61,10 +63,15 @@ class NotebookProgress:
         from IPython.display import HTML, display
 
         self._shown = time.monotonic()
-        left = None if ended else self._eta.left(self._shown)
-        words = "done" if ended else f"about {in_words(left)} left" if left is not None else f"on {self._where}"
-        bar = f'<progress value="{self._points}" max="{max(1, self._all_points)}"></progress>'
-        line = HTML(f"{bar} {self._points:,}/{self._all_points:,} points, {escape(words)}")
+        count, left = self._count, None if ended else self._eta.left(self._shown)
+        state = "done" if count.done == count.points else "ended"
+        words = state if ended else f"about {in_words(left)} left" if left is not None else f"on {self._where}"
+        points = str(count)
+        if failed := count.failed_in_words:
+            words = ", ".join([*([escape(count.reason)] if count.reason else []), escape(words)])
+            points = points.replace(failed, f'<span style="color: #d03030">{failed}</span>')
+        bar = f'<progress value="{count.done}" max="{max(1, count.points)}"></progress>'
+        line = HTML(f"{bar} {points}, {words}")
         if self._handle is None:
             self._handle = display(line, display_id=True)
         else:

@@ -3,11 +3,11 @@
 import logging
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn
+from rich.progress import BarColumn, Progress, ProgressColumn, Task
 from rich.text import Text
 
 from sweep.executing.task import TaskResult
@@ -16,7 +16,8 @@ from sweep.interrupt import how_ended
 from sweep.planning.grid import describe
 from sweep.planning.plan import Survey, Work
 from sweep.running.eta import Eta, in_words
-from sweep.running.run_summary import RunSummary, failed_before, failed_points
+from sweep.running.failures import FailureCount, failed_before, failed_points
+from sweep.running.run_summary import RunSummary
 from sweep.running.writer import Taken
 from sweep.studies.study import Study
 
@@ -54,9 +55,9 @@ class TerminalProgress:
         self._begun = self._said = time.monotonic()
         self._eta = Eta(survey.pending.cost, workers)
         total, pending = survey.total, survey.pending
-        self._points, self._all_points = total.points - pending.points, total.points
+        self._count = FailureCount(self._study, total.points, total.points - pending.points, survey.failed)
         self._work = pending.cost
-        done = self._points - survey.failed
+        done = self._count.done
         held = f", {done:,} of them in the store already" if done else ""
         held += failed_before(survey.failed)
         begun = total.points == pending.points and total.blocks > pending.blocks
@@ -64,9 +65,8 @@ class TerminalProgress:
         number, noun = (pending.points, "point") if self._once else (pending.realisations, "realisation")
         self.say(f"{counted(total.points, 'point')}{held}{partly}; {counted(number, noun)} to do on {where}")
         if self._with_bar and pending.blocks:
-            columns = (BarColumn(), TextColumn("{task.description}"), _Left(self._eta))
-            self._bar = Progress(*columns, console=self._console, transient=True)
-            self._task = self._bar.add_task(self._description(), total=pending.cost)
+            self._bar = Progress(BarColumn(24), _Words(self._in_colour), console=self._console, transient=True)
+            self._task = self._bar.add_task("", total=pending.cost)
             self._bar.start()
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
@@ -75,18 +75,18 @@ class TerminalProgress:
         now = time.monotonic()
         self._eta.extend(taken.more.cost)
         self._work += taken.more.cost
-        self._eta.take(now, taken.done.cost, float(result.seconds.sum()))
+        self._eta.take_result(now, taken.done.cost, result)
         self._summary.take(works, result, taken.done)
-        self._points += taken.done.points
+        for sentence in self._count.take(taken.ended, taken.failed):
+            SENTENCES.warning(sentence)
         self._tell_points(taken)
         if result.said:
             self._tell_what_was_said(works, result)
         if self._bar is not None:
-            self._bar.update(self._task, advance=taken.done.cost, total=self._work, description=self._description())
+            self._bar.update(self._task, advance=taken.done.cost, total=self._work)
         if now - self._said > min(max(LINE_FIRST_S, LINE_SHARE * (now - self._begun)), LINE_LAST_S):
             self._said = now
-            line = f"{self._description()}, {_left_in_words(self._eta, now)}"
-            (SENTENCES if self._bar is None else RECORD).info(line)
+            (SENTENCES if self._bar is None else RECORD).info(self._line(now))
 
     def written(self) -> None:
         """Remove the bar."""
@@ -121,8 +121,11 @@ class TerminalProgress:
         """Say what an interrupted run leaves, and how to go on."""
         self.written()
         done_so_far = self._summary.done
-        number, noun = (done_so_far.points, "point") if self._once else (done_so_far.realisations, "realisation")
+        failed = 0 if self._begun is None else self._count.failed_here
+        points = done_so_far.points - failed
+        number, noun = (points, "point") if self._once else (done_so_far.realisations, "realisation")
         kept = f"{counted(number, noun)} of this run {'is' if number == 1 else 'are'} kept in {store}"
+        kept += f", {counted(failed, 'point')} failed" if failed else ""
         done = "nothing was begun" if self._begun is None else kept
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
@@ -131,7 +134,8 @@ class TerminalProgress:
         self.written()
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
-            for line in (*self._summary.summary(time.monotonic() - self._begun), f"wrote {store}{further}"):
+            took = time.monotonic() - self._begun
+            for line in (*self._summary.summary(took, self._count.failed_here), f"wrote {store}{further}"):
                 self.say(line)
             for line in self._summary.warnings():
                 SENTENCES.warning(line)
@@ -142,29 +146,33 @@ class TerminalProgress:
                 f"`sweep reproduce {store} --at POINT` runs one here"
             )
 
-    def _description(self) -> str:
+    def _line(self, now: float) -> str:
+        """Return how far the run is: points, speed, time left."""
         assert self._begun is not None, "a run starts before it is described"
-        elapsed = time.monotonic() - self._begun
         done = self._summary.done
         number, noun = (done.points, "points") if self._once else (done.realisations, "realisations")
         share = f" ({100.0 * done.cost / self._work:.0f} % of the work)" if self._work > 0.0 and not self._once else ""
-        return f"{self._points:,}/{self._all_points:,} points{share}, {per_second(number, elapsed, noun)}"
+        left = self._eta.left(now)
+        words = [f"{self._count}{share}", per_second(number, now - self._begun, noun)]
+        return ", ".join([*words, *([] if left is None else [f"about {in_words(left)} left"])])
+
+    def _in_colour(self) -> Text:
+        """Return the line of the bar, with what failed in red and the first reason as far as there is room."""
+        words = self._count.failed_in_words
+        line = Text(self._line(time.monotonic()), no_wrap=True, overflow="ellipsis")
+        line.highlight_words([words] if words else [], style="bold red")
+        return line.append(f"; {self._count.reason}" if words and self._count.reason else "", style="red")
 
 
-class _Left(ProgressColumn):
-    """The time left, also between two results."""
+class _Words(ProgressColumn):
+    """What changes also between two results."""
 
-    def __init__(self, eta: Eta) -> None:
+    def __init__(self, words: Callable[[], Text]) -> None:
         super().__init__()
-        self._eta = eta
+        self._words = words
 
-    def render(self, task: Task) -> Text:
-        return Text(_left_in_words(self._eta, time.monotonic()), style="progress.remaining")
-
-
-def _left_in_words(eta: Eta, now: float) -> str:
-    left = eta.left(now)
-    return "" if left is None else f"about {in_words(left)} left"
+    def render(self, _task: Task) -> Text:
+        return self._words()
 
 
 class Sentences(logging.Handler):

@@ -17,6 +17,7 @@ from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import Plan, Survey, Work
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
+from sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
 from sweep.running.first_result import Done, as_rows, first_results
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
@@ -32,6 +33,13 @@ from sweep.studies.study import Study
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+GOES_ON = (
+    "what was done is kept; the same command goes on from there, and `sweep retry` tries the failed points again; "
+    '--max-failures 100% (in Python max_failures="100%") goes on whatever fails'
+)
+"""What follows why a run was ended."""
 
 
 class Progress(Protocol):
@@ -79,6 +87,7 @@ def run_study(
     break_lock: bool = False,
     accept_code: bool = False,
     fresh: bool = False,
+    max_failures: MaxFailures | None = None,
     tuning: Tuning = TUNED,
 ) -> "tuple[xr.Dataset, dict[str, str]]":
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
@@ -87,8 +96,9 @@ def run_study(
     ``retry`` they, and only they, are computed again.  Where the store holds a larger study it is left as it is, and
     these points of it are returned.  A store that other code made is continued with ``accept_code`` only; ``fresh``
     replaces whatever store is there.  Raises SweepError for bad input before anything is written, and for a store that
-    another process writes to (``break_lock`` as `locked` says); RunInterruptedError on SIGINT, SIGTERM and SIGHUP with
-    everything that was finished in the store.
+    another process writes to (``break_lock`` as `locked` says); with everything that was finished in the store
+    TooManyFailuresError where more than ``max_failures`` fail, by default where the first points all fail for one
+    reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
     """
     progress = progress or Silent()
     plan = Plan(make_grid(study))
@@ -115,7 +125,10 @@ def run_study(
         where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
         place, run = stack.enter_context(where)
         progress.start(accumulator.survey, place.words, place.workers)
-        study, first = first_results(study, Pending(plan, accumulator, tuning), run, place.workers or place.threads)
+        total = accumulator.survey.total.points
+        failing = FailureCount(study, total, total - accumulator.survey.pending.points, most=max_failures)
+        begun, threads = Pending(plan, accumulator, tuning), place.workers or place.threads
+        study, first = first_results(study, begun, run, threads, failing, progress.advance)
         if first:
             plan = plan.of(study)
         opened = _opened(store, opened, plan)
@@ -124,25 +137,45 @@ def run_study(
         if unused := len(opened.rows) - accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         writer = Writer(accumulator, opened, interruptions.held, tuning=tuning)
-        return _computed(writer, first, place, run, progress)
+        return _computed(writer, first, place, run, progress, failing)
 
 
 def _computed(
-    writer: Writer, first: Sequence[Done], place: Place, run: Executor, progress: Progress
+    writer: Writer,
+    first: Sequence[Done],
+    place: Place,
+    run: Executor,
+    progress: Progress,
+    failing: FailureCount,
 ) -> "tuple[xr.Dataset, dict[str, str]]":
-    """Compute what is pending, after the first results; return the dataset and the failures."""
+    """Compute what is pending, after the first results; return the dataset and the failures.
+
+    Raises TooManyFailuresError, with what was done in the store, where too many points fail.
+    """
+    most_blocks = writer.pending.most_blocks
     try:
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
         for works, result in first:
-            _take(writer, progress, works, result)
-        results = run(writer.pending.take)
+            taken = _take(writer, works, result)
+            if result.values:  # else it has been told already
+                failing.take(taken.ended, taken.failed)
+                progress.advance(works, result, taken)
+        writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
+        why = failing.too_many()
+        results = iter(()) if why else run(writer.pending.take)
         if writer.accumulator.survey.pending.blocks:
             writer.write()  # so that there is a labelled, if empty, dataset from the start
         with writer:
             for given, result in results:
-                _take(writer, progress, writer.pending.settle(given, result.seconds), result)
-        dataset = writer.write(final=True)
+                works = writer.pending.settle(given, result.seconds, result.cold)
+                taken = _take(writer, works, result)
+                failing.take(taken.ended, taken.failed)
+                writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
+                progress.advance(works, result, taken)
+                if why := failing.too_many():
+                    break
+        dataset = writer.write(final=not why)
     except BaseException as error:
         with suppress(SweepError):
             writer.stop() if isinstance(error, KeyboardInterrupt) else writer.flush()
@@ -150,15 +183,17 @@ def _computed(
         raise
     writer.require_whole()
     progress.written()
+    if why:
+        raise TooManyFailuresError(f"stopped: {why}; {GOES_ON}", str(writer.store.location))
     return dataset, writer.failures()
 
 
-def _take(writer: Writer, progress: Progress, works: Sequence[Work], result: TaskResult) -> None:
+def _take(writer: Writer, works: Sequence[Work], result: TaskResult) -> Taken:
     """Put a task's result into the ledger."""
     experiment = writer.plan.grid.study.experiment
     if isinstance(experiment, FunctionExperiment):
         result = as_rows(experiment, works, result)
-    progress.advance(works, result, writer.take(works, result))
+    return writer.take(works, result)
 
 
 def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple[Plan, Store | None]:

@@ -1,4 +1,4 @@
-"""What a run took: realisations, work, time; which points took longest, which failed."""
+"""What a run took: realisations, work, time; which points took longest, what they warned of."""
 
 import heapq
 from array import array
@@ -10,47 +10,17 @@ from sweep.formatting import counted, per_second
 from sweep.planning.grid import GridPoint, describe
 from sweep.planning.plan import PlanSize, Work
 from sweep.running.eta import in_words
+from sweep.running.failures import short
 from sweep.studies.study import Study
 
 NAMED = 5
-"""Most warnings that are named, and most reasons of failed points."""
+"""Most warnings that are named."""
 
 SLOWEST = 3
 """Most of the slowest points that are named."""
 
 MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
 """A point is slow if it takes more than so many times the median of all points, and more than so many seconds."""
-
-LONGEST_REASON = 200
-"""Characters of a reason in the last line of a run."""
-
-
-def failed_points(failures: Mapping[str, str]) -> str:
-    """Return how many points failed and why, from messages by place: '3 points failed: 2 x KeyError: 'y', for example
-    at sky=clear; ValueError: no sun, at sky=dark'.
-    """
-    counts = Counter(failures.values())
-    first = {message: place for place, message in reversed(list(failures.items()))}
-    reasons = [
-        f"{n:,} x {_short(message)}, for example at {first[message]}"
-        if n > 1
-        else f"{_short(message)}, at {first[message]}"
-        for message, n in counts.most_common(NAMED)
-    ]
-    if len(counts) > NAMED:
-        reasons.append(f"{len(counts) - NAMED:,} other reasons")
-    return f"{counted(len(failures), 'point')} failed: {'; '.join(reasons)}"
-
-
-def failed_before(points: int) -> str:
-    """Return how many points an earlier run could not compute, to follow how many are done; '' for none."""
-    return f", {points:,} failed (`sweep retry` tries them again)" if points else ""
-
-
-def _short(message: str) -> str:
-    line = message.strip().partition("\n")[0]
-    more = len(line) - LONGEST_REASON
-    return f"{line[:LONGEST_REASON]} [and {counted(more, 'character')}]" if more > 0 else line
 
 
 class RunSummary:
@@ -70,7 +40,7 @@ class RunSummary:
         self.done += done
         points = [point for work in works for point in work.points]
         self.busy += float(result.seconds.sum())
-        for point, seconds in zip(points, result.seconds.tolist(), strict=True):
+        for point, seconds in zip(points[result.cold :], result.seconds[result.cold :].tolist(), strict=True):
             if point.index >= len(self._seconds):
                 self._seconds.extend([0.0] * (point.index + 1 - len(self._seconds)))
             self._seconds[point.index] += seconds
@@ -81,17 +51,20 @@ class RunSummary:
     def _slowest_indices(self) -> list[int]:
         return heapq.nlargest(SLOWEST, self._slowest, key=self._seconds.__getitem__)
 
-    def summary(self, elapsed: float) -> list[str]:
-        """Return what there is to say at the end of a run that took ``elapsed`` seconds; nothing if it did nothing."""
+    def summary(self, elapsed: float, failed: int = 0) -> list[str]:
+        """Return what there is to say at the end of a run that took ``elapsed`` seconds, in which so many points
+        ``failed``; nothing if it did nothing.
+        """
         if not self.done.blocks:
             return []
         experiment = self._study.experiment
         once = experiment.deterministic
+        points = self.done.points - failed
         number, noun = (self.done.points, "points") if once else (self.done.realisations, "realisations")
         realisations = "" if once else f" and {counted(self.done.realisations, 'realisation')}"
         took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
         lines = [
-            f"{counted(self.done.points, 'point')}{realisations} in {took}: "
+            f"{counted(points, 'point')}{realisations}{f' done, {failed:,} failed,' if failed else ''} in {took}: "
             f"{per_second(number, elapsed, noun)}, {self.busy:,.1f} s of work by all workers together"
         ]
         if slow := self._much_slower():
@@ -119,7 +92,7 @@ class RunSummary:
     def warnings(self) -> list[str]:
         """Return a line for each different warning: how often, and where first."""
         lines = [
-            f"warned {'once' if n == 1 else f'{n:,} times, first'} at {self._first_warned[text]}: {_short(text)}"
+            f"warned {'once' if n == 1 else f'{n:,} times, first'} at {self._first_warned[text]}: {short(text)}"
             for text, n in self._warnings.most_common(NAMED)
         ]
         more = len(self._warnings) - NAMED

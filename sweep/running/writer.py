@@ -4,7 +4,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Event, RLock, Thread
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -111,7 +111,10 @@ class Writer:
                 self.flush()
         if clock - self._written > max(self._tuning.write_every_s, self._write_took / self._tuning.write_share):
             self.write()
-        return Taken(_size(works, len(ended)), _size(added, 0), tuple(ended), failed)
+        done = size_of(works, len(ended))
+        if result.failures:
+            done = replace(done, realisations=sum(points[row][1].realisations for row in good))
+        return Taken(done, size_of(added, 0), tuple(ended), failed)
 
     def _add(
         self, works: Sequence[Work], points: Sequence[tuple[GridPoint, Block]], result: TaskResult
@@ -264,7 +267,7 @@ def failures_by_place(
     return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
 
-def _size(works: Sequence[Work], points: int) -> PlanSize:
+def size_of(works: Sequence[Work], points: int) -> PlanSize:
     """Return the counts of works that finish so many points."""
     blocks = sum(len(work.points) for work in works)
     realisations = sum(len(work.points) * work.block.realisations for work in works)

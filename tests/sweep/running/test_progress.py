@@ -16,8 +16,9 @@ from sweep.planning.block import Block
 from sweep.planning.checked_grid import make_grid
 from sweep.planning.plan import PlanSize, Survey, Work
 from sweep.running.eta import in_words
+from sweep.running.failures import failed_points
 from sweep.running.progress import SENTENCES, TerminalProgress
-from sweep.running.run_summary import RunSummary, failed_points
+from sweep.running.run_summary import RunSummary
 from sweep.running.writer import Taken
 from sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
@@ -61,10 +62,12 @@ def run(*options):
 def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
     done = run()
     assert done.exit_code == 1
-    first, summary, wrote, failed = done.stderr.splitlines()
+    first, at_once, summary, wrote, failed = done.stderr.splitlines()
     assert first == "4 points; 40 realisations to do on this process"
+    assert at_once == "failed at metal=gold,coins=5: ZeroDivisionError: no coins left"
     assert re.fullmatch(
-        r"4 points and 40 realisations in [\d.e-]+ s: [\d,.]+ realisations/s, [\d.]+ s of work by all workers together",
+        r"2 points and 20 realisations done, 2 failed, in [\d.e-]+ s: "
+        r"[\d,.]+ realisations/s, [\d.]+ s of work by all workers together",
         summary,
     )
     assert wrote == "wrote results/study.zarr"
@@ -243,7 +246,7 @@ def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
     failures = {"sky=a,tilt=10": "KeyError: 'y'", "sky=a,tilt=20": "no sun", "sky=b,tilt=10": "KeyError: 'y'"}
     expected = "3 points failed: 2 x KeyError: 'y', for example at sky=a,tilt=10; no sun, at sky=a,tilt=20"
     assert failed_points(failures) == expected
-    many = {f"n={n}": f"reason {n}" for n in range(8)}
+    many = {f"n={n}": f"reason {letter}" for n, letter in enumerate("abcdefgh")}
     assert failed_points(many).endswith("; 3 other reasons")
     assert len(failed_points({"n=1": "x" * 10_000 + "\nand more"})) < 300
 

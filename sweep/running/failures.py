@@ -1,0 +1,207 @@
+"""Points that fail: how many of a run, why in words, and when a run that only fails ends."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from sweep.contract import SweepError, shown
+from sweep.executing.task import Failure
+from sweep.formatting import counted, harmless
+from sweep.planning.grid import GridPoint, describe
+from sweep.studies.study import Study
+
+NAMED = 5
+"""Most reasons of failed points that are named."""
+
+LONGEST_REASON = 200
+"""Characters of a reason in a line."""
+
+FIRST = 20
+"""A run ends where so many first points all fail for the same reason; a percentage is that of at least so many."""
+
+NUMBER = re.compile(r"0x[0-9a-f]+|[-+]?(?:\d[\d_,]*\.?\d*|\.\d+)(?:e[-+]?\d+)?", re.IGNORECASE)
+
+
+class TooManyFailuresError(SweepError):
+    """A run was ended because too many of its points failed; what was done is in the store."""
+
+    exit_code = 1
+
+
+@dataclass(frozen=True)
+class MaxFailures:
+    """The most points of a run that may fail before it is ended: a ``number``, or ``percent`` of those that ended.
+
+    >>> MaxFailures.of("5 %"), MaxFailures.of(3)
+    (MaxFailures(number=None, percent=5.0), MaxFailures(number=3, percent=None))
+    """
+
+    number: int | None = None
+    percent: float | None = None
+
+    @classmethod
+    def of(cls, given: "int | str") -> "MaxFailures":
+        """Return the limit that a user gives; raises ValueError for anything else."""
+        found = re.fullmatch(r"\s*(\d{1,15})\s*|\s*(\d{1,3}(?:\.\d*)?)\s*%\s*", str(given))
+        if isinstance(given, bool) or found is None or (found[2] and float(found[2]) > 100.0):
+            raise ValueError(f"{shown(given)}: must be a number of points, like 10, or a percentage, like '5%'")
+        return cls(int(found[1])) if found[1] else cls(percent=float(found[2]))
+
+    def __str__(self) -> str:
+        return f"{self.number:,}" if self.percent is None else f"{self.percent:g} %"
+
+
+class FailureCount:
+    """Counts the points of a run that have ended, and says when too many have failed.
+
+    Without a limit that is when the first points all fail for the same reason, as where a package is missing.
+    """
+
+    def __init__(
+        self, study: Study, points: int, before: int = 0, failed_before: int = 0, most: MaxFailures | None = None
+    ) -> None:
+        """Begin with all ``points`` of a study; ``before`` of them have ended in earlier runs, some of them failed."""
+        self._study, self.points, self._before, self._most = study, points, before, most
+        self._failed_before = failed_before
+        self._first: list[str] = []  # what the first points have in common with others, '' for one that is done
+        self._reasons = _Reasons()
+        self.ended = 0
+
+    def __str__(self) -> str:
+        """How many points are done, and how many failed, in this run and in earlier ones."""
+        if words := self.failed_in_words:
+            return f"{self.done:,} done, {words} of {self.points:,} points"
+        return f"{self.done:,}/{self.points:,} points"
+
+    @property
+    def done(self) -> int:
+        """How many points are done."""
+        return self._before + self.ended - self._failed_before - self.failed_here
+
+    @property
+    def failed_in_words(self) -> str:
+        """How many points have failed, '' for none."""
+        failed = self._failed_before + self.failed_here
+        return f"{failed:,} failed" if failed else ""
+
+    @property
+    def failed_here(self) -> int:
+        """How many points have failed in this run."""
+        return self._reasons.points
+
+    @property
+    def reason(self) -> str:
+        """The first reason, in short; '' where no point has failed in this run."""
+        return harmless(next((short(one.message) for one in self._reasons.of.values()), ""))
+
+    @property
+    def most_at_once(self) -> int | None:
+        """How many blocks a task may have, so that a run that is to be ended has not done more; None is no limit."""
+        if self._most is not None:
+            left = FIRST if self._most.number is None else self._most.number + 1 - self.failed_here
+            return max(1, min(FIRST, left))
+        return FIRST - len(self._first) or None
+
+    def take(self, ended: Iterable[GridPoint], failed: Mapping[int, Failure]) -> list[str]:
+        """Count points that have ended; return a sentence for each reason that is new."""
+        new = []
+        for point in ended:
+            self.ended += 1
+            kind = ""
+            if (failure := failed.get(point.index)) is not None:
+                place = describe(self._study, point.parameters)
+                kind = self._reasons.add(place, failure.message)
+                if self._reasons.of[kind].points == 1 and len(self._reasons.of) <= NAMED:
+                    new.append(f"failed at {place}: {short(failure.message)}")
+            if len(self._first) < FIRST:
+                self._first.append(kind)
+        return new
+
+    def too_many(self) -> str:
+        """Return why the run is to be ended, in words; '' where it goes on, or where nothing is left to do anyway."""
+        here, most, reasons = self.failed_here, self._most, self._reasons
+        if self._before + self.ended >= self.points or not here:
+            return ""
+        if most is None:
+            alike = len(self._first) == FIRST and "" not in self._first and len(set(self._first)) == 1
+            return f"the first {FIRST} points all failed for the same reason: {reasons}" if alike else ""
+        if most.percent is None:
+            exceeded = here > (most.number or 0)
+        else:
+            exceeded = self.ended >= FIRST and 100.0 * here > most.percent * self.ended
+        of_ended = f"{here:,} of the {counted(self.ended, 'point')} that ended failed, more than {most}"
+        return f"{of_ended}: {reasons}" if exceeded else ""
+
+
+@dataclass
+class _Reason:
+    """The first point that failed for a reason, how many there are, and whether all messages are ``equal``."""
+
+    place: str
+    message: str
+    points: int = 0
+    equal: bool = True
+
+    def __str__(self) -> str:
+        if self.points == 1:
+            return f"{short(self.message)}, at {self.place}"
+        return f"{self.points:,} {'x' if self.equal else 'like'} {short(self.message)}, for example at {self.place}"
+
+
+class _Reasons:
+    """Reasons by what they have in common."""
+
+    def __init__(self) -> None:
+        self.of: dict[str, _Reason] = {}
+        self.points = 0
+
+    def add(self, place: str, message: str) -> str:
+        """Count a point that failed; return what its reason has in common with others."""
+        reason = self.of.setdefault(kind := in_common(place, message), _Reason(place, message))
+        reason.points += 1
+        reason.equal &= reason.message == message
+        self.points += 1
+        return kind
+
+    def __str__(self) -> str:
+        reasons = [str(reason) for reason in sorted(self.of.values(), key=lambda one: -one.points)]
+        more = [f"{len(reasons) - NAMED:,} other reasons"] if len(reasons) > NAMED else []
+        return "; ".join([*reasons[:NAMED], *more])
+
+
+def failed_points(failures: Mapping[str, str]) -> str:
+    """Return how many points failed and why, from messages by place: '3 points failed: 2 x KeyError: 'y', for example
+    at sky=clear; ValueError: no sun, at sky=dark'.
+
+    Messages that differ only in numbers, or in a value of their point, are one reason: '9 like ValueError: no root for
+    0.1, for example at x=0.1'.
+    """
+    reasons = _Reasons()
+    for place, message in failures.items():
+        reasons.add(place, message)
+    return f"{counted(reasons.points, 'point')} failed: {reasons}"
+
+
+def in_common(place: str, message: str) -> str:
+    """Return what a reason has in common with that of other points: its line without numbers and its point's values.
+
+    >>> in_common("sky=dark,x=1", "no root in dark for x = 0.25")
+    'no root in ... for x = ...'
+    """
+    line = short(message)
+    for value in {pair.partition("=")[2] for pair in place.split(",")}:
+        if value and not NUMBER.fullmatch(value):
+            line = re.sub(rf"(?<!\w){re.escape(value)}(?!\w)", "...", line)
+    return NUMBER.sub("...", line)
+
+
+def failed_before(points: int) -> str:
+    """Return how many points an earlier run could not compute, to follow how many are done; '' for none."""
+    return f", {points:,} failed (`sweep retry` tries them again)" if points else ""
+
+
+def short(message: str) -> str:
+    """Return the first line of a message, cut where it is long."""
+    line = message.strip().partition("\n")[0]
+    more = len(line) - LONGEST_REASON
+    return f"{line[:LONGEST_REASON]} [and {counted(more, 'character')}]" if more > 0 else line

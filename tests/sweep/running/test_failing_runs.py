@@ -1,0 +1,240 @@
+"""Runs whose points fail: seen while they go on, grouped at their end, and ended where they only fail."""
+
+import io
+import json
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+import linksweep
+from linksweep import SweepError
+from sweep.executing.choose import Resources
+from sweep.planning.checked_grid import make_grid
+from sweep.planning.point_status import Status, count_status
+from sweep.running import notebook, progress
+from sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points
+from sweep.running.run import run_study
+from sweep.stores.store import open_dataset
+from sweep.studies.live import study_of_function
+from tests.tiers import slow
+
+FUNCTIONS = """
+def odd(x: int):
+    if x % 2:
+        raise ValueError(f"no sun at {x}")
+    return x
+
+def never(x: int):
+    raise ImportError(f"no package for {x}")
+
+def random_never(x: int, rng):
+    raise ImportError(f"no package for {x}")
+
+def late(x: int):
+    return 1 // (x < 30)
+"""
+
+SERIAL = Resources(pool="serial")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "f.py").write_text(FUNCTIONS)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def counts(store):
+    return {code.word: n for code, n in count_status(open_dataset(store)["status"].values).items()}
+
+
+def odd_study(points=18):
+    def odd(x: int):
+        if x % 2:
+            raise ValueError(f"no <sun> at {x}")
+        return x
+
+    return study_of_function(odd, axes={"x": range(points)})
+
+
+def test_the_bar_has_what_failed_in_red_and_the_first_reason(tmp_path, monkeypatch):
+    shown = io.StringIO()
+    console = Console(file=shown, force_terminal=True, width=140, color_system="standard", legacy_windows=False)
+    monkeypatch.setattr(progress, "Console", lambda **_: console)
+    study = odd_study()
+    with progress.TerminalProgress(study) as bar:
+        run_study(study, tmp_path / "s.zarr", SERIAL, bar)
+    assert re.search(r"9 done, \x1b\[1;31m9 failed\x1b\[0m of 18 points", shown.getvalue())
+    assert "ValueError: no <sun> at 1" in shown.getvalue()
+    assert "18/18" not in shown.getvalue()
+
+
+def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch):
+    display = pytest.importorskip("IPython.display")
+    shown = []
+
+    class Handle:
+        def update(self, line):
+            shown.append(line.data)
+
+    monkeypatch.setattr(display, "display", lambda line, **_: shown.append(line.data) or Handle())
+    for _ in range(2):  # the second time nothing is left to do
+        run_study(odd_study(), tmp_path / "s.zarr", SERIAL, notebook.NotebookProgress(odd_study()))
+        assert re.search(r"9 done, <span [^>]*>9 failed</span> of 18 points, (.*, )?ended$", shown[-1])
+    assert any("ValueError: no &lt;sun&gt; at 1" in line for line in shown)
+    run_study(odd_study(1), tmp_path / "one.zarr", SERIAL, notebook.NotebookProgress(odd_study(1)))
+    assert shown[-1].endswith("1/1 points, done")
+
+
+def test_without_a_terminal_a_new_reason_is_told_at_once_and_the_end_counts(folder, sweep):
+    code, out, err = sweep("run", "f.py:odd", "--axis", "x=0:17:1")
+    assert code == 1
+    assert err.count("failed at ") == 1  # eight more are like it
+    assert "failed at x=1: ValueError: no sun at 1\n" in err
+    assert "9 points done, 9 failed, in " in err
+    assert "9 points failed: 9 like ValueError: no sun at 1, for example at x=1;" in err
+    assert "INCOMPLETE: 9 of 18 points are done, 9 failed" in out
+
+
+@pytest.mark.parametrize(
+    "pool",
+    [
+        ("--pool", "serial"),
+        (),
+        ("--pool", "threads", "--workers", "2"),
+        slow(("--workers", "2")),
+        slow(("--pool", "serial", "--time-limit", "100")),
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize("name", ["never", slow("random_never")])
+def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stopped(folder, sweep_here, name, pool):
+    command = ("run", f"f.py:{name}", "--axis", "x=0:299:1", "-o", "s.zarr", *pool)
+    code, out, err = sweep_here(*command)
+    assert (code, out) == (1, "")
+    assert "stopped: the first 20 points all failed for the same reason: " in err
+    assert "like ImportError: no package for 0, for example at x=0" in err
+    before = counts("s.zarr")["failed"]
+    assert FIRST <= before < 300
+    assert sweep_here(*command)[0] == 1
+    after = counts("s.zarr")
+    assert after["failed"] > before
+    assert sweep_here(*command, "--max-failures", "100%")[0] == 1
+    assert counts("s.zarr") == {"missing": 0, "done": 0, "failed": 300, "excluded": 0}
+
+
+def test_a_retry_of_a_run_that_was_ended_goes_on(folder, sweep):
+    sweep("run", "f.py:never", "--axis", "x=0:59:1", "-o", "s.zarr")
+    (folder / "f.py").write_text(FUNCTIONS.replace('raise ImportError(f"no package for {x}")', "return x"))
+    code, _, err = sweep("retry", "s.zarr", "--accept-code", "--pool", "serial")
+    assert (code, counts("s.zarr")["done"]) == (0, FIRST), err
+    assert sweep("run", "f.py:never", "--axis", "x=0:59:1", "-o", "s.zarr")[0] == 0
+    assert counts("s.zarr")["done"] == 60
+
+
+def test_a_run_that_also_succeeds_is_not_ended(folder, sweep):
+    assert sweep("run", "f.py:odd", "--axis", "x=0:99:1", "-o", "s.zarr")[0] == 1
+    assert counts("s.zarr") == {"missing": 0, "done": 50, "failed": 50, "excluded": 0}
+    assert (
+        sweep("run", "f.py:never", "--axis", "x=0:19:1", "-o", "few.zarr")[2].count("stopped") == 0
+    )  # nothing is left
+
+
+@pytest.mark.parametrize(("most", "failed"), [(0, 1), (7, 8), ("7", 8), ("50%", None), ("100 %", 70)])
+def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
+    def late(x: int):
+        return 1 // (x < 30)
+
+    def run():
+        return linksweep.run(late, tmp_path / "s.zarr", axes={"x": range(100)}, pool="serial", max_failures=most)
+
+    if failed == 70:
+        run()
+    else:
+        with pytest.raises(TooManyFailuresError, match=r"stopped: .* failed, more than"):
+            run()
+    found = counts(tmp_path / "s.zarr")
+    assert found["done"] == 30
+    assert 30 < found["failed"] < 70 if failed is None else found["failed"] == failed
+
+
+@pytest.mark.parametrize("wrong", ["-1", "101%", "many", "", "1.5", "5 %%"])
+def test_a_limit_that_is_none_is_refused(folder, sweep, wrong):
+    code, _, err = sweep("run", "f.py:odd", "--axis", "x=0,1", "--max-failures", wrong)
+    assert code == 2
+    assert f"{wrong!r}: must be a number of points, like 10, or a percentage, like '5%'" in err
+    assert not (folder / "results").exists()
+    with pytest.raises(SweepError, match="max_failures = True: must be"):
+        linksweep.run("f.py:odd", axes={"x": [0]}, max_failures=True)
+
+
+def test_reasons_are_grouped_by_what_they_have_in_common():
+    failures = {
+        f"sky={sky},x={x}": f"ValueError: no root in {sky} for x = {x / 7!r}" for sky in "ab" for x in range(40)
+    }
+    failures["sky=a,x=9"] = "KeyError: 'b'"
+    expected = (
+        "80 points failed: 79 like ValueError: no root in a for x = 0.0, for example at sky=a,x=0; "
+        "KeyError: 'b', at sky=a,x=9"
+    )
+    assert failed_points(failures) == expected
+    assert "2 other reasons" in failed_points({f"x={n}": f"{letter}: wrong" for n, letter in enumerate("abcdefg")})
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60), st.one_of(st.none(), st.integers(0, 30), st.floats(0, 100)))
+def test_the_rule_in_any_order(fails, limit):
+    """Against a count by hand, point by point."""
+    from sweep.executing.task import Failure
+
+    study = odd_study(100)
+    points = list(make_grid(study).points())
+    most = None if limit is None else MaxFailures(limit) if isinstance(limit, int) else MaxFailures(percent=limit)
+    count = FailureCount(study, 100, most=most)
+    for n, (point, fail) in enumerate(zip(points, fails, strict=False), 1):
+        count.take([point], {point.index: Failure("exception", f"wrong at {n}")} if fail else {})
+        bad = sum(fails[:n])
+        if limit is None:
+            expected = n >= 20 and all(fails[:20])
+        elif isinstance(limit, int):
+            expected = bad > limit
+        else:
+            expected = n >= 20 and 100.0 * bad > limit * n
+        assert bool(count.too_many()) == expected
+        assert str(count) == (f"{n - bad} done, {bad} failed of 100 points" if bad else f"{n}/100 points")
+
+
+SLOW_FIRST = """
+import time
+{module}
+
+def f(x: int):
+    {call}
+    time.sleep(0.001)
+    return float(x)
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "call"),
+    [("called = []", "called or called.append(time.sleep(2.0))"), slow("time.sleep(2.0)", "pass")],
+    ids=["first call", "module"],
+)
+def test_imports_neither_start_workers_nor_make_a_point_slow(tmp_path, sweep_here, module, call):
+    """Two seconds for each of 12 points would be worth the start of workers."""
+    (tmp_path / "f.py").write_text(SLOW_FIRST.format(module=module, call=call))
+    code, _, err = sweep_here("run", "f.py:f", "--axis", "x=0:11:1", "--log", "run.log", cwd=tmp_path)
+    assert code == 0, err
+    assert "on one process" in err
+    assert "the rest is done on" not in err
+    assert "slowest" not in err
+    assert not re.search(r"about \d+ s left", (tmp_path / "run.log").read_text())
+
+
+def test_failures_of_a_dataset_name_all_points(folder, sweep):
+    sweep("run", "f.py:odd", "--axis", "x=0:17:1", "-o", "s.zarr")
+    failures = json.loads(open_dataset("s.zarr").attrs["failures"])
+    assert failures == {f"x={x}": f"ValueError: no sun at {x}" for x in range(1, 18, 2)}
+    assert Status.FAILED in open_dataset("s.zarr")["status"].values
