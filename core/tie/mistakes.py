@@ -6,6 +6,7 @@ mistake that was made is the one whose correction brings chi2 down to the level 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, chdtri
 
-from core.arrays import Flags
+from core.arrays import Flags, Indices
 from core.constants import MAS
 from core.link import LinkError
 from core.tie.astrometry import PAIRS, Astrometry, kinds
@@ -49,6 +50,9 @@ LARGER = {
     1.0 / 15.0: "an angle taken for time: 1 s is 15 arcsec",
     1.0 / 1.5e4: "mas taken for seconds of time",
 }
+LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0}
+"""No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr)."""
+
 STARTS = (0.0, *(sign * years for years in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) for sign in (1.0, -1.0)))
 """Shifts of epochs (years) from which the best is looked for."""
 
@@ -201,6 +205,17 @@ def _by_epoch(problem: Problem, tables: Sequence[str]) -> Iterator[_Part]:
                     yield _Part(part.table, f"the rows of {part.words} at {epoch:.2f}", at)
 
 
+def _of_sources(problem: Problem, tables: Sequence[str], sources: Indices, listed: str) -> Iterator[_Part]:
+    """Yield some sources in each table, and their rows one by one."""
+    for part in _wholes(problem, tables):
+        own = part.table == "satellite"
+        at = part.at & np.isin(np.arange(len(problem.satellite)) if own else problem.source, sources)
+        yield _Part(part.table, f"{listed} in {part.words}", at)
+        for row in () if own else np.flatnonzero(at)[:20]:
+            epoch = f" at {problem.rows.epoch[row]:.2f}" if np.isfinite(problem.rows.epoch[row]) else ""
+            yield _Part(part.table, f"the row of {listed}{epoch} in {part.words}", np.arange(len(at)) == row)
+
+
 def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> str:
     """Return a clause about the likely cause."""
     found = [cause for part in _wholes(problem, tables) for cause in _causes(problem, part, ratio)]
@@ -211,16 +226,15 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
     elif not found or min(cause.ratio for cause in found) > GOOD:
         worst, left = _outliers(problem, ratio)
         found += _exchanged(problem, names, tables, ratio)
-        for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
-            found += _causes(problem, part, ratio)
         if len(worst):
             listed = ", ".join(str(name) for name in names[worst])
             alone = f"without {listed} it is {left:.2g} times its expectation; "
-            for part in _wholes(problem, tables):
-                of = np.arange(len(problem.satellite)) if part.table == "satellite" else problem.source
-                one = _Part(part.table, f"{listed} in {part.words}", part.at & np.isin(of, worst))
-                found += [cause for cause in _causes(problem, one, ratio) if not cause.hides and cause.ratio < GOOD]
-            found = [cause for cause in found if cause.hides < 2]
+            for part in _of_sources(problem, tables, worst, listed):
+                found += [cause for cause in _causes(problem, part, ratio) if cause.ratio < GOOD]
+            found = [cause for cause in found if not cause.hides]
+        else:
+            for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
+                found += _causes(problem, part, ratio)
     likely = [cause for cause in found if cause.hides == min(one.hides for one in found)]
     if not likely:
         return f"{alone}{UNEXPLAINED}"
@@ -326,7 +340,8 @@ def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bo
         size, error, before = (abs(one[list(rows)][used]) / MAS for one in (found.values, after, table.errors))
         plausible = PLAUSIBLE[0] <= np.median(error) <= PLAUSIBLE[1]
         if values:
-            plausible &= np.median(size - 3.0 * error) > 0.0
+            most = LARGEST["mas" if min(rows) == 2 else "mas/yr"]
+            plausible &= np.median(size - 3.0 * error) > 0.0 and np.median(size) < most
         elif factor > 1.0:
             plausible &= np.median(before) < SMALLEST
         return found if plausible else table
@@ -401,12 +416,15 @@ def _shift(problem: Problem, part: _Part) -> tuple[float, float]:
     does not change.
     """
 
+    @cache
     def at(shift: float) -> float:
         moved = _applied(problem, part, lambda table: replace(table, epoch=table.epoch + shift))
         return _ratio(moved if shift else problem)
 
     shift = min(STARTS, key=at)
-    for step in (1.0, 1.0, 0.05, 0.02, 0.02):
+    for step in (8.0, 4.0, 2.0, 1.0):
+        shift = min((shift, shift - step, shift + step), key=at)
+    for step in (1.0, 0.05, 0.02, 0.02):
         low, here, high = (at(shift + d) for d in (-step, 0.0, step))
         curvature = low + high - 2.0 * here
         if not 0.0 < curvature < np.inf:
@@ -415,7 +433,7 @@ def _shift(problem: Problem, part: _Part) -> tuple[float, float]:
     return shift, at(shift)
 
 
-def _outliers(problem: Problem, ratio: float) -> tuple[NDArray[np.int64], float]:
+def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
     """Return the few sources without which chi2 is at its level, and what it then is; none if there are more."""
     sums = source_sums(problem)
     kept = np.ones(len(sums), dtype=bool)

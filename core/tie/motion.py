@@ -1,5 +1,7 @@
 """Exact motion of stars between epochs, the parallax factors of an epoch, and differences on the sky."""
 
+from functools import lru_cache
+
 import erfa
 import numpy as np
 
@@ -9,6 +11,7 @@ from core.frames import triad
 
 J2000 = 2451545.0
 DAYS_PER_YEAR = 365.25
+KEPT_EPOCHS = 10_000
 
 
 def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_epoch: Array) -> Array:
@@ -48,11 +51,17 @@ def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_e
     return found
 
 
+@lru_cache(maxsize=4)
+def _earth(epochs: bytes) -> Array:
+    """Return the Earth from the barycentre in au, shape (3, N); it takes most of the time of small problems."""
+    # the ufunc itself, because erfa.epv00 warns about epochs before 1900, where it is off by 1e-5 au
+    _, earth, _ = erfa.ufunc.epv00(J2000, (np.frombuffer(epochs) - 2000.0) * DAYS_PER_YEAR)
+    return np.moveaxis(np.asarray(earth["p"]), -1, 0)
+
+
 def parallax_factors(ra: Array, dec: Array, epoch: Array) -> Array:
     """Return (p.s, q.s) with s from the Earth to the barycentre in au: the displacement by parallax; shape (2, N)."""
-    # the ufunc itself, because erfa.epv00 warns about epochs before 1900, where it is off by 1e-5 au
-    _, earth, _ = erfa.ufunc.epv00(J2000, (epoch - 2000.0) * DAYS_PER_YEAR)
-    to_barycentre = -np.moveaxis(np.asarray(earth["p"]), -1, 0)
+    to_barycentre = -(_earth if len(epoch) < KEPT_EPOCHS else _earth.__wrapped__)(epoch.tobytes())
     p, q, _ = triad(ra, dec)
     return np.stack([np.sum(p * to_barycentre, axis=0), np.sum(q * to_barycentre, axis=0)])
 

@@ -9,7 +9,7 @@ from core.arrays import Array, Flags
 from core.blocks import PARAMETERS
 from core.constants import MAS
 from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
-from core.tie.mistakes import LARGER, PLAUSIBLE, SMALLER
+from core.tie.mistakes import LARGER, LARGEST, PLAUSIBLE, SMALLER
 from sweep.contract import SweepError
 from sweep.tables.names import first_found
 from sweep.tie import hipparcos
@@ -31,9 +31,6 @@ FASTEST_KM_S = 5000.0
 
 COARSE = 0.1
 """Positions that are rounded by more than this fraction of their errors are too coarse."""
-
-LARGEST = {"parallax": 1000.0, "pmra": 12000.0, "pmdec": 12000.0}
-"""No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr)."""
 
 TYPICAL = (0.005, 300.0)
 """Errors after a mistake in their unit is corrected, mas or mas/yr."""
@@ -128,7 +125,8 @@ class AstrometryReader(ColumnReader):
     def _unlikely(self, values: Array, errors: Array) -> None:
         """Note numbers of a size that no star and no instrument has, with the likely mistake in their unit."""
         for name, value, error in zip(PARAMETERS, values, errors, strict=True):
-            unit, most = unit_of(name), LARGEST.get(name, np.inf)
+            unit = unit_of(name)
+            most = np.inf if name in ("ra", "dec") else LARGEST[unit]
             if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
                 what = f"{name} beyond {most:g} {unit}, which no star has"
                 self.notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
