@@ -4,6 +4,7 @@ import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from sweep.executing.pools import PoolName
 from sweep.executing.upstream import leave_a_worker_that_runs_its_script
 from sweep.formatting import harmless
 from sweep.running.failures import MaxFailures, failed_points
+from sweep.functions.adapter import FunctionExperiment
 from sweep.running.notebook import NotebookProgress, in_notebook
 from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
@@ -56,6 +58,7 @@ def run(
     accept_code: bool = False,
     fresh: bool = False,
     max_failures: int | str | None = None,
+    deterministic: bool = True,
 ) -> xr.Dataset:
     """Run a study, or sweep a function, and return the results.
 
@@ -86,6 +89,8 @@ def run(
         fresh: replace the store.
         max_failures: end the run when more points than this number, or than this percentage, "5%", of those that ended
             fail; by default if the first 20 all fail for the same reason, with "100%" never.
+        deterministic: False accepts a function without ``rng`` that returns another result each time, as
+            ``@experiment(deterministic=False)`` does; by default it is refused.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
 
     Returns:
@@ -112,6 +117,8 @@ def run(
     """
     leave_a_worker_that_runs_its_script()
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})
+    if not deterministic:
+        loaded = replace(loaded, experiment=_not_repeatable(loaded.experiment))
     place = located(store or default_store(loaded.name))
     file = None if cluster is None else Path(cluster)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard)
@@ -126,6 +133,13 @@ def run(
     if failures:
         log.warning("%s: %s", place, harmless(failed_points(failures)))
     return _drawable(dataset)
+
+
+def _not_repeatable(found: Experiment) -> Experiment:
+    if not isinstance(found, FunctionExperiment) or found.function is None:
+        raise SweepError("deterministic: is for a plain function; an Experiment draws from the generators that it gets")
+    declaration = replace(found.function.declaration, deterministic=False)
+    return replace(found, function=replace(found.function, declaration=declaration))
 
 
 def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)

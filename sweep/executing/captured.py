@@ -1,4 +1,6 @@
-"""Captures what an experiment prints and the warnings that it raises, thread by thread."""
+"""Captures what an experiment prints and the warnings that it raises, thread by thread, and puts back what it changes
+about its process.
+"""
 
 import io
 import sys
@@ -10,6 +12,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
+
+from sweep.executing.own_process import Surroundings, forks_ended, generators_restored, seeded
 
 MOST_PRINTED = 10_000
 """Characters of one block that are kept."""
@@ -26,10 +30,7 @@ class Captured:
     warnings: Counter[str] = field(default_factory=Counter)
 
     def taken(self) -> "Captured | None":
-        """Return what was captured since the last call, or None if nothing was; restore the filters of warnings, so
-        that no point depends on the one before it.
-        """
-        _routes.restore_filters()
+        """Return what was captured since the last call, or None if nothing was."""
         if not self.printed and not self.warnings:
             return None
         found = Captured(self.printed, self.warnings)
@@ -45,7 +46,7 @@ class _Routes(io.TextIOBase):
         self._threads: dict[int, Captured] = {}
         self._before: TextIO | None = None
         self._restore = ExitStack()
-        self._filters: list[Any] = []
+        self._surroundings: Surroundings | None = None
 
     def begin(self, captured: Captured) -> None:
         """Capture the calling thread."""
@@ -55,20 +56,20 @@ class _Routes(io.TextIOBase):
                 self._restore.enter_context(warnings.catch_warnings())
                 seldom = ("default", "module", "once")  # count all of these; keep "ignore" and "error"
                 warnings.simplefilter("always", append=True)
-                self._filters = [
+                warnings.filters[:] = [  # type: ignore[index]
                     ("always", *rest) if action in seldom else (action, *rest) for action, *rest in warnings.filters
                 ]
-                warnings.filters[:] = self._filters  # type: ignore[index]
+                self._restore.enter_context(generators_restored())
+                self._surroundings = Surroundings()
                 self._showwarning = warnings.showwarning
                 warnings.showwarning = self._warn  # type: ignore[assignment]
             self._threads[threading.get_ident()] = captured
 
-    def restore_filters(self) -> None:
-        """Undo what a captured thread has changed about warnings."""
+    def restore(self) -> None:
+        """Undo what a captured thread has changed about the process."""
         with self._lock:
-            if warnings.filters != self._filters:
-                warnings.resetwarnings()
-                warnings.filters[:] = self._filters  # type: ignore[index]
+            if self._surroundings is not None:
+                self._surroundings.restore()
 
     def end(self) -> None:
         """Stop capturing the calling thread."""
@@ -105,6 +106,18 @@ class _Routes(io.TextIOBase):
 
 
 _routes = _Routes()
+
+
+@contextmanager
+def undisturbed(seed: int) -> Iterator[None]:
+    """Run code of an experiment in a captured thread so that no point depends on the one before it, as far as that is
+    cheap; in particular the global generators start from a ``seed``.  A process that it forks ends with this block.
+    """
+    try:
+        with forks_ended(), seeded(seed):
+            yield
+    finally:
+        _routes.restore()
 
 
 @contextmanager

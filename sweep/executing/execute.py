@@ -12,6 +12,7 @@ from sweep.executing.isolated import Children
 from sweep.executing.task import PointBlock, Task, TaskResult
 from sweep.executing.versions import identity
 from sweep.executing.worker import run_task
+from sweep.functions.adapter import FunctionExperiment
 from sweep.planning.plan import Work
 from sweep.studies.study import Study
 
@@ -76,7 +77,8 @@ def make_task(study: Study, works: list[Work], limits: Limits = NO_LIMITS, enoug
     )
     reference, sampling = study.experiment_reference, study.sampling
     digest = source_digest(reference)
-    return Task(reference, sampling.seed, units, sampling.keep_samples, limits.time_s, digest, enough_s)
+    repeatable = isinstance(study.experiment, FunctionExperiment) and study.experiment.repeatable
+    return Task(reference, sampling.seed, units, sampling.keep_samples, limits.time_s, digest, enough_s, repeatable)
 
 
 @contextmanager

@@ -4,6 +4,7 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,8 @@ class Task:
 
     ``source_digest`` identifies the sources of the experiment, which were provided or are in its file.  After
     ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
-    ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.
+    ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
+    ``repeatable`` experiment is to return the same results whenever it is called.
     """
 
     experiment_reference: str
@@ -44,6 +46,11 @@ class Task:
     time_limit_s: float | None = None
     source_digest: str | None = None
     enough_s: float = 0.0
+    repeatable: bool = False
+
+    def seed_of(self, unit: PointBlock) -> int:
+        """Return where the global generators of a process start for a unit: apart from its own generators."""
+        return crc32(unit.stream, crc32(f"{self.seed} {tuple(unit.block)}".encode()))
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ class TaskResult:
     are kept, (realisations, width), and ``said`` what was printed in the unit whose first row it is.  For a plain
     function ``values`` has the results by row; the client turns them into sums, since only it knows their layout.
     ``texts`` are the texts in these results, by their digests.  ``cold`` says that the first row was the first call in
-    its process, which may include imports.
+    its process, which may include imports; ``refused`` why no result of this experiment is to be used, '' if they may be.
     """
 
     sums: NDArray[np.float64]
@@ -81,6 +88,7 @@ class TaskResult:
     values: dict[int, Flat] = field(default_factory=dict)
     texts: dict[bytes, str] = field(default_factory=dict)
     cold: bool = False
+    refused: str = ""
 
 
 def failure_of(error: BaseException) -> Failure:
@@ -118,6 +126,7 @@ def joined(results: Sequence[TaskResult]) -> TaskResult:
         {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
         {first + row: value for first, r in zip(starts, results, strict=False) for row, value in r.values.items()},
         cold=any(result.cold for result in results[:1]),
+        refused=next((result.refused for result in results if result.refused), ""),
     )
 
 

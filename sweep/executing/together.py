@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sweep.contract import Experiment, Point, check_finite, checked, shown
-from sweep.executing.captured import captured
+from sweep.executing.called_again import how_it_differs
+from sweep.executing.captured import captured, undisturbed
 from sweep.executing.deadlines import Deadlines
-from sweep.executing.own_process import forks_ended, is_interruption
+from sweep.executing.own_process import is_interruption
 from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.layout import Layout
@@ -43,7 +44,7 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
     with captured() as said:
         try:
             limit = None if task.time_limit_s is None else task.time_limit_s * (len(points) + CHECKED)
-            with forks_ended(), deadlines.within(limit):
+            with undisturbed(task.seed_of(task.units[0])), deadlines.within(limit):
                 values = experiment.many(points)
                 if who not in _DEPENDENCE:
                     wrong = dependence(experiment, points, values, [unit.stream for unit in task.units])
@@ -53,13 +54,15 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
             if is_interruption(error):
                 raise
             return None
-        told = said.taken()
+        told, seconds = said.taken(), time.perf_counter() - begun
+        refused = how_it_differs(experiment, task, values, seconds, deadlines)
     result = failed(len(points), experiment.sums_width, Failure("exception", wrong) if wrong else None)
     if not wrong:
         result.values.update(enumerate(values))
     if told is not None:
         result.said[0] = told
-    result.seconds[:] = (time.perf_counter() - begun) / len(points)
+    result.seconds[:] = seconds / len(points)
+    result.refused = refused
     return result
 
 
@@ -148,7 +151,7 @@ def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBl
     begun = time.perf_counter()
     try:
         blocks = block_generators(task.seed, [(unit.stream, unit.block) for unit in units])
-        with forks_ended():
+        with undisturbed(task.seed_of(units[0])):
             drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
         sums = checked("evaluate_catalogues", drawn, "sum", shapes)
         check_finite(sums, experiment.nan_sums)

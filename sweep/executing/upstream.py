@@ -2,6 +2,7 @@
 
 import atexit
 import multiprocessing
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -21,6 +22,13 @@ def dask_arrays_only_where_imported() -> None:
 
     known: Any = getattr(pycompat, "_cached_duck_array_modules", {})  # a version without it does this in another way
     known.setdefault("dask", _DaskArrays(partial(pycompat.DuckArrayModule, "dask")))
+
+
+def environment() -> dict[Any, Any]:
+    """Return a copy of what os.environ holds, which takes a hundredth of the time of its own ``copy``: that decodes all
+    of it.
+    """
+    return dict(getattr(os.environ, "_data", os.environ))
 
 
 class _DaskArrays:

@@ -4,6 +4,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import repeat
 from typing import Any
 
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 
 from sweep.code.load import load_experiment
 from sweep.contract import Experiment, GeneratorPair, Point, check_finite, checked
-from sweep.executing.captured import Captured, captured
+from sweep.executing.called_again import how_it_differs
+from sweep.executing.captured import Captured, captured, undisturbed
 from sweep.executing.deadlines import Deadlines, TimeLimitError
-from sweep.executing.own_process import forks_ended, is_interruption
+from sweep.executing.own_process import is_interruption
 from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, failure_of, joined, too_long
 from sweep.executing.together import alike, catalogues_together, points_together, takes_several
 from sweep.functions.adapter import FunctionExperiment
@@ -99,6 +101,11 @@ def _one_by_one(
         if (told := said.taken()) is not None:
             result.said[min(rows, default=0)] = told
         result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
+        if task.repeatable and isinstance(experiment, FunctionExperiment) and 0 in result.values:
+            seconds = float(result.seconds[0])
+            alone = replace(task, units=(unit,))
+            result.refused = how_it_differs(experiment, alone, [result.values[0]], seconds, deadlines)
+            said.taken()  # what the second call says was said by the first
         late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
         given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
         yield result
@@ -116,7 +123,10 @@ def _try(
 ) -> bool:
     """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
     try:
-        with forks_ended(), deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)):
+        with (
+            undisturbed(task.seed_of(unit)),
+            deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)),
+        ):
             if isinstance(experiment, FunctionExperiment):
                 values = function_values(experiment, points, unit.block.n_sim, pairs)
                 result.values.update(zip(rows, values, strict=True))

@@ -77,6 +77,11 @@ class FunctionExperiment(Experiment):
         return not self.rng
 
     @property
+    def repeatable(self) -> bool:
+        """Whether every call at a point is to return the same."""
+        return not self.rng and self.function is not None and self.function.declaration.deterministic
+
+    @property
     def undeclared(self) -> bool:
         """Whether the outputs are unknown until there is a first result."""
         return self.layout is None

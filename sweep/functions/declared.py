@@ -24,7 +24,9 @@ AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a plain function declares: outputs, whether it takes arrays of points, and packages whose versions count."""
+    """What a plain function declares: outputs, whether it takes arrays of points, packages whose versions count, and
+    whether two calls at a point return the same.
+    """
 
     outputs: tuple[Output, ...] = ()
     vectorised: bool = False
@@ -32,6 +34,7 @@ class Declaration:
     citation: tuple[str, ...] = ()
     tolerance: float = ROUNDING
     reads: tuple[str, ...] = ()
+    deterministic: bool = True
 
 
 def experiment(
@@ -42,6 +45,7 @@ def experiment(
     citation: str | Sequence[str] = (),
     tolerance: float = ROUNDING,
     reads: str | Sequence[str] = (),
+    deterministic: bool = True,
 ) -> Callable[[AnyFunction], AnyFunction]:
     """Declare more about a function than its signature says.  The function can be called as before.
 
@@ -55,6 +59,8 @@ def experiment(
         tolerance: how far the results of a vectorised function for one point alone and among others may differ,
             relative to them; by default only by rounding.
         reads: data files, relative to the file of the function, whose content counts as code does.
+        deterministic: whether a function without ``rng`` returns the same whenever it is called at a point, which is
+            tried at the first one; False accepts any result.
 
     Returns:
         A decorator that returns the function.  If that is already defined, for example in another package, it returns
@@ -74,9 +80,8 @@ def experiment(
 
     def declare(function: AnyFunction) -> AnyFunction:
         given = [_output(one) for one in _sequence(outputs)]
-        declaration = Declaration(
-            tuple(given), vectorised, _sequence(packages), _sequence(citation), tolerance, _sequence(reads)
-        )
+        named = _sequence(packages), _sequence(citation)
+        declaration = Declaration(tuple(given), vectorised, *named, tolerance, _sequence(reads), deterministic)
         if found := problems(function, declaration):
             name = getattr(function, "__name__", type(function).__name__)
             raise SweepError(found, f"function {name}")
@@ -152,6 +157,8 @@ def problems(function: Callable[..., Any], declaration: Declaration) -> list[str
         found.append(
             f"tolerance = {shown(tolerance)}: is for vectorised functions; declare vectorised=True or leave it out"
         )
+    if not isinstance(declaration.deterministic, bool):
+        found.append(f"deterministic = {shown(declaration.deterministic)}: must be True or False")
     if declaration.vectorised and signature.rng:
         found.append(
             "vectorised: a function of rng is called for one point; take n_sim to get all realisations of it at once"

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from sweep.executing.execute import Executor
+from sweep.contract import SweepError
+from sweep.executing.execute import Executor, Results
 from sweep.executing.task import Failure, TaskResult
 from sweep.functions.adapter import FunctionExperiment
 from sweep.functions.layout import differences, with_head
@@ -71,6 +72,18 @@ def first_results(
     if not values:
         return study, done
     return replace(study, experiment=experiment.with_layout(values[min(values)].layout.floats)), done
+
+
+def refusing(run: Executor) -> Executor:
+    """Return an executor that raises SweepError where a worker refuses the results of an experiment."""
+
+    def accepted(results: Results) -> Results:
+        for works, result in results:
+            if result.refused:
+                raise SweepError(f"{result.refused}.")
+            yield works, result
+
+    return lambda take: accepted(run(take))
 
 
 def as_rows(experiment: FunctionExperiment, works: Sequence[Work], result: TaskResult) -> TaskResult:

@@ -18,7 +18,7 @@ from sweep.planning.plan import Plan, Survey, Work
 from sweep.planning.tuning import TUNED, Tuning
 from sweep.planning.work_queue import Pending
 from sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
-from sweep.running.first_result import Done, as_rows, first_results
+from sweep.running.first_result import Done, as_rows, first_results, refusing
 from sweep.running.subset import part_of_larger
 from sweep.running.writer import Taken, Writer
 from sweep.stores.code import check_code, record_code
@@ -124,6 +124,7 @@ def run_study(
         pending = accumulator.survey.pending
         where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
         place, run = stack.enter_context(where)
+        run = refusing(run)
         progress.start(accumulator.survey, place.words, place.workers)
         total = accumulator.survey.total.points
         failing = FailureCount(study, total, total - accumulator.survey.pending.points, most=max_failures)

@@ -5,7 +5,7 @@ import os
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 from uuid import uuid4
@@ -22,9 +22,15 @@ class Folder:
     """A folder of this machine; `get` and the like take the names of files in it, as ``a/b/c``."""
 
     path: Path
+    named: str = field(init=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Let the path name the same folder whatever becomes the working folder; ``named`` is what it was given as."""
+        object.__setattr__(self, "named", str(self.path))
+        object.__setattr__(self, "path", self.path.absolute())
 
     def __str__(self) -> str:
-        return str(self.path)
+        return self.named
 
     @property
     def name(self) -> str:

@@ -8,7 +8,7 @@ from threading import Barrier
 
 import pytest
 
-from sweep.executing.captured import captured
+from sweep.executing.captured import captured, undisturbed
 from tests.patience import PATIENCE_S
 from tests.sweep.user import write_experiment, write_study
 from tests.tiers import slow
@@ -83,8 +83,9 @@ def test_no_more_is_kept_than_a_log_should_hold():
 def test_each_point_is_told_of_by_itself_whatever_the_one_before_did_to_warnings():
     with captured() as found:
         assert found.taken() is None
-        print("first")
-        warnings.simplefilter("error")
+        with undisturbed(0):
+            print("first")
+            warnings.simplefilter("error")
         first = found.taken()
         warnings.warn("of the second", stacklevel=1)
         second = found.taken()

@@ -1,14 +1,19 @@
 """Points whose code forks, raises what is no Exception, or an exception that cannot say what it is."""
 
+import decimal
 import os
+import random
 import sys
 import threading
+import warnings
 
+import numpy as np
 import pytest
 
 from linksweep import run
 from sweep.executing.own_process import forks_ended
 from sweep.interrupt import RunInterruptedError
+from tests.tiers import slow
 
 
 def statuses(function, folder, **options):
@@ -89,4 +94,61 @@ def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(t
         return x
 
     assert statuses(f, tmp_path)[0] == [1, 1, 1]
-    assert mark.read_text() == "1\n2\n3\n"
+    assert mark.read_text() == "1\n1\n2\n3\n"  # the first point is computed twice
+
+
+CHANGES = {
+    "folder": (lambda: os.chdir("/"), os.getcwd),
+    "arithmetic": (lambda: np.seterr(all="raise"), lambda: str(np.float64(1.0) / np.float64(0.0) > 1.0)),
+    "decimals": (lambda: setattr(decimal.getcontext(), "prec", 3), lambda: str(decimal.Decimal(1) / 3)),
+    "environment": (os.environ.clear, lambda: str(sorted(os.environ.items()))),
+    "one more": (lambda: os.environ.update(LINKSWEEP_X="1"), lambda: str("LINKSWEEP_X" in os.environ)),
+    "random": (lambda: random.seed(1), lambda: str(random.getstate() == random.Random(1).getstate())),
+    "numpy": (lambda: np.random.seed(1), lambda: str(np.random.get_state()[1][0] == 1)),  # noqa: NPY002
+    "filters": (lambda: warnings.simplefilter("error"), lambda: str(warnings.warn("w", stacklevel=1))),
+    "output": (lambda: setattr(sys, "stdout", None), lambda: str(print("x"))),
+    "errors": (lambda: setattr(sys, "stderr", None), lambda: str(print("", end="", file=sys.stderr))),
+}
+"""What one point changes of its process, and what the others look at."""
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("options", [{"pool": "serial"}, slow({"pool": "threads", "workers": 1}), {}], ids=str)
+def test_what_a_point_changes_is_put_back_for_the_others(change, options, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    change_it, look = CHANGES[change]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        expected = look()
+
+    def f(x: float):
+        if x in (1.0, 4.0):
+            change_it()
+            return "changed"
+        return look()
+
+    before = os.getcwd(), dict(os.environ), sys.stderr
+    generators = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
+    assert ds.status.values.tolist() == [1] * 6, ds.attrs["failures"]
+    assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
+    assert before == (os.getcwd(), dict(os.environ), sys.stderr)
+    if options.get("pool") != "threads":  # Dask draws from them
+        assert generators == (random.getstate(), np.random.get_state()[1].tolist())  # noqa: NPY002
+    assert (tmp_path / "s.zarr").is_dir()
+
+
+@pytest.mark.parametrize("options", [{"pool": "threads", "workers": 2}, slow({"workers": 2}), {}], ids=str)
+def test_global_generators_give_the_same_on_all_pools_and_another_number_at_each_point(options, tmp_path):
+    def f(rng: np.random.Generator, x: float):
+        return np.random.normal() + random.random()  # noqa: NPY002
+
+    def values(store, **options):
+        axes = {"x": [1.0, 2.0, 3.0]}
+        return run(f, tmp_path / store, axes=axes, sampling={"n_sim": 10, "seed": 3}, **options).f_mean.values.tolist()
+
+    found = values("s.zarr", pool="serial")
+    assert len(set(found)) == 3
+    assert values("other.zarr", **options) == found

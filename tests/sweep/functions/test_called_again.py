@@ -1,0 +1,164 @@
+"""A function without ``rng`` is called twice at its first point; one that returns another result is refused by name."""
+
+import itertools
+import random
+import subprocess
+import sys
+import time
+import uuid
+from datetime import datetime
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from linksweep import SweepError, experiment, run
+from tests.tiers import slow
+
+AXES = {"x": [1.0, 2.0, 3.0]}
+counter = itertools.count()
+
+DIFFERENT = {
+    "numpy": lambda x: np.random.default_rng().normal(),
+    "its own generator": lambda x, rng_of=np.random.default_rng(1): rng_of.normal(),  # noqa: B008
+    "legacy numpy": lambda x: np.random.normal(),  # noqa: NPY002
+    "random": lambda x: random.random(),
+    "a counter": lambda x: next(counter),
+    "the clock": lambda x: time.perf_counter_ns(),
+    "a time": lambda x: datetime.now(),
+    "a text": lambda x: {"x2": 2 * x, "name": uuid.uuid4().hex},
+    "one of an array": lambda x: np.array([1.0, 2.0, random.random()]),
+    "a length": lambda x: np.ones(1 + next(counter)),
+    "names": lambda x: {f"y{next(counter)}": x},
+}
+
+
+@pytest.mark.parametrize("kind", DIFFERENT)
+@pytest.mark.parametrize("pool", ["serial", None, slow("processes")])
+def test_another_result_is_refused_by_name(kind, pool, tmp_path):
+    f = DIFFERENT[kind]
+    with pytest.raises(SweepError, match=r"called twice at x = 1.0, .* argument rng; .*deterministic=False") as error:
+        run(f, tmp_path / "s.zarr", axes=AXES, pool=pool)
+    assert "function" in str(error.value)
+    assert not (tmp_path / "s.zarr").exists()
+    if kind not in ("a length", "names"):  # these fail at the next point
+        assert (run(f, tmp_path / "s.zarr", axes=AXES, pool=pool, deterministic=False).status == 1).all()
+
+
+def _keys_in_another_order(x):
+    names = ("b", "c") if next(counter) % 2 else ("c", "b")
+    return dict.fromkeys(names, x)
+
+
+@experiment(outputs=["y"])
+def lists(x: float):
+    return [x, [x]][0]
+
+
+SAME = {
+    "a number": lambda x: x / 3.0,
+    "the order of a dict": _keys_in_another_order,
+    "texts": lambda x: [f"{x}", "ü"],
+    "a dataset": lambda x: xr.Dataset({"y": ("t", [x, 2.0])}, coords={"t": [0.5, 1.5]}),
+    "a seeded generator": lambda x: np.random.default_rng(3).normal(),
+    "a seeded global generator": lambda x: (np.random.seed(4), np.random.normal())[1],  # noqa: NPY002
+    "declared": lists,
+}
+
+
+@pytest.mark.parametrize("kind", SAME)
+def test_the_same_result_is_taken(kind, tmp_path):
+    assert (run(SAME[kind], tmp_path / "s.zarr", axes=AXES).status == 1).all()
+
+
+def test_nan_is_nan(tmp_path):
+    from linksweep import Output
+
+    @experiment(outputs=[Output("y", nan=True)])
+    def f(x: float):
+        return {"y": np.array([np.nan, x, np.inf])}
+
+    assert (run(f, tmp_path / "s.zarr", axes=AXES).status == 1).all()
+
+
+def test_the_second_call_counts_nowhere(tmp_path):
+    calls = []
+
+    def f(x: float):
+        calls.append(x)
+        print("a line")
+        return x
+
+    seen = []
+
+    class Watcher:
+        start = say = written = lambda *_: None
+
+        def advance(self, works, result, taken):
+            seen.extend(result.said.values())
+
+    run(f, tmp_path / "s.zarr", axes=AXES, pool="serial", progress=Watcher())
+    assert calls == [1.0, 1.0, 2.0, 3.0]
+    assert [said.printed for said in seen] == ["a line\n"] * 3
+    assert (
+        run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0, 4.0]}, pool="serial").status.values.tolist() == [1] * 4
+    )
+
+
+def test_a_declaration_accepts(tmp_path):
+    @experiment(deterministic=False)
+    def f(x: float):
+        return random.random()
+
+    found = run(f, tmp_path / "s.zarr", axes=AXES, pool="serial").f.values
+    assert len(set(found.tolist())) == 3
+    with pytest.raises(SweepError, match=r"deterministic = 'no': must be True or False"):
+        experiment(deterministic="no")(lambda x=1.0: x)
+    with pytest.raises(SweepError, match=r"deterministic: is for a plain function"):
+        run({"title": "Link", "fixed": {"n_obj": 20}}, tmp_path / "l.zarr", deterministic=False)
+
+
+def test_points_that_fail_are_passed_over(tmp_path):
+    def f(x: float):
+        if x < 2.0:
+            raise ValueError("too small")
+        return random.random()
+
+    with pytest.raises(SweepError, match=r"called twice at x = 2\.0"):
+        run(f, tmp_path / "s.zarr", axes=AXES)
+    assert not (tmp_path / "s.zarr").exists()
+
+
+def test_a_second_call_that_raises_is_named(tmp_path):
+    def f(x: float):
+        (tmp_path / f"{x}").mkdir()
+        return x
+
+    with pytest.raises(SweepError, match=r"returns a result and then raises FileExistsError"):
+        run(f, tmp_path / "s.zarr", axes=AXES)
+
+
+def test_a_vectorised_function_is_called_twice_too(tmp_path):
+    @experiment(vectorised=True)
+    def f(x: float):
+        return np.random.default_rng().normal(size=len(x))
+
+    with pytest.raises(SweepError, match=r"called twice .* another 'f'"):
+        run(f, tmp_path / "s.zarr", axes={"x": np.linspace(0.0, 4.0, 9)}, pool="serial")
+
+
+def test_a_resumed_run_looks_too(tmp_path):
+    """In a new process nothing is known of the function, whose code may have been accepted."""
+    module = tmp_path / "f.py"
+    command = [sys.executable, "-m", "sweep", "run", "f.py:f", "-o", "s.zarr"]
+
+    def sweep(*more):
+        return subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    module.write_text("def f(x: float = 1.0):\n    return x\n")
+    assert sweep("--axis", "x=1,2").returncode == 0
+    module.write_text("import random\ndef f(x: float = 1.0):\n    return random.random()\n")
+    done = sweep("--axis", "x=1,2,3", "--accept-code")
+    assert done.returncode == 2
+    assert "called twice at x = 3.0" in done.stderr
+    assert xr.open_zarr(tmp_path / "s.zarr").f.values[:2].tolist() == [1.0, 2.0]
