@@ -6,11 +6,13 @@ import asyncio
 import inspect
 import logging
 import os
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import dask
@@ -44,6 +46,9 @@ NOT_WATCHED = {
 }
 """Settings without a dashboard, which alone shows these measurements: they take a hundredth of a run's time."""
 
+STARTS = 5
+"""How often worker processes are started that end before they are ready: something may have killed them."""
+
 GUARD = (
     "a script that computes in worker processes must call linksweep under `if __name__ == '__main__':`, because each "
     "of them begins by running the script too; or use pool='threads'"
@@ -64,8 +69,14 @@ class NoWorkersError(SweepError, SystemExit):
     none of the lines in it would be the one to change.
     """
 
-    def __init__(self, reason: object) -> None:
-        super().__init__(f"worker processes cannot be started: {reason} Note that {GUARD}")
+    def __init__(self, reason: object, unguarded: bool) -> None:
+        why = (
+            f"{reason} Note that {GUARD}"
+            if unguarded
+            else f"some ended before they were ready, {STARTS} times ({str(reason).rstrip('.')}). Something may kill "
+            "them, or this machine lacks memory; what was finished is kept, the same command goes on from there"
+        )
+        super().__init__(f"worker processes cannot be started: {why}")
         self.code = f"error: {self}"
 
 
@@ -79,13 +90,21 @@ def local_cluster(options: Mapping[str, Any], dashboard: bool = False, method: s
     leave_a_worker_that_runs_its_script()
     with ExitStack() as stack:
         stack.enter_context(dask.config.set({} if dashboard else NOT_WATCHED))
-        try:
-            cluster = stack.enter_context(
-                own_cluster(LocalCluster, {**options, "scheduler_kwargs": {"dashboard": dashboard}}, method)
-            )
-        except RuntimeError as error:
-            raise NoWorkersError(error) from None  # Dask's own traceback has sixty lines, none of them from the script
+        whole = {**options, "scheduler_kwargs": {"dashboard": dashboard}}
+        for number in range(1, STARTS + 1):
+            try:
+                cluster = stack.enter_context(own_cluster(LocalCluster, whole, method))
+                break
+            except RuntimeError as error:
+                if number == STARTS or _script_without_guard():  # Dask's own traceback has sixty lines
+                    raise NoWorkersError(error, _script_without_guard()) from None
         yield cluster
+
+
+def _script_without_guard() -> bool:
+    """Return whether workers run a script whose text does not ask whether it is the main one."""
+    script = Path(getattr(sys.modules["__main__"], "__file__", None) or "")
+    return script.suffix == ".py" and script.is_file() and "__main__" not in script.read_text(errors="replace")
 
 
 @contextmanager

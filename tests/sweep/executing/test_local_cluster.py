@@ -1,9 +1,12 @@
 """Workers of this machine: where they cannot be started, and where that takes long."""
 
+import os
+import signal
 import subprocess
 import sys
+import time
 import warnings
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import pytest
 from distributed import LocalCluster
@@ -11,7 +14,9 @@ from distributed import LocalCluster
 from sweep.contract import SweepError
 from sweep.executing import choose
 from sweep.executing.choose import Resources
-from sweep.executing.local_cluster import local_cluster, own_cluster
+from sweep.executing.local_cluster import NoWorkersError, local_cluster, own_cluster
+from tests.patience import PATIENCE_S
+from tests.sweep.outside import workers_below
 from tests.tiers import slow
 
 SCRIPT = """
@@ -64,6 +69,46 @@ def test_a_script_that_comes_by_standard_input_computes_in_processes(tmp_path):
 def test_it_can_be_caught_as_any_other_error(tmp_path):
     done = run_script(tmp_path, SCRIPT.format(guard="if False:") + CATCHES)
     assert (done.returncode, done.stdout) == (0, "worker\n"), done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", [2, 1000])
+def test_workers_that_are_killed_while_they_start_are_started_again(tmp_path, start_sweep, killed):
+    (tmp_path / "f.py").write_text("def f(x: float = 1.0):\n    return 2.0 * x\n")
+    process = start_sweep("run", "f.py:f", "--axis", "x=1,2,3", "--workers", "2", "-o", "s.zarr", cwd=tmp_path)
+    dead = set()
+    while process.poll() is None:
+        for pid in set(workers_below(process.pid)) - dead:
+            if len(dead) < killed:
+                dead.add(pid)
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(0.01)
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == (0 if killed == 2 else 2), err
+    assert len(dead) >= 2
+    assert "__main__" not in err
+    assert "Traceback" not in err
+    if killed > 2:
+        assert "error: worker processes cannot be started: some ended before they were ready, 5 times" in err
+        assert not (tmp_path / "s.zarr").exists()
+
+
+@pytest.mark.parametrize(("failures", "starts"), [(1, 2), (4, 5), (9, 5)])
+def test_a_start_that_fails_is_tried_again_a_few_times(failures, starts, monkeypatch):
+    tried = []
+
+    @contextmanager
+    def own_cluster(*_arguments):
+        tried.append(1)
+        if len(tried) <= failures:
+            raise RuntimeError("Nanny failed to start.")
+        yield "a cluster"
+
+    monkeypatch.setattr("sweep.executing.local_cluster.own_cluster", own_cluster)
+    expected = nullcontext() if failures < starts else pytest.raises(NoWorkersError, match="may kill them")
+    with expected, local_cluster({}) as cluster:
+        assert cluster == "a cluster"
+    assert len(tried) == starts
 
 
 NO_DASHBOARD = """
