@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from sweep.contract import Experiment, SweepError
+from sweep.contract import Experiment, SweepError, shown
 from sweep.executing.choose import Resources
 from sweep.executing.execute import NO_LIMITS, Limits
 from sweep.executing.pools import PoolName
 from sweep.executing.upstream import leave_a_worker_that_runs_its_script
 from sweep.formatting import harmless
-from sweep.running.failures import MaxFailures, failed_points
 from sweep.functions.adapter import FunctionExperiment
+from sweep.running.failures import MaxFailures, failed_points
 from sweep.running.notebook import NotebookProgress, in_notebook
 from sweep.running.progress import TerminalProgress
 from sweep.running.run import Progress, Silent, run_study
+from sweep.running.verify import verify as verified
 from sweep.stores.location import Where, located
 from sweep.stores.named import default_store, store_named
 from sweep.stores.store import open_dataset
@@ -59,6 +60,7 @@ def run(
     fresh: bool = False,
     max_failures: int | str | None = None,
     deterministic: bool = True,
+    verify: int = 0,
 ) -> xr.Dataset:
     """Run a study, or sweep a function, and return the results.
 
@@ -93,11 +95,15 @@ def run(
             ``@experiment(deterministic=False)`` does; by default it is refused.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
 
+        verify: compute so many points again at the end, each by itself in new processes, in two orders, and compare
+            every bit; the results are in the store all the same.
+
     Returns:
         The outputs of the study over its axes, in memory, as from `open`.
 
     Raises:
-        SweepError: for bad input, before anything is written; and where too many points fail, with what was done kept.
+        SweepError: for bad input, before anything is written; where too many points fail, or ``verify`` finds some that
+            differ, with what was done kept.
         KeyboardInterrupt: on Ctrl-C and signals that end a process; what was done is kept.
 
     Example:
@@ -116,6 +122,8 @@ def run(
         [3.0, 6.0]
     """
     leave_a_worker_that_runs_its_script()
+    if type(verify) is not int or verify < 0:
+        raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})
     if not deterministic:
         loaded = replace(loaded, experiment=_not_repeatable(loaded.experiment))
@@ -132,6 +140,8 @@ def run(
         )
     if failures:
         log.warning("%s: %s", place, harmless(failed_points(failures)))
+    if verify and (differing := verified(loaded, place, verify).differing):
+        raise SweepError(differing, str(place))
     return _drawable(dataset)
 
 

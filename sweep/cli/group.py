@@ -41,7 +41,7 @@ SECTIONS = {
         "status": "Say how far a run is, and what failed",
         "check": "Compare every file with its checksum",
         "repair": "Set damaged files aside",
-        "reproduce": "Compute one point again, to the bit",
+        "reproduce": "Compute points again, to the bit",
         "merge": "Make one store of two of the same experiment",
     },
     "Your own": {

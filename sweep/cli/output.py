@@ -4,11 +4,15 @@ import shutil
 import sys
 from collections.abc import Iterable
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from sweep.formatting import WIDTH, counted, harmless, to_json
+
+if TYPE_CHECKING:
+    from sweep.stores.location import Location
+    from sweep.studies.study import Study
 
 SEGMENT_COUNTS = ("points", "done", "failed", "excluded", "realisations_done", "realisations")
 
@@ -111,6 +115,21 @@ def print_table(dataset: Any, table_format: str, with_components: bool = False) 
     else:
         write = {"csv": long_table.as_csv, "ecsv": long_table.as_ecsv, "json": long_table.as_json}[table_format]
         click.echo(write(dataset).rstrip("\n"))
+
+
+def print_verified(study: "Study", store: "Location", points: int, shown: bool = True) -> bool:
+    """Compute some points of a store again, and say to standard error which differ; return whether any does.  That none
+    does is only said if ``shown``.
+    """
+    from sweep.running.verify import verify
+
+    found = verify(study, store, points)
+    for sentence in found.differing:
+        click.echo(f"differs: {harmless(sentence)}", err=True)
+    if shown and not found.differing:
+        again = counted(found.points, "point")
+        click.echo(f"{again} computed again, alone and in two orders: every bit as in {store}", err=True)
+    return bool(found.differing)
 
 
 def print_answer(dataset: Any) -> None:

@@ -11,7 +11,7 @@ import click
 from sweep.cli import options
 from sweep.cli.group import EXIT_FAILED_POINTS, main
 from sweep.cli.log_options import Watching, told, watching_options
-from sweep.cli.output import print_answer, print_plan, print_table
+from sweep.cli.output import print_answer, print_plan, print_table, print_verified
 from sweep.cli.plot import drawing_styles, save_figure
 from sweep.cli.resource_options import resource_options
 from sweep.cli.signals import a_signal_ends_the_command, end_stopped
@@ -93,11 +93,12 @@ def run_with_progress(
 @options.accept_code_option
 @max_failures_option
 @click.option("--fresh", is_flag=True, help="Replace an existing store, whatever its study and code.")
+@click.option("--verify", type=click.IntRange(0), default=0, help="At the end compute so many points again.")
 @watching_options
 @options.trust_option
 @options.json_option
 @options.gathered("how", Running)
-def run(asked: options.AskedStudy, how: Running, fresh: bool) -> None:
+def run(asked: options.AskedStudy, how: Running, fresh: bool, verify: int) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
     After an interruption the same command resumes where it stopped.
@@ -109,7 +110,10 @@ def run(asked: options.AskedStudy, how: Running, fresh: bool) -> None:
     sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5
     sweep run sir.py:sir --points runs.csv
     """
-    if run_with_progress(*asked.load(), how, fresh=fresh):
+    study, store = asked.load()
+    failures = run_with_progress(study, store, how, fresh=fresh)
+    differing = verify and print_verified(study, store, verify, how.watching.level < logging.ERROR)
+    if failures or differing:
         sys.exit(EXIT_FAILED_POINTS)
 
 

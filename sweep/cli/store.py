@@ -9,7 +9,7 @@ import click
 
 from sweep.cli import options
 from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.output import print_status, print_table, status_as_json
+from sweep.cli.output import print_status, print_table, print_verified, status_as_json
 from sweep.formatting import to_json
 
 if TYPE_CHECKING:
@@ -102,21 +102,31 @@ def repair(store: "Location", break_lock: bool) -> None:
 
 @main.command()
 @options.store_argument
-@click.option("--at", required=True, metavar="AXIS=VALUE[,AXIS=VALUE]", help="The point, e.g. model=gaia,v_max=16.")
+@click.option("--at", metavar="AXIS=VALUE[,AXIS=VALUE]", help="The point, e.g. model=gaia,v_max=16.")
+@options.option_with_default(
+    "--points", type=click.IntRange(1), default=10, help="Without --at: how many points to compute, in two orders."
+)
 @click.option("--pdb", "debug", is_flag=True, help="Open the debugger where the point raises.")
 @options.trust_option
 @options.json_option
-def reproduce(store: "Location", at: str, debug: bool, trust: bool, as_json: bool) -> None:
-    """Compute one point of STORE again, in this process, and compare every bit with what is stored.
+def reproduce(store: "Location", at: str | None, points: int, debug: bool, trust: bool, as_json: bool) -> None:
+    """Compute points of STORE again and compare every bit with what is stored: one point in this process, or a few,
+    each by itself in new processes, in two orders.
 
     The exit code is 1 if it raises, or if anything differs.
 
     \b
     sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
+    sweep reproduce results/quasars.zarr --points 20
     """
     from sweep.contract import SweepError
     from sweep.running.reproduce import reproduce as compute_again
+    from sweep.running.reproduce import study_of
 
+    if at is None:
+        if debug or as_json:
+            raise click.UsageError(f"{'--pdb' if debug else '--json'} is for one point; name it with --at")
+        sys.exit(EXIT_FAILED_POINTS if print_verified(study_of(store, trust=trust), store, points) else 0)
     try:
         again = compute_again(store, at, trust=trust)
     except SweepError:

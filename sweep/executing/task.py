@@ -77,7 +77,7 @@ class TaskResult:
     are kept, (realisations, width), and ``said`` what was printed in the unit whose first row it is.  For a plain
     function ``values`` has the results by row; the client turns them into sums, since only it knows their layout.
     ``texts`` are the texts in these results, by their digests.  ``cold`` says that the first row was the first call in
-    its process, which may include imports; ``refused`` why no result of this experiment is to be used, '' if they may be.
+    its process, which may include imports; ``refused`` why no result of this experiment is to be used, or ''.
     """
 
     sums: NDArray[np.float64]
