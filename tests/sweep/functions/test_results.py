@@ -267,6 +267,14 @@ def test_later_points_are_compared_by_name_with_what_is_expected_and_found():
             {"t": xr.DataArray([1.0, 2.0], {"x": [0.0, 0.5]}, ("x",), attrs={"units": "km"})},
             "'t' is in km, expected m",
         ),
+        (
+            {"t": xr.DataArray([1.0, 2.0], {"x": ("x", [0.0, 0.5], {"units": "s"})}, ("x",), attrs={"units": "m"})},
+            "the coordinate 'x' is in s, expected no unit",
+        ),
+        (
+            {"t": xr.DataArray([1.0, 2.0], {"x": [False, True]}, ("x",), attrs={"units": "m"})},
+            "the coordinate 'x' is of type bool, expected float",
+        ),
     ):
         assert sentence in differences(expected, layout_of(first | changed))
     assert "'y' is missing; did you mean 'yy'?" in differences(

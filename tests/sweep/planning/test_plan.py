@@ -164,7 +164,7 @@ def test_work_that_is_put_back_is_shared_among_all_like_other_work(coins):
     """Tasks after it are as large as without it: it counts as left, and comes in its own order."""
     sizes = []
     for put_back in (0, 60):
-        plan = points_of(coins, 4000)
+        plan = points_of(coins, 2000)
         pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
         [first] = pending.take(1)
         pending.settle(first, np.array([0.02]))

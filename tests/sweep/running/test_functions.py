@@ -241,6 +241,62 @@ def test_statistics_are_made_of_integers_that_floats_hold_and_of_no_others(tmp_p
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["beyond=1"]
 
 
+def test_each_of_several_outputs_has_the_quantiles_of_its_own_realisations(tmp_path):
+    outputs = [
+        Output("pair", dims="k", statistics=["q10", "q90"]),
+        Output("between"),
+        Output("last", statistics=["median", "mean", "q25"]),
+    ]
+
+    @experiment(outputs=outputs)
+    def several(*, rng, n_sim):
+        pair = rng.normal((10.0, 20.0), 1.0, (n_sim, 2))
+        return {"pair": pair, "between": pair[:, 0], "last": rng.normal(-50.0, 1.0, n_sim)}
+
+    drawn = []
+
+    def noted(*, rng, n_sim):
+        drawn.append(several(rng=rng, n_sim=n_sim))
+        return {"x": drawn[-1]["last"]}
+
+    ds = run(several, tmp_path / "s", sampling={"n_sim": 700, "seed": 4})
+    run(noted, tmp_path / "n", sampling={"n_sim": 700, "seed": 4})
+    pair, last = (np.concatenate([each[name] for each in drawn]) for name in ("pair", "last"))
+    for name, level in (("q10", 0.1), ("q90", 0.9)):
+        assert np.array_equal(ds[f"pair_{name}"].values, np.quantile(pair, level, axis=0, method="hazen"))
+    for name, level in (("median", 0.5), ("q25", 0.25)):
+        assert ds[f"last_{name}"].item() == np.quantile(last, level, method="hazen")
+    assert ds.last_mean.item() == pytest.approx(last.mean(), rel=1e-12)
+    assert ds.between_mean.item() == pytest.approx(pair[:, 0].mean(), rel=1e-12)
+    assert (ds.pair_q10_mc_error < 0.2).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("law", "draw", "truth"),
+    [
+        ("exponential", lambda rng, n: rng.exponential(size=n), (1.0, 1.0, np.log(10.0))),
+        ("lognormal", lambda rng, n: rng.lognormal(size=n), (1.6487213, 2.1611974, 3.6022245)),
+        ("two values", lambda rng, n: rng.random(n) < 0.3, (0.3, 0.4582576, None)),
+    ],
+)
+def test_errors_of_two_thousand_points_of_a_store_hold_the_truth(tmp_path, law, draw, truth):
+    """Of 600 realisations, which are of two blocks."""
+
+    @experiment(outputs=[Output("w", statistics=["mean", "std", "q90"])])
+    def drawn(copy: int = 0, *, rng, n_sim):
+        return {"w": draw(rng, n_sim)}
+
+    ds = run(drawn, tmp_path / "s", axes={"copy": range(2000)}, sampling={"n_sim": 600, "seed": 9})
+    for name, is_ in zip(("mean", "std", "q90"), truth, strict=True):
+        value, error = ds[f"w_{name}"].values, ds[f"w_{name}_mc_error"].values
+        if is_ is None:
+            assert np.isnan(error).all()
+        else:
+            assert np.isfinite(error).mean() > 0.99
+            assert 0.935 < np.mean(np.abs(value - is_) <= 2.0 * error) < 0.97, name
+
+
 def test_one_realisation_has_a_mean_and_no_spread(tmp_path):
     def one(*, rng):
         return {"x": rng.normal(), "yes": True}
