@@ -27,7 +27,7 @@ class Eta:
 
     Which results can come from one worker is inferred from their times; there are at most ``workers`` workers if that
     is known.  The time since a worker's last result counts as work under way.  A first call in a process may have
-    imported modules: its time counts for that worker, but not for what is left.
+    imported modules: it tells nothing of what is left.
 
     Example: two of ten tasks have come from one worker, which takes 3 s for each.
 
@@ -61,11 +61,12 @@ class Eta:
         """
         seconds = max(seconds, 1e-9)
         self._done += cost
-        if usual := 1.0 - (1.0 / rows if cold else 0.0):
-            self._cost += usual * cost
-            self._busy += max(seconds - cold, 1e-9)
-            self._tasks += 1
-            self._longest = max(self._longest, seconds - cold)
+        if not (usual := 1.0 - (1.0 / rows if cold else 0.0)):
+            return  # nor is its worker known to go on at once: the first write of a run imports too
+        self._cost += usual * cost
+        self._busy += max(seconds - cold, 1e-9)
+        self._tasks += 1
+        self._longest = max(self._longest, seconds - cold)
         begin = now - seconds
         free = bisect_right(self._lanes, begin + OVERLAP * seconds, key=lambda lane: lane.end)
         if free or len(self._lanes) >= self._workers:
