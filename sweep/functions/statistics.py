@@ -8,10 +8,8 @@ an error that cannot promise this is NaN.
 import math
 import re
 from collections.abc import Sequence
-from statistics import NormalDist
 
 import numpy as np
-from scipy.special import bdtrc, bdtrik
 
 from sweep.contract import FEWEST_SAMPLES, Array, shown, small_sample_factor, suggest
 from sweep.functions.layout import Field
@@ -28,7 +26,7 @@ QUANTILE = re.compile(r"q(\d{1,2}(?:\.\d+)?)")
 SIGMAS = 2.0
 """Errors are made so that the truth is within this many of them as often as for a normal law."""
 
-TAIL = NormalDist().cdf(-SIGMAS)
+TAIL = 0.5 * math.erfc(SIGMAS / math.sqrt(2.0))
 
 FEWEST_FOR_STD = 50
 """The fewest realisations for which the error of a standard deviation is known."""
@@ -190,6 +188,8 @@ def _limit(ordered: Array, level: float) -> tuple[int, Array]:
 
     The position between them is that for a law that is uniform there (Nyblom 1992).
     """
+    from scipy.special import bdtrc, bdtrik  # takes a tenth of a second, and most studies have no quantiles
+
     n = len(ordered)
     rank = math.ceil(bdtrik(1.0 - TAIL, n, level))
     at_least, more = bdtrc([rank - 1, rank], n, level)
