@@ -118,6 +118,7 @@ def test_a_power_law_through_points_without_errors_is_a_linear_regression(seed):
     scatter = np.sum((np.log(y) - theirs.intercept - theirs.slope * np.log(x)) ** 2) / (len(x) - 2)
     assert found["amplitude_error"].item() / found["amplitude"].item() == pytest.approx(np.sqrt(scatter / len(x)))
     assert np.isnan(found["chi2"].item())
+    assert linksweep.fit_power_law(results(x[:2], y[:2]), "width", "n")["exponent_error"].item() == 0.0  # no scatter
 
 
 @several
@@ -250,7 +251,7 @@ def delta(function, values, covariance):
 @several
 @given(seeds, st.floats(0.01, 0.99), st.booleans(), st.sampled_from([None, 20]))
 def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, samples):
-    rng, x, y, errors, covariance = drawn(seed)
+    _, x, y, errors, covariance = drawn(seed)
     y = np.sort(y)
     errors, spread = (None, covariance) if shared else (errors, np.diag(errors**2))
     more = (factor(samples) if samples is not None else 1.0) if shared else 1.0
@@ -271,7 +272,6 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
     crossing = linksweep.find(dataset, f"width < {limit!r}", over="n")
     assert crossing["first"].item() == crossing["last"].item() == pytest.approx(place(y), rel=1e-9)
     assert crossing["first_error"].item() == pytest.approx(delta(place, y, spread) * np.sqrt(more), rel=1e-4)
-    assert rng is not None
 
 
 @several

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
-from scipy.stats import chi2, kstest, linregress
+from scipy.stats import chi2, kstest
 
 from sweep.analysis.fits import p_value, power_law
 from sweep.analysis.levelling import levelling
@@ -38,15 +38,6 @@ def test_the_slope_is_that_of_numpy_and_scipy():
     assert uncertainty == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-6)
 
 
-def test_the_slope_without_errors_is_that_of_an_unweighted_regression():
-    y, _ = noisy()
-    theirs = linregress(np.log(N), np.log(y))
-    law = power_law(N, y, np.zeros(5))
-    assert (law.exponent, law.exponent_error) == pytest.approx((theirs.slope, theirs.stderr), rel=1e-10)
-    assert np.isnan(law.chi2)
-    assert power_law(N[:2], y[:2], np.zeros(2)).exponent_error == 0.0
-
-
 def test_the_error_of_a_slope_is_its_scatter():
     rng = np.random.default_rng(21)
     y, error = N**-0.5, 0.02 * N**-0.5
@@ -59,23 +50,6 @@ def correlated(rng, relative, correlation):
     """A covariance of relative errors and its square root: every pair of points has the same correlation."""
     covariance = np.outer(relative, relative) * (correlation + (1.0 - correlation) * np.eye(len(relative)))
     return covariance, np.linalg.cholesky(covariance)
-
-
-def test_correlated_points_give_the_formula_of_generalised_least_squares():
-    rng = np.random.default_rng(22)
-    y, error = noisy()
-    covariance, _ = correlated(rng, error, 0.7)
-    law = power_law(N, y, covariance)
-    design = np.stack([np.ones(5), np.log(N)], axis=1)
-    inverse = np.linalg.inv(covariance / np.outer(y, y))
-    spread = np.linalg.inv(design.T @ inverse @ design)
-    constant, exponent = spread @ design.T @ inverse @ np.log(y)
-    assert law.exponent == pytest.approx(exponent, rel=1e-10)
-    assert law.exponent_error == pytest.approx(np.sqrt(spread[1, 1]), rel=1e-10)
-    assert law(N) == pytest.approx(np.exp(constant) * N**exponent, rel=1e-10)
-    assert law.relative_error(N) == pytest.approx(np.sqrt(np.diag(design @ spread @ design.T)), rel=1e-8)
-    residual = np.log(y) - design @ [constant, exponent]
-    assert law.chi2 == pytest.approx(residual @ inverse @ residual, rel=1e-8)
 
 
 @pytest.mark.slow
