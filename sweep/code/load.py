@@ -248,11 +248,18 @@ def _differences_elsewhere(reference: str, parts: Mapping[str, str]) -> list[str
 def _elsewhere(reference: str) -> tuple[dict[str, str], dict[str, str]]:
     """Return the parts of what a reference names as two new processes have them, none for a function of this session."""
     code = f"import json; from sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
-    around = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    command = [sys.executable, "-c", code]
-    some = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=around) for _ in range(2)]
+    files: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    some = [new_process(code, **files) for _ in range(2)]
     one, other = (json.loads((process.communicate()[0].splitlines() or [b"{}"])[-1]) for process in some)
     return one, other
+
+
+def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
+    """Start a process of Python that finds modules where this one does, and not in the present folder if this one does
+    not: it may be a stranger's.  linksweep first, which keeps a ``sweep.py`` of the user's from being taken for ours.
+    """
+    around = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    return subprocess.Popen([sys.executable, "-P", "-c", f"import linksweep; {code}"], env=around, **options)
 
 
 def source_digest(reference: str) -> str | None:

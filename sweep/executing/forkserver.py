@@ -8,7 +8,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
 from multiprocessing import forkserver, resource_tracker
@@ -85,11 +85,16 @@ def _servers() -> list[Any]:
 
 def _start() -> None:
     multiprocessing.get_context("forkserver").set_forkserver_preload(PRELOADED)
-    ours = {**ENVIRONMENT, SAFE_PATH: "1"}
+    _with_environment(ENVIRONMENT, forkserver.ensure_running)
+
+
+def _with_environment(ours: Mapping[str, str], start: Callable[[], object]) -> None:
+    """Start a process with these variables, and without modules of the present folder, which may be a stranger's."""
+    ours = {**ours, SAFE_PATH: "1"}
     before = {name: os.environ.get(name) for name in ours}
     os.environ.update(ours)
     try:
-        forkserver.ensure_running()
+        start()
     finally:
         for name, value in before.items():
             if value is None:
@@ -112,7 +117,9 @@ def signals_blocked(make: Callable[[], Made], undo: Callable[[Made], object]) ->
         try:
             if hasattr(signal, "pthread_sigmask"):
                 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGHUP])
-                resource_tracker.ensure_running()  # before the other two: its start unblocks these in this thread
+                _with_environment(
+                    {}, resource_tracker.ensure_running
+                )  # before the other two: its start unblocks these in this thread
                 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
             made.set_result(make())
         except BaseException as error:

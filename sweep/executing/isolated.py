@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import IO, Any
 
-from sweep.code.load import load_experiment, provide, sendable
+from sweep.code.load import load_experiment, new_process, provide, sendable
 from sweep.contract import SweepError
 from sweep.executing.deadlines import Deadlines
 from sweep.executing.own_process import ignored
@@ -277,9 +277,9 @@ class _New(_Child):
     def __init__(self, task: Task, expected: Identity) -> None:
         super().__init__()
         number = self._theirs.fileno()
-        command = [sys.executable, "-c", f"from sweep.executing.isolated import child; child({number})"]
         files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
-        self._process = subprocess.Popen(command, **files, pass_fds=[number])
+        start = f"from sweep.executing.isolated import child; child({number})"
+        self._process = new_process(start, **files, pass_fds=[number])
         self._theirs.close()
         self.pid = self._process.pid
         try:
