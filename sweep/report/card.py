@@ -9,6 +9,7 @@ import xarray as xr
 
 from sweep.analysis.answer import answer_in_short, completeness
 from sweep.contract import SweepError
+from sweep.formatting import harmless
 from sweep.readable import with_micro_signs
 from sweep.tie.text import as_format
 
@@ -31,7 +32,7 @@ class Card:
     table: str = ""
 
     def __repr__(self) -> str:
-        return "\n".join(filter(None, [self.question or self.title, *self.sentences, self.table]))
+        return harmless("\n".join(filter(None, [self.question or self.title, *self.sentences, self.table])))
 
     def _repr_html_(self) -> str:
         """Return the card; colours are those of the notebook, in either theme."""

@@ -120,11 +120,13 @@ def test_a_script_gets_no_control_characters_either(store, folder):
     script = (
         "import linksweep\nfrom marked import marked\nlinksweep.run(marked, axes={'x': [1.0, 2.0]}, pool='serial')\n"
     )
+    script += f"ds = linksweep.open('s.zarr')\nprint(linksweep.answer(ds.assign_attrs(question='why' + {MARK!r})))\n"
     (folder / "script.py").write_text(script + f"linksweep.open('no' + {MARK!r})\n")
     done = subprocess.run([sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, check=False)
     assert "fails" in done.stderr
     assert "SweepError" in done.stderr
-    assert not found("".join(line for line in done.stderr.splitlines(True) if "  File" not in line))
+    assert "why" in done.stdout
+    assert not found(done.stdout + "".join(line for line in done.stderr.splitlines(True) if "  File" not in line))
 
 
 def texts_in(value, path=()):
