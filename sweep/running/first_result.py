@@ -67,6 +67,8 @@ def first_results(
             failing.take(ended.values(), why)
             size = replace(size_of(works, len(ended)), realisations=0)
             tell(works, result, Taken(size, PlanSize(0, 0, 0, 0.0), tuple(ended.values()), why))
+            if failing.too_many():
+                break  # without waiting for tasks under way
         if not points_out:
             tasks = 0
     if not values:
