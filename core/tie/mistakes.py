@@ -107,19 +107,19 @@ class _Cause(NamedTuple):
     hides: int = 0
 
 
-def misfit(problem: Problem, solution: Solution, names: NDArray[Any], tables: Sequence[str]) -> Misfit:
+def misfit(problem: Problem, kept: Indices, solution: Solution, names: NDArray[Any], tables: Sequence[str]) -> Misfit:
     """Return what is to be said of chi2 of a solution with the best weights.
 
-    ``names`` (S,) are those of the sources, ``tables`` the names of the tables of rows by frame.  The solution may be
-    that of more sources than the problem has.
+    ``kept`` are the sources of the problem that it is of, ``names`` (S,) those of the sources, ``tables`` the names of
+    the tables of rows by frame.  The solution may be that of more sources than the problem has.
     """
     if not solution.dof > 0 or not solution.expected > 0.0:
         return Misfit()
     ratio = solution.squares / solution.expected
     most = int(np.clip(MOST_NUMBERS // len(solution.estimate) ** 2, 50, MOST_SOURCES))
-    if len(problem.satellite) > most:
-        chosen = np.linspace(0, len(problem.satellite) - 1, most).astype(np.int64)
-        problem, names = problem.only(chosen), names[chosen]
+    if len(kept) > most:
+        kept = kept[np.linspace(0, len(kept) - 1, most).astype(np.int64)]
+    problem, names = problem.only(kept), names[kept]
     groups = _groups(problem, solution, tables)
     if ratio > GOOD and chdtrc(solution.expected, solution.squares) < CHANCE:
         worst = max(groups, key=lambda group: group.squares)

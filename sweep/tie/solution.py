@@ -13,7 +13,7 @@ from core.link import LinkError
 from core.tie.astrometry import kinds
 from core.tie.clips import Clipped, Sources, clipped, parse_clip
 from core.tie.influence import LARGE_SHARE, Influence, bootstrap, influence, jackknife, sandwich, shares
-from core.tie.mistakes import Misfit, misfit
+from core.tie.mistakes import DEFICIT, GOOD, Misfit, misfit
 from core.tie.solution import Solution
 from core.tie.sources import SourceTable
 from core.unknowns import Unknowns
@@ -103,15 +103,18 @@ def _misfit(setup: Setup, table: SourceTable | RowGroupTable, found: Clipped) ->
     """Return what chi2 says of the sources that are kept, with the best weights; of all if the clip keeps fewer than
     half of them.
     """
-    problem = table.groups[0].problem() if isinstance(table, RowGroupTable) else setup.problem
-    factors, solution = found.factors, found.solution
+    factors, solution, problem = found.factors, found.solution, setup.problem
+    if isinstance(table, RowGroupTable):
+        if DEFICIT <= solution.scale**2 <= GOOD:
+            return Misfit(solution.scale**2)  # a row group is read again only if something is wrong
+        problem = table.groups[0].problem()
     if problem.weights != "covariance" or np.count_nonzero(factors) < 0.5 * len(factors):
         factors = factors if np.count_nonzero(factors) >= 0.5 * len(factors) else np.ones(len(factors), dtype=bool)
         problem = replace(problem, weights="covariance")
         if isinstance(table, SourceTable):
             solution = SourceTable(problem).solve(factors)
     kept = np.flatnonzero(factors[: len(problem.satellite)] > 0.0)
-    return misfit(problem.only(kept), solution, setup.names[kept], ("reference", *setup.missions))
+    return misfit(problem, kept, solution, setup.names, ("reference", *setup.missions))
 
 
 def _rows_there_are(setup: Setup) -> str:

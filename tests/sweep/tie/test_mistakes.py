@@ -103,6 +103,10 @@ def epochs_equal(table, rng):
     table["ref_epoch"] = 2016.0
 
 
+def one_motion_reversed(table, rng):
+    table["pmra"][np.argmax(np.abs(table["pmra"]))] *= -1.0
+
+
 def declared(names, unit):
     def change(table, rng):
         for name in names:
@@ -151,6 +155,8 @@ MISTAKES = {
     "a quarter year late there": ("reference", epochs_moved(0.25), "epochs of the reference 0.25 years too late"),
     "a century early": ("satellite", epochs_moved(-100.0), "epochs of the satellite 100 years too early"),
     "a century early there": ("reference", epochs_moved(-100.0), "epochs of the reference 100 years too early"),
+    "positions of 2000": ("satellite", epochs_moved(-16.0), "epochs of the satellite 16 years too early"),
+    "one star reversed": ("satellite", one_motion_reversed, r"pmra of \d+ in the satellite with reversed sign"),
     "epochs equal": ("reference", epochs_equal, "epochs of .* equal"),
     "parallax in arcsec": ("satellite", scaled(["parallax"], 1e-3), "parallaxes of the satellite, arcsec taken"),
     "all of parallax in arcsec": ("satellite", scaled(PARALLAX, 1e-3), "parallax.*(arcsec taken|no instrument)"),
