@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.contract import Output, Parameter
+from sweep.contract import Output, Parameter, SweepError
 from sweep.functions.adapter import FunctionExperiment, undeclared_experiment
 from sweep.functions.layout import Layout, layout_of_json
 
@@ -19,4 +19,7 @@ def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter,
 def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
     """Return the layout of results that a store has recorded; None where there is none."""
     layout = record.get("function", {}).get("layout")
-    return None if layout is None else layout_of_json(layout)
+    try:
+        return None if layout is None else layout_of_json(layout)
+    except (KeyError, TypeError) as error:
+        raise SweepError(f"the record of its experiment cannot be read ({error})") from error

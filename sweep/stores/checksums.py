@@ -22,15 +22,17 @@ class DamagedError(ValueError):
 
 @contextmanager
 def noting(damaged: dict[str, str], file: str | None = None) -> Iterator[None]:
-    """Go on after a DamagedError, whose files are added to ``damaged``, and after a ValueError about ``file``."""
+    """Go on after a DamagedError, whose files are added to ``damaged``, and after an error that the content of ``file``
+    causes: one that is forged may be too large or too deep.
+    """
     try:
         yield
     except DamagedError as error:
         damaged.update(error.files)
-    except ValueError as error:
+    except (ValueError, ArithmeticError, MemoryError, RecursionError) as error:
         if file is None:
             raise
-        damaged[file] = str(error)
+        damaged[file] = str(error) or type(error).__name__
 
 
 def sealed(document: Mapping[str, Any], file: str) -> bytes:

@@ -24,14 +24,14 @@ STORE = "store_id"
 
 ANOTHER = "it is whole, but of another writing or another store"
 
-_Count = Annotated[int, Field(ge=0, lt=2**63)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class Part(BaseModel):
     """The rows of an array that count, and the checksum of those in each of its chunks."""
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
-    rows: _Count = 0
+    rows: Count = 0
     chunks: list[str] = []
 
 
@@ -40,9 +40,9 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
     store: str
-    revision: _Count = 0
+    revision: Count = 0
     columns: dict[str, Part] = {}
-    documents: dict[str, _Count] = {}
+    documents: dict[str, Count] = {}
 
     def sealed(self) -> bytes:
         """Return the content of the file `MANIFEST`."""

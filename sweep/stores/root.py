@@ -7,6 +7,7 @@ from typing import Any
 
 from sweep.contract import SweepError
 from sweep.stores.checksums import SEAL, unsealed
+from sweep.stores.document import check_attributes, check_root
 from sweep.stores.location import Location, reading
 from sweep.stores.manifest import REVISION, STORE, Manifest
 
@@ -44,6 +45,7 @@ def find_root(location: Location) -> dict[str, Any] | None:
         try:
             root = unsealed(content, ROOT)
             check_format(root["attributes"], where)
+            check_root(root)
             return root
         except (ValueError, KeyError) as error:
             if readable_copy(location) is not None:
@@ -92,6 +94,7 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
     """Return the ledger's copy of a store's attributes; None where it is missing, damaged or of another format."""
     try:
         attributes = unsealed(location.get(COPY), COPY)["attributes"]
+        check_attributes(attributes)
     except ValueError:
         return None
     attributes = {key: value for key, value in attributes.items() if key not in (SEAL, REVISION)}

@@ -72,7 +72,7 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
             key: value for key, value in document.items() if key not in ("define", "published", "claim", "conclusion")
         }
         return study_of_attributes({**attributes, "study_document": json.dumps(plain)}, where, code)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, MemoryError, RecursionError) as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
 
 
