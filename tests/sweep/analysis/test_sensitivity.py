@@ -285,6 +285,18 @@ def test_errors_of_given_points_cover_the_truth(n):
         assert np.std(estimates[:, k]) > 0.3 * np.mean(errors[:, k])  # and they are not merely large
 
 
+def test_errors_of_saltelli_designs_are_one_sigma():
+    """Half of SALib's intervals of 95 % are 1.96 standard deviations of the same resamples."""
+    sobol = pytest.importorskip("SALib.analyze.sobol")
+    unit = DESIGNS["saltelli"].make(64, 3, 1)
+    values = ishigami_of(*(2 * PI * unit.T - PI))
+    problem = {"num_vars": 3, "names": list(BOX), "bounds": [[0.0, 1.0]] * 3}
+    theirs = sobol.analyze(problem, values, calc_second_order=False, num_resamples=200, conf_level=0.95, seed=1)
+    _, first, _, total = saltelli_indices(values, 3, seed=0)
+    assert first == pytest.approx(theirs["S1_conf"] / 1.959964, rel=1e-5)
+    assert total == pytest.approx(theirs["ST_conf"] / 1.959964, rel=1e-5)
+
+
 @pytest.mark.slow
 def test_errors_of_saltelli_designs_cover_the_truth():
     found = []
