@@ -14,8 +14,10 @@ from scipy import stats
 from scipy.linalg import block_diag
 
 import linksweep
+from core.blocks import Objects
 from core.constants import MAS
 from core.tie.astrometry import joined
+from core.unknowns import parse_unknowns
 from sweep.tie.column_names import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia
@@ -368,3 +370,31 @@ def test_residuals_are_what_the_solution_leaves(folder):
         whole = tables.rows.covariance()[k] + partials @ tables.own.covariance()[s] @ partials.T
         expected = np.where(np.isfinite(tables.rows.errors[:, k]), np.sqrt(np.diag(whole)) / MAS, np.nan)
         np.testing.assert_allclose(link.difference_error.values[k], expected, rtol=1e-5)
+
+
+def test_powers_are_the_integrals_of_their_fields_over_the_sky(folder):
+    """By quadrature that is exact for these degrees; the noise is the average power of the errors alone."""
+    own = stars(150, 3, pm=1.0)
+    path = gaia(folder / "quasars.ecsv", own)
+    link = linksweep.tie(path, "zero-motion", "spin", degree=3, errors="formal", accept_misfit=True)
+    heights, of_heights = np.polynomial.legendre.leggauss(12)
+    ra, dec = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False), np.arcsin(heights))
+    weights = np.repeat(of_heights, 24) * 2.0 * np.pi / 24
+    sky = Objects(ra.ravel(), dec.ravel(), np.zeros(ra.size), np.zeros(ra.size), {})
+    unknowns = parse_unknowns("spin,glide,vsh_motion:2-3")
+    assert list(unknowns.labels) == list(link.unknown.values)
+    fields = unknowns.derivatives(sky, np.zeros(ra.size))[1][:, -2:]
+    gram = np.einsum("kin,lin,n->kl", fields, fields, weights)
+    for which, kind, first in (("toroidal", "t", "omega"), ("spheroidal", "s", "glide")):
+        for degree in (1, 2, 3):
+            names = [str(label) for label in unknowns.labels]
+            start = first if degree == 1 else f"vsh_motion_{kind}_{degree}_"
+            at = [k for k, name in enumerate(names) if name.startswith(start)]
+            assert len(at) == 2 * degree + 1, names
+            x, v = link.estimate.values[at], link.covariance.values[np.ix_(at, at)]
+            one = link.sel(field=f"motion {which}", degree=degree)
+            g = gram[np.ix_(at, at)]
+            assert float(one.power) == pytest.approx(x @ g @ x)
+            assert float(one.power_noise) == pytest.approx(np.trace(g @ v))
+            assert float(one.power_chi2) == pytest.approx(x @ np.linalg.solve(v, x))
+            assert float(one.power_probability) == pytest.approx(stats.chi2.sf(float(one.power_chi2), 2 * degree + 1))
