@@ -11,7 +11,7 @@ from core.link import LinkError
 from core.tie.astrometry import Astrometry
 from core.tie.differences import differences
 from core.tie.elimination import eliminate
-from core.tie.influence import bootstrap, discrepancies, expected_discrepancies, jackknife, leave_one_out, sandwich
+from core.tie.influence import bootstrap, discrepancies, expected_discrepancies
 from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums
 from core.tie.problem import Problem
 from core.tie.solution import solve
@@ -197,27 +197,6 @@ def test_differences_without_any_error_are_refused_by_name():
         source_sums(Problem(exact, rows, np.arange(4), UNKNOWNS, 2016.0))
 
 
-@pytest.mark.parametrize("weights", ["variance", "equal"])
-def test_other_weights_have_their_own_covariance(weights):
-    problem = replace(mixed(), weights=weights)
-    f, m, v, k = stacked(problem)
-    whole = v + m @ block_diag(*problem.satellite.covariance()) @ m.T
-    weight = 1.0 / np.diag(whole) if weights == "variance" else np.full(len(f), 1.0 / MAS**2)
-    a = m @ k
-    gain = np.linalg.solve(a.T @ (a * weight[:, None]) / np.max(weight), (a * weight[:, None]).T / np.max(weight))
-    solution = solve(source_sums(problem))
-    covariance = gain @ whole @ gain.T
-    error = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(solution.estimate / error, gain @ f / error, atol=1e-9)
-    np.testing.assert_allclose(
-        solution.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=1e-9
-    )
-    residual = f - a @ (gain @ f)
-    projector = np.eye(len(f)) - a @ gain
-    assert solution.squares == pytest.approx(np.sum(weight * residual**2), rel=1e-9)
-    assert solution.expected == pytest.approx(np.trace((projector.T * weight) @ projector @ whole), rel=1e-9)
-
-
 def test_groups_add_up_to_the_sources_in_blocks_of_any_size(monkeypatch):
     problem = mixed()
     sums = source_sums(problem)
@@ -234,20 +213,6 @@ def test_groups_add_up_to_the_sources_in_blocks_of_any_size(monkeypatch):
     np.testing.assert_array_equal(source_counts(problem), sums.count)
     assert np.sum(squares) == pytest.approx(solution.squares, rel=1e-10)
     assert np.sum(expected_discrepancies(sums, solution)) == pytest.approx(solution.dof)
-
-
-def test_leave_one_out_is_solving_again():
-    sums = source_sums(mixed(20))
-    whole = solve(sums)
-    found = leave_one_out(sums, whole.normal, whole.normal @ whole.estimate)
-    again = np.array([solve(sums.taken(np.arange(20) != i)).estimate for i in range(20)])
-    error = np.sqrt(np.diag(whole.covariance))
-    np.testing.assert_allclose(found / error, again / error, atol=1e-10)
-    covariance = jackknife(sums, whole.normal, whole.normal @ whole.estimate)
-    np.testing.assert_allclose(covariance, 19 / 20 * (again - again.mean(0)).T @ (again - again.mean(0)), rtol=1e-6)
-    scores = np.array([sums.right[i] - sums.normal[i] @ whole.estimate for i in range(20)])
-    meat = sum(np.outer(u, u) for u in scores) * 20 / 19
-    np.testing.assert_allclose(sandwich(sums, whole), whole.inverse @ meat @ whole.inverse, rtol=1e-9)
 
 
 def test_the_bootstrap_solves_resamples():

@@ -13,7 +13,7 @@ from core.link import LinkError
 from core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
 from core.tie.forecast import Goal, choose, with_new_rows
-from core.tie.influence import influence, leave_one_out
+from core.tie.influence import leave_one_out
 from core.tie.normal_sums import add_products, group_sums, source_sums
 from core.tie.problem import Problem
 from core.tie.solution import solve
@@ -216,16 +216,6 @@ def test_dropping_more_than_there_is_is_refused():
     problem = with_outliers(n=50)
     with pytest.raises(LinkError, match="sources can be dropped"):
         clipped(parse_clip("discrepancy:49"), SourceTable(problem).as_sources(), lambda: separation(problem))
-
-
-def test_influence_is_what_it_says():
-    problem = mixed(15)
-    sums = source_sums(problem)
-    solution = solve(sums)
-    effect = influence(sums, solution, problem.unknowns, np.ones(15, dtype=bool))
-    np.testing.assert_allclose(effect.share.sum(axis=0), 1.0, rtol=1e-9)
-    step = solve(sums.taken(np.arange(15) != 4)).estimate - solution.estimate
-    assert effect.cook[4] == pytest.approx(step @ solution.normal @ step / len(step), rel=1e-6)
 
 
 def test_streamed_sources_give_what_kept_ones_give(monkeypatch):

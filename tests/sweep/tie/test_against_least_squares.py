@@ -18,6 +18,7 @@ from core.blocks import Objects
 from core.constants import MAS
 from core.tie.astrometry import joined
 from core.unknowns import parse_unknowns
+from sweep.contract import SweepError
 from sweep.tie.column_names import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia
@@ -354,6 +355,8 @@ def test_jitter_is_what_one_would_add_by_hand(folder, seed):
     other = linked(SimpleNamespace(satellite=tables.satellite, reference=expected))
     for name in ("estimate", "errors", "chi2", "discrepancy", "difference_error"):
         np.testing.assert_allclose(found[name], other[name], rtol=1e-7, atol=1e-10, err_msg=name)
+    with pytest.raises(SweepError, match="no kind of row five"):
+        linked(tables, jitter={"five": (1.0, 1.0)})
 
 
 def test_residuals_are_what_the_solution_leaves(folder):

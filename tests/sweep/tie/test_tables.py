@@ -262,14 +262,6 @@ def test_quasars_alone_have_a_spin(tmp_path):
     assert int(link.dof) == 50 - 6
 
 
-def test_jitter_is_added_to_the_kind_that_is_named(tmp_path):
-    satellite, reference, _ = pair(tmp_path)
-    plain, wide = tie(satellite, reference), tie(satellite, reference, jitter={"five-parameter": (1.0, 1.0)})
-    assert np.all(wide.errors.sel(error_kind="formal") > 3.0 * plain.errors.sel(error_kind="formal"))
-    with pytest.raises(SweepError, match="no kind of row five"):
-        tie(satellite, reference, jitter={"five": (1.0, 1.0)})
-
-
 def test_a_forecast_of_two_tables(tmp_path):
     satellite, reference, _ = pair(tmp_path)
     plan = forecast(
@@ -469,17 +461,6 @@ def test_a_column_of_blank_correlations_is_as_none(tmp_path):
     some = MaskedColumn(made.correlations[0], mask=[False, True, False, False])
     with pytest.raises(SweepError, match=r"no ra_dec_corr \(write 0 for none\) in row 2"):
         read_table(gaia(tmp_path / "some.ecsv", made, ra_dec_corr=some))
-
-
-def test_jitter_of_all_is_that_of_every_kind_without_its_own(tmp_path):
-    satellite, reference, _ = pair(tmp_path)
-    same = (
-        tie(satellite, reference, jitter={"all": (1.0, 0.5)}),
-        tie(satellite, reference, jitter={"five-parameter": (1.0, 0.5)}),
-    )
-    np.testing.assert_array_equal(same[0].errors, same[1].errors)
-    own = tie(satellite, reference, jitter={"all": (9.0, 9.0), "five-parameter": (1.0, 0.5)})
-    np.testing.assert_array_equal(own.errors, same[0].errors)
 
 
 def test_no_built_in_table_of_that_name():
