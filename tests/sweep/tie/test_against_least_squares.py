@@ -337,17 +337,6 @@ def test_the_clip_median_is_its_own_solution(folder, seed):
     assert not kept[[2, 5, 6]].any()
 
 
-def test_the_clip_median_takes_back_what_an_earlier_solution_dropped(folder):
-    """The first solutions are pulled by what is far off, so that good sources seem to be bad."""
-    for seed in range(6):
-        tables = drawn_tables(folder, seed, n=20, far=(2, 5, 6, 9, 12, 15))
-        link = linked(tables, clip="median:2.5")
-        residual = np.sqrt(link.discrepancy.values / link.n_observations.values)
-        if not any("returned to an earlier" in note for note in link.attrs["notes"]):
-            kept = residual <= 2.5 * np.median(residual)
-            np.testing.assert_array_equal(kept, link.weight_factor.values > 0.0)
-
-
 def separations(tables, difference):
     """X and the separation of each row, as `weight` and `residuals` show them: of a position, else of a motion."""
     own, rows = tables.own, tables.rows
@@ -457,7 +446,7 @@ def test_residuals_are_what_the_solution_leaves(folder):
 
 def test_powers_are_the_integrals_of_their_fields_over_the_sky(folder):
     """By quadrature that is exact for these degrees; the noise is the average power of the errors alone."""
-    own = stars(150, 3, pm=1.0)
+    own = stars(150, 3, pm=0.1)
     path = gaia(folder / "quasars.ecsv", own)
     link = linksweep.tie(path, "zero-motion", "spin", degree=3, errors="formal", accept_misfit=True)
     heights, of_heights = np.polynomial.legendre.leggauss(12)
@@ -480,4 +469,5 @@ def test_powers_are_the_integrals_of_their_fields_over_the_sky(folder):
             assert float(one.power) == pytest.approx(x @ g @ x)
             assert float(one.power_noise) == pytest.approx(np.trace(g @ v))
             assert float(one.power_chi2) == pytest.approx(x @ np.linalg.solve(v, x))
+            assert float(one.power_probability) > 1e-9
             assert float(one.power_probability) == pytest.approx(stats.chi2.sf(float(one.power_chi2), 2 * degree + 1))
