@@ -104,7 +104,7 @@ def write_report(page: str, path: Path) -> None:
     check_output(path)
     partial = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
-        partial.write_text(page, encoding="utf-8", newline="\n")
+        partial.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
         os.replace(partial, path)
     except OSError as error:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
