@@ -1,7 +1,7 @@
-"""The local modules of a user's file: those of its folder that it imports, as in a script, and visible to no other file.
+"""The local modules of a user's file: those of its folder that it imports, as in a script, visible to no other file.
 
-They are modules of a package of their own, named after their content.  Import statements in them name that package where
-they name a local module, so versions of a file, and files of the same name in other folders, exist beside each other.
+They are modules of a package of their own, named after their content.  Import statements in them name that package
+where they name a local module, so versions of a file, and files of one name in two folders, exist beside each other.
 """
 
 import ast
@@ -177,7 +177,7 @@ class _Finder(importlib.abc.MetaPathFinder):
 
 
 class _Loader(importlib.abc.SourceLoader):
-    """Makes a module of what was read; it keeps no bytecode, which Python finds by the second and the size of a file."""
+    """Makes a module of what was read; keeps no bytecode, which Python finds by the second and the size of a file."""
 
     def __init__(self, files: LocalFiles, file: str) -> None:
         self._files, self._file = files, file

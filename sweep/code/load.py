@@ -91,7 +91,7 @@ class Live:
 
 
 def by_value(file: IO[bytes], taken: Mapping[str, Collection[str]]) -> pickle.Pickler:
-    """Return a pickler of functions as they are: with the attributes of modules that are ``taken``, and without caches."""
+    """Return a pickler of functions as they are: with the attributes of modules that are ``taken``, without caches."""
     import cloudpickle
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
@@ -169,8 +169,8 @@ def load_experiment(
     ``folder``.
 
     With a ``digest``, the code that was provided with this digest is used, if any, whatever the file holds now; with
-    ``afresh``, files are read again.  Raises SweepError where the module, the file or the attribute does not exist or is
-    something else.
+    ``afresh``, files are read again.  Raises SweepError where the module, the file or the attribute does not exist or
+    is something else.
     """
     found = _find(reference, folder, digest, afresh)
     if isinstance(found, Experiment):
@@ -246,7 +246,7 @@ def _differences_elsewhere(reference: str, parts: Mapping[str, str]) -> list[str
 
 @cache
 def _elsewhere(reference: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the parts of what a reference names as two new processes have them, none for a function of this session."""
+    """Return the parts of what a reference names as two new processes have them, none for one of this session."""
     code = f"import json; from sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
     files: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     some = [new_process(code, **files) for _ in range(2)]

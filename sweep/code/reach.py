@@ -3,8 +3,8 @@
 Reached are the names that a function refers to, as they are now: globals, closures, defaults, attributes of modules,
 decorators and what they wrap, methods along the whole MRO of classes and of instances, elements of containers, imports
 inside.  The user's is every module whose file belongs neither to Python nor to an installed distribution: an editable
-install and what PYTHONPATH finds are the user's.  Functions and classes count by their syntax trees, values by a canonical
-form, distributions by their versions.  docs/experiments.md says what is left out.
+install and what PYTHONPATH finds are the user's.  Functions and classes count by their syntax trees, values by a
+canonical form, distributions by their versions.  docs/experiments.md says what is left out.
 """
 
 import ast
@@ -88,7 +88,7 @@ def version_of(distribution: str) -> str:
 
 @cache
 def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
-    """Return the distributions that a module's file belongs to, none for Python and linksweep; None if it is the user's."""
+    """Return the distributions that a module's file belongs to, none for Python and linksweep; None for the user's."""
     if file is None or file == "frozen":
         return () if top in sys.stdlib_module_names or top in sys.builtin_module_names else None
     path = Path(file).resolve()
@@ -125,8 +125,8 @@ class Reach:
     """All that some objects reach.
 
     ``parts`` has the digest or a short form of each function, class, value and distribution, by its kind and name;
-    ``places`` the file and line of functions and classes; ``unnoticed`` the types of values that have no canonical form,
-    by name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each.
+    ``places`` the file and line of what is in a file; ``unnoticed`` the types of values that have no canonical form, by
+    name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each.
     """
 
     def __init__(self, roots: Mapping[str, Any]) -> None:
@@ -375,7 +375,7 @@ class Reach:
         loaded = sys.modules.get(module or "")
         return (distributions_of(module) if loaded is None else self._note(loaded)) is None
 
-    def _form_of_code(self, value: Any) -> str | None:
+    def _form_of_code(self, value: Any) -> str | None:  # noqa: PLR0911 (one for each kind)
         """Follow a function, class or module, and return its name; None for anything else."""
         if isinstance(value, ModuleType):
             if self._note(value) is None:
@@ -406,7 +406,7 @@ class Reach:
             return f"wrapped {self.form(wrapped)}"
         return None
 
-    def _form_of_data(self, value: Any, data: bool) -> str:
+    def _form_of_data(self, value: Any, data: bool) -> str:  # noqa: PLR0911 (one for each kind)
         kind = type(value)
         if kind is np.ndarray and value.dtype.kind not in "OV":
             return (
@@ -662,7 +662,7 @@ def _chain(node: ast.AST) -> tuple[str, tuple[str, ...]]:
 
 
 def _effects(body: Iterable[ast.stmt], calls: bool) -> Iterator[ast.stmt]:
-    """Yield the statements of a module that do something to others: set their attributes or items, or call something."""
+    """Yield the statements of a module that act on others: set attributes or items, or, with ``calls``, call."""
     for one in body:
         targets = getattr(one, "targets", [getattr(one, "target", None)])
         is_call = isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)

@@ -1,7 +1,7 @@
 """Which code a store may run: none when it is looked at, and when it is computed from, what the user allows.
 
-Looking at a store loads nothing that it names: see `sweep.studies.record.Recorded`.  Computing from it does.  Where that
-code lies inside the store, or the store was not written here, the user must allow it with ``--trust``.
+Looking at a store loads nothing that it names: see `sweep.studies.record.Recorded`.  Computing from it does.  Where
+that code lies inside the store, or the store was not written here, the user must allow it with ``--trust``.
 """
 
 from collections.abc import Mapping

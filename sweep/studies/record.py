@@ -20,7 +20,7 @@ RECORD = "experiment_record"
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a study has that was read from a store, to be looked at: its recorded ``experiment``, and no way to load code."""
+    """The code of a study that a store holds, to be looked at: its recorded experiment, and no way to load any."""
 
     recorded: Experiment
 

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 (the code of each kind is a line)
 """Random small packages: a function ``f`` in ``main.py`` that reaches a constant through several modules."""
 
 import random

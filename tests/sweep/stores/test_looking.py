@@ -173,3 +173,92 @@ def test_the_root_document_is_read_once(tmp_path, coins, monkeypatch, look):
     monkeypatch.setattr(Folder, "get", lambda place, key: (reads.append(key), get(place, key))[1])
     look(tmp_path / "s.zarr")
     assert reads.count("zarr.json") == 1
+
+
+def _fields(value, path=()):
+    """Yield the path of every field of a JSON document, also of documents in its texts."""
+    yield path
+    if isinstance(value, str) and value[:1] in "{[":
+        try:
+            value = json.loads(value)
+        except ValueError:
+            return
+        path = (*path, None)
+    for key, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from _fields(inner, (*path, key))
+
+
+def _replaced(value, path, new):
+    if not path:
+        return new
+    if path[0] is None:
+        return json.dumps(_replaced(json.loads(value), path[1:], new))
+    copied = value.copy()
+    copied[path[0]] = _replaced(value.get(path[0], {}) if isinstance(value, dict) else value[path[0]], path[1:], new)
+    return copied
+
+
+ADDED = {  # keys that a study or a store may have, where a reference could be put
+    *("derive", "file", "define", "experiment", "catalogue", "published", "figure", "code", "function", "columns"),
+}
+BESIDE = [  # where a study has references
+    *[("points", "derive"), ("points", "file"), ("define", "metal", "mine", "curve"), ("published", "file")],
+    *[("figure", "kind"), ("fixed", "metal"), ("axes", "metal"), ("sampling", "seed")],
+]
+LOOKING = [
+    ["status", "STORE"],
+    ["show", "STORE"],
+    ["check", "STORE"],
+    ["plot", "STORE", "--kind", "sky"],
+    ["report", "STORE"],
+]
+
+
+@pytest.mark.slow
+def test_no_field_of_any_document_is_a_way_to_run_code(evil, tmp_path, monkeypatch):
+    """A mark is put in every field of the documents of a store, and beside them, one after the other."""
+    from click.testing import CliRunner
+
+    store, marker = evil
+    (tmp_path / "evilmodule.py").write_text((store / "x.py").read_text())
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    documents = {file: json.loads((store / file).read_text()) for file in ("zarr.json", "blocks/zarr.json")}
+    interesting = (
+        "study",
+        "experiment",
+        "record",
+        "point",
+        "function",
+        "define",
+        "claims",
+        "conclusion",
+        "catalogue",
+        "code",
+    )
+    places = [
+        (file, path)
+        for file, document in documents.items()
+        for path in _fields(document)
+        if path and any(word in str(part) for part in path for word in interesting)
+    ]
+    whole = ("attributes", "study_document", None)
+    added = [("zarr.json", (*whole, *inner)) for inner in BESIDE]
+    added += [
+        (file, (*path, key))
+        for file, path in places
+        for key in sorted(ADDED)
+        if path[-1] in ("study_document", None, "points")
+    ]
+    chosen = places + [one for one in added if len(one[1]) < 6]
+    for number, (file, path) in enumerate(chosen):
+        reference = (f"{store}/x.py:experiment", "evilmodule:experiment")[number % 2]
+        try:
+            forged = _replaced(documents[file], path, reference)
+        except (KeyError, TypeError, IndexError, AttributeError, ValueError):
+            continue  # nothing can be put there
+        (store / file).write_bytes(sealed(forged, file))
+        for command in (LOOKING[number % len(LOOKING)], LOOKING[0]):
+            CliRunner().invoke(main, [a.replace("STORE", str(store)) for a in command])
+            assert not marker.exists(), (file, path, command)
+        (store / file).write_bytes(sealed(documents[file], file))
