@@ -130,7 +130,7 @@ def sweep_here():
 
     def sweep_here(*arguments, cwd=None):
         with chdir(cwd or Path.cwd()), warnings.catch_warnings(record=True):
-            warnings.filterwarnings("default", module="/")  # of experiments in files, which are named by their path
+            warnings.filterwarnings("default", module="linksweep_local_")  # of experiments in files
             done = CliRunner().invoke(main, [str(argument) for argument in arguments], prog_name="sweep")
         if done.exception is not None and not isinstance(done.exception, SystemExit):
             raise done.exception

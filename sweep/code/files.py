@@ -65,7 +65,7 @@ class LocalFiles:
 
     def tree(self, file: str) -> ast.Module:
         """Return the syntax tree of a file in which imports of local modules name their package."""
-        tree = _Localised(self, file).visit(ast.parse(self.contents[file]))
+        tree = _Localised(self, file).visit(ast.parse(self.contents[file], str(Path(self.path).parent / file)))
         assert isinstance(tree, ast.Module)
         return ast.fix_missing_locations(tree)
 

@@ -56,6 +56,7 @@ class Live:
     def __init__(self, found: Callable[..., Any] | Experiment) -> None:
         self.found, reach = found, _reach(found)
         self.parts, self.modules, self.taken, self.paths = reach.parts, reach.modules, reach.taken, tuple(sys.path)
+        self.acting = [name for name in reach.acting if name != "__main__"]
         self.digest = _digest(self.parts)
         self.name = found.name if isinstance(found, Experiment) else name_of(found)
         self.path = _importable(found) or f"{SESSION}:{self.name}-{self.digest}"
@@ -87,6 +88,8 @@ class Live:
         """Restore the state, and the function from its bytes."""
         vars(self).update(state)
         sys.path += [path for path in self.paths if path not in sys.path]  # what it imports when it is called
+        for name in self.acting:
+            importlib.import_module(name)
         self.found = pickle.loads(state["found"])
 
 

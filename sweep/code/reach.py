@@ -66,8 +66,10 @@ PLAIN = (bool, int, float, complex, str, bytes)
 LONGEST = 40
 """Characters of a value that a store records as it is; of a longer one it records a digest."""
 
-DEEPEST = 100
-"""Objects within objects that are followed."""
+DEEPEST, MOST_OBJECTS = 100, 200_000
+"""Objects within objects, and all objects of a value, that are followed."""
+
+LONGEST_FORM = 1000
 
 _BEGAN = time.time()
 _STDLIB = Path(sysconfig.get_path("stdlib")).resolve()
@@ -126,7 +128,8 @@ class Reach:
 
     ``parts`` has the digest or a short form of each function, class, value and distribution, by its kind and name;
     ``places`` the file and line of what is in a file; ``unnoticed`` the types of values that have no canonical form, by
-    name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each.
+    name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each,
+    ``acting`` the names of those that act on others while they are imported.
     """
 
     def __init__(self, roots: Mapping[str, Any]) -> None:
@@ -135,10 +138,13 @@ class Reach:
         self.unnoticed: dict[str, str] = {}
         self.modules: list[ModuleType] = []
         self.taken: dict[str, set[str]] = {}
+        self.acting: list[str] = []
         self._todo: deque[Any] = deque()
-        self._seen: dict[int, Any] = {}  # kept, so that no other object gets the same id
+        self._seen: dict[int, Any] = {}  # kept, as are those below, so that no other object gets the same id
         self._owners: dict[int, type] = {}
-        self._calling = False
+        self._forms: dict[tuple[int, bool, bool], str] = {}
+        self._kept: list[Any] = []
+        self._calling, self._top, self._steps = False, 0, 0
         self._values: dict[str, list[tuple[Any, Mapping[str, Any]]]] = {}
         self._called: set[int] = set()
         self._attributes: set[str] = set()
@@ -160,16 +166,31 @@ class Reach:
         """
         if value is None or type(value) in PLAIN:
             return repr(value) if data else ""
+        key = id(value), data, self._calling
+        if key in self._forms:
+            return self._forms[key]
         if id(value) in self._forming:
-            return f"<{len(self._forming) - self._forming.index(id(value))} up>"
-        if len(self._forming) > DEEPEST:
+            level = self._forming.index(id(value))
+            self._top = min(self._top, level)
+            return f"<{len(self._forming) - level} up>"
+        self._steps += 1
+        if len(self._forming) > DEEPEST or self._steps > MOST_OBJECTS or value is sys.modules or value is os.environ:
             return self._without_form(value, data)
+        above, self._top = self._top, len(self._forming)
         self._forming.append(id(value))
         try:
-            code = self._form_of_code(value)
-            return code if code is not None else self._form_of_data(value, data and (id(value),) not in self._changed)
+            form = self._form_of_code(value)
+            if form is None:
+                form = self._form_of_data(value, data and (id(value),) not in self._changed)
         finally:
+            level = len(self._forming) - 1
             self._forming.pop()
+        form = form if len(form) < LONGEST_FORM else hashlib.sha256(form.encode()).hexdigest()
+        if self._top >= level:  # it depends on nothing around it
+            self._kept.append(value)
+            self._forms[key] = form
+        self._top = min(above, self._top)
+        return form
 
     def _walk(self) -> None:
         while self._todo:
@@ -201,10 +222,11 @@ class Reach:
                 if id(function) in self._called or (owner is not None and self._is_used(function.__name__))
                 for key in keys
             }
+            self._forms.clear()
             for label, value, names in todo:
                 done.add((label, id(value)))
                 changes = not self._changed.isdisjoint([(label,), (id(value),)]) or isinstance(value, RANDOM)
-                self._value = label.removeprefix("value ")
+                self._value, self._steps, self._calling = label.removeprefix("value "), 0, False
                 form = self.form(value, data=not changes)
                 self._keep(label, f"{form}{self._beginning(self._value, names)}" if changes else form)
                 if line := _bound(_tree(names.get("__file__") or "", names)).get(self._value.rpartition(".")[2]):
@@ -234,7 +256,7 @@ class Reach:
 
     def _refer(self, label: str, value: Any, names: Mapping[str, Any], called: bool) -> str:
         """Follow a name; return what it stands for where that is code, else '' and note it as a value."""
-        self._calling = called
+        self._calling, self._steps = called, 0
         form = self.form(value, data=False)
         if isinstance(value, FunctionType | type | ModuleType | BuiltinFunctionType) or _wrapped(value) is not None:
             return form
@@ -302,10 +324,11 @@ class Reach:
             if not scope:
                 continue
             value, label, around = scope[name], f"{name} of {of}" if name in cells else f"{module}.{name}", names
+            library = False
             for attribute in path:
                 if not isinstance(value, ModuleType):
                     break
-                self._note(value)
+                library = self._note(value) is not None
                 self.taken.setdefault(value.__name__, set()).add(attribute)
                 label, around = f"{without_package(value.__name__)}.{attribute}", vars(value)
                 try:
@@ -313,6 +336,8 @@ class Reach:
                 except Exception:  # raised again by the function where it is called
                     value = None
             around = {} if name in cells else around
+            if library and not isinstance(value, FunctionType | type | ModuleType) and _wrapped(value) is None:
+                continue  # what a library holds, such as os.environ, is its own
             bound.append(f"{name}{path} {self._refer(f'value {label}', value, around, called)}")
         self._attributes.update(one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute))
         return str(bound)
@@ -361,6 +386,7 @@ class Reach:
             if file.endswith(tuple(EXTENSION_SUFFIXES)):
                 self.parts[f"file {Path(file).name}"] = hashlib.sha256(Path(file).read_bytes()).hexdigest()[:12]
             elif tree is not None and (effects := list(_effects(tree.body, name != "__main__"))):
+                self.acting.append(module.__name__)
                 text = "".join(map(ast.unparse, effects))
                 self._keep(f"module {name}", text + self._names(effects, vars(module), {}, called=False))
         return self._count(found)
