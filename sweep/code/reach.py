@@ -576,7 +576,9 @@ def _definitions(tree: ast.Module) -> dict[int, list[Definition]]:
 def _bound(tree: ast.Module | None) -> dict[str, int]:
     """Return the line in which each name of a module is bound first."""
     nodes = [] if tree is None else [node for statement in reversed(tree.body) for node in ast.walk(statement)]
-    return {node.id: node.lineno for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    imported = {node.asname or node.name: node.lineno for node in nodes if isinstance(node, ast.alias)}
+    stored = (node for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store))
+    return imported | {node.id: node.lineno for node in stored}
 
 
 def _definition(function: FunctionType) -> Definition | None:
