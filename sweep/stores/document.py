@@ -100,6 +100,11 @@ class _Points(_Part):
     parameters: list[str]
 
 
+class _Code(_Part):
+    first_row: Count
+    code: Texts
+
+
 class _Attributes(_Part):
     store_id: str
     generation: Count
@@ -112,6 +117,7 @@ class _Attributes(_Part):
     experiment_record: Json[_Record] | None = None
     study_document: Json[Object] | None = None
     merged: Json[list[Object]] = []
+    code: Json[list[_Code]] = []
     point_table: Json[_Points] | None = None
     failures: Json[Texts] = {}
     warnings: Json[list[str]] = []

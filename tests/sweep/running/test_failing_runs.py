@@ -116,7 +116,7 @@ def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stop
     code, out, err = sweep_here(*command)
     assert (code, out) == (1, "")
     assert "stopped: the first 20 points all failed for the same reason: " in err
-    assert "like ImportError: no package for 0, for example at x=0" in err
+    assert re.search(r"like ImportError: no package for (\d+), for example at x=\1", err)  # whichever came first
     before = counts("s.zarr")["failed"]
     assert FIRST <= before < 300
     assert sweep_here(*command)[0] == 1
