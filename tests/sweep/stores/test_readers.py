@@ -187,5 +187,5 @@ def test_an_array_of_another_codec_is_not_read(tmp_path, coins):
     root["consolidated_metadata"]["metadata"]["value"]["codecs"].append({"name": "numcodecs.pickle"})
     (path / "zarr.json").write_bytes(sealed(root, "zarr.json"))
     for read in (open_dataset, lambda path: existing_store(path, study)):
-        with pytest.raises(SweepError, match="value.codecs.*name: Input should be"):
+        with pytest.raises(SweepError, match=r"value.codecs.*name: Input should be"):
             read(path)
