@@ -218,14 +218,14 @@ def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | 
     Raises SweepError for a function of this session that cannot be pickled, or would be another where it is imported.
     """
     sources = sources_of(reference, digest)
+    if not isinstance(sources, Live):
+        return sources
     try:
         pickle.dumps(sources)
     except SweepError as error:
-        assert isinstance(sources, Live), "files can be pickled"
-        if reference.startswith(f"{SESSION}:") or _differences_elsewhere(reference, sources.parts):
-            raise SweepError(
-                [*error.problems, *_differences_elsewhere(reference, sources.parts)], error.where
-            ) from error
+        differing = _differences_elsewhere(reference, sources.parts)
+        if reference.startswith(f"{SESSION}:") or differing:
+            raise SweepError([*error.problems, *differing], error.where) from error
         return None
     return sources
 
